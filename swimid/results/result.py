@@ -18,7 +18,7 @@ import numpy as np
 
 from swimid.commands import KINDS, found
 from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
-from swimid.files import atomic, tabular, yamlio
+from swimid.files import atomic, provenance, tabular, yamlio
 from swimid.files.provenance import paths_of, sha256
 from swimid.notices import warn
 from swimid.options import explained
