@@ -254,7 +254,7 @@ def test_logs_of_one_swim_are_one_trial(project) -> None:
     assert "swims.csv: not used: comment" in trials
     joined = (folder / "log-1.map.yaml").read_text()
     assert "{stem}_arduino.txt" in joined
-    assert "align: {cmd1_rad: yaw_rad}" in joined
+    assert "align: {this: yaw_rad, that: cmd1_rad}" in joined
     assert any("track imu" in line and "--with" in line for line in found["commands"])
     robot = (folder / "robot.yaml").read_text()
     assert [f"name: {name}," in robot for name in ("body", "segment1", "segment2", "tail")] == [True] * 4

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PositiveFloat, field_validator, model_validator
+from pydantic import Field, PositiveFloat, PrivateAttr, field_validator, model_validator
 
 from swimid.errors import InputError, suggestion
 from swimid.files import isolated, memory, yamlio
@@ -225,6 +225,9 @@ class Joined(yamlio.Document):
 class Mapping(yamlio.Document):
     """Content of a mapping file, which assigns the columns of a foreign file to those of a log."""
 
+    #: Folder of the mapping file.
+    _folder: Path = PrivateAttr(default=Path())
+
     format: Literal["swimid-mapping/1"]
     #: Name of the file format, such as ``deeplabcut``. A format that is a profile names the columns itself.
     profile: str | None = Field(default=None, alias="as")
@@ -330,7 +333,9 @@ def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
         return given
     if isinstance(given, dict):
         return yamlio.validate({"format": FORMAT} | given, Mapping, "mapping")
-    return yamlio.validated(given, Mapping)
+    found = yamlio.validated(given, Mapping)
+    found._folder = Path(given).parent
+    return found
 
 
 def apply(
@@ -380,13 +385,15 @@ def apply(
         select = None if rules.select is None else str(rules.select)
         found = _read(rules, open_table(given, rules.reader, select, rules.profile), path, every)
         for joined in rules.join:
-            _join(found, joined, given, path)
+            _join(found, joined, given, path, rules._folder)
         step(1)
     return found
 
 
-def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -> None:
+def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, folder: Path) -> None:
     """Add the columns of another table to a log, interpolated at its times, in place.
+
+    ``folder`` is that of the mapping file.
 
     The clock of each table counts from its ``first_stamp_s``, if it has one. Values outside the record of the
     other table, or in a pause of it, are missing.
@@ -398,7 +405,9 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
     """
     place = path
     if joined.file is not None:
-        given = place = path.parent / joined.file
+        recorded = Path(str(log.metadata.get("source") or path.name)).stem
+        places = [one / joined.file.replace("{stem}", recorded) for one in (path.parent, folder)]
+        given = place = next((one for one in places if one.exists()), places[0])
     fields = joined.model_dump(by_alias=True, exclude={"file", "between", "align"}, exclude_unset=True)
     rules = yamlio.validate({"format": FORMAT, **fields}, Mapping, "join")
     select = None if rules.select is None else str(rules.select)

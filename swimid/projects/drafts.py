@@ -416,7 +416,7 @@ def _add_companions(project: Project, group: Group, progress: Progress) -> None:
         aligned = next((name for name in columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)), None)
         joined.append(f"  - file: {_flow(place)}   # {{stem}}: the name of the recording without its ending")
         if aligned and "yaw_rad" in group.columns:
-            joined.append(f"    align: {{{aligned}: yaw_rad}}   # or offset_s under 'time:', if it is known")
+            joined.append(f"    align: {{this: yaw_rad, that: {aligned}}}   # or offset_s under 'time:', if it is known")
         lines = text.splitlines()
         joined += [f"    {line}" for line in lines if not line.startswith(("#", "format:", "metadata:"))]
         group.columns += columns

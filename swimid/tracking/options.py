@@ -116,8 +116,8 @@ class TrackCameraOptions(
     command="track camera",
     section="Make logs",
     argument="PICTURE...",
-    output="The camera file to write.",
     required=True,
+    makes="camera",
 ):
     """Calibrate a camera and its lens from pictures of a checkerboard.
 
