@@ -36,6 +36,8 @@ from swimid.tracking.track_setup import SetupDraft, track_setup
 NAMED = {"as": "log"}
 #: Folder of the run of the plan, in the project.
 RUN = "run"
+#: Maximum number of films in which one marker is found that are searched for a second one.
+MAX_SETUPS = 4
 #: Maximum difference between the rows of a tracker's table and the frames of its film. Some containers state
 #: one or two frames more than they contain (:class:`swimid.tracking.frames.Video`).
 MAX_FRAME_DIFFERENCE = 2
@@ -285,18 +287,24 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
 
 
 def _of_film(project: Project, group: Group, progress: Progress) -> None:
-    """Add the setup of a camera, drafted from the first film in which markers are found."""
+    """Add the setup of a camera, drafted from the first film in which two markers, or else one, are found."""
     name = f"{group.name}.setup.yaml"
     group.columns = ("x_m", "y_m", "yaw_rad")
     options: dict[str, Any] = {"setup": name}
     if group.first.rate_hz == 0:
         options["fps"] = ASK
     group.steps = [{"track video": options}]
+    found: list[tuple[Recording, SetupDraft]] = []
     for film in group.recordings:
         try:
             made = track_setup(film.path, fps=None if film.rate_hz else 1.0, progress=progress)
         except (NoTrustworthyResult, InputError):
             continue
+        found.append((film, made))
+        if made.setup.tail is not None or len(found) == MAX_SETUPS:
+            break
+    if found:
+        film, made = next((one for one in found if one[1].setup.tail is not None), found[0])
         project.pictures[name] = made
         if made.setup.tail is None:
             group.columns = ("x_m", "y_m")
@@ -416,7 +424,9 @@ def _add_companions(project: Project, group: Group, progress: Progress) -> None:
         aligned = next((name for name in columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)), None)
         joined.append(f"  - file: {_flow(place)}   # {{stem}}: the name of the recording without its ending")
         if aligned and "yaw_rad" in group.columns:
-            joined.append(f"    align: {{this: yaw_rad, that: {aligned}}}   # or offset_s under 'time:', if it is known")
+            joined.append(
+                f"    align: {{this: yaw_rad, that: {aligned}}}   # or offset_s under 'time:', if it is known"
+            )
         lines = text.splitlines()
         joined += [f"    {line}" for line in lines if not line.startswith(("#", "format:", "metadata:"))]
         group.columns += columns
