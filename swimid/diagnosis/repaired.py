@@ -184,6 +184,7 @@ def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
         known = {"rmse": error, "nrmse": error / size, "samples": len(left), "unit": units.get(channel, "1")}
         channels[channel], noise[channel] = known, {"value_sd": error}
     about: dict[str, Any] = {"method": "diagnosis"}
+    about["samples_sha256"] = {t.id: t.digest for t in loaded.experiment.trials}
     if context.model.swimmer is not None:
         from swimid.swimmer.trials import driven_range
 

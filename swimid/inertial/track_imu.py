@@ -567,8 +567,10 @@ def _gyroscope_scale(fused: Estimate) -> tuple[str, float, float]:
     part = smoother.PARTS["rate_scale"]
     variances = np.diag(fused.smoothed.errors.covariance[-1])[part].reshape(3, 3).diagonal()
     axis = int(np.argmin(variances))
-    factor = 1.0 / (1.0 - float(fused.smoothed.path.rate_scale[axis, axis]))
-    return "xyz"[axis], factor, factor**2 * float(np.sqrt(variances[axis]))
+    # Take the prior out of the estimate, which it pulls towards 1.
+    left = max(1.0 - float(variances[axis]) / fused.smoothed.sensor.scale_sd**2, 0.01)
+    factor = 1.0 / (1.0 - float(fused.smoothed.path.rate_scale[axis, axis]) / left)
+    return "xyz"[axis], factor, factor**2 * float(np.sqrt(variances[axis] / left))
 
 
 def _fusion_tests(fused: Estimate, options: TrackImuOptions) -> Iterator[Test]:
