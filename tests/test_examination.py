@@ -42,8 +42,7 @@ def _reason(made: Any) -> str:
 # ---------------------------------------------------------------- jumps and spikes
 
 
-@pytest.mark.parametrize("column", ["yaw_rad", "roll_rad", "pitch_rad", "joint1_rad"])
-@pytest.mark.parametrize("turn", [90.0, 180.0])
+@pytest.mark.parametrize(("column", "turn"), [("yaw_rad", 180.0), ("roll_rad", 90.0), ("joint1_rad", 90.0)])
 def test_flipped_angles_are_left_out(column: str, turn: float) -> None:
     flipped = _bursts()
     angle = np.angle(np.exp(1j * (YAW + np.radians(turn) * flipped + _noise(0.003))))
@@ -76,8 +75,10 @@ def test_a_heading_that_stays_turned_is_named() -> None:
     assert made.data["verdict"]["level"] == "caution"
 
 
-@pytest.mark.parametrize("code", [0.0, -1.0, -999.0])
-@pytest.mark.parametrize("where", ["start", "middle", "end", "scattered"])
+@pytest.mark.parametrize(
+    ("code", "where"),
+    [(0.0, "start"), (0.0, "end"), (-1.0, "middle"), (-999.0, "scattered"), (0.0, "scattered")],
+)
 def test_lost_samples_of_a_single_position_are_named(code: float, where: str) -> None:
     lost = np.zeros(N, dtype=bool)
     places = {
@@ -101,7 +102,7 @@ SPIKES = {
 
 
 @pytest.mark.parametrize("kind", SPIKES)
-@pytest.mark.parametrize("share", [0.005, 0.03, 0.05])
+@pytest.mark.parametrize("share", [0.005, 0.05])
 def test_spikes_of_a_force_are_left_out(kind: str, share: float) -> None:
     rng = np.random.default_rng(7)
     force = 1.0 + 0.3 * np.sin(2 * np.pi * 0.7 * T) + _noise(0.004)
@@ -147,6 +148,7 @@ def test_sound_channels_have_no_jumps(kind: str) -> None:
     assert _import(SOUND[kind]).data["jumps"] == {}
 
 
+@pytest.mark.slow
 def test_a_force_with_missing_samples_drives_a_towing_rig(tmp_path: Any) -> None:
     """Spikes that were left out do not stop the fit: the force is taken from the line between its samples."""
     from scipy.integrate import solve_ivp
@@ -189,8 +191,9 @@ def test_commands_and_scores_may_hold_one_value() -> None:
     held = (T > 11) & (T < 16)
     drive = np.where(held, 0.0, 2.0 + np.sin(3 * T) + _noise(0.05))
     track = {"x_m": 0.2 * T + _noise(3e-4, 4), "y_m": _noise(3e-4, 5)}
-    for name in ("thrust1_N", "pwm_us", "tail_score", "motor_V", "pump_W"):
-        assert "hold one value" not in _reason(_import({**track, name: drive})), name
+    names = ("thrust1_N", "pwm_us", "tail_score", "motor_V", "pump_W")
+    held_ones = {name: (k + 1) * drive for k, name in enumerate(names)}
+    assert "hold one value" not in _reason(_import({**track, **held_ones}))
     frozen = _import({"yaw_rad": np.where(held, YAW[550], YAW + _noise(0.003))})
     assert "hold one value" in _reason(frozen)
     assert frozen.data["verdict"]["level"] == "bad"
@@ -250,7 +253,7 @@ def test_a_robot_that_hovers_has_no_course() -> None:
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e-6, 1e3, 1e6])
-@pytest.mark.parametrize("names", [("x_m", "y_m", "yaw_rad"), ("yaw_rad",), ("x_m",)])
+@pytest.mark.parametrize("names", [("yaw_rad",), ("x_m",)])
 def test_times_in_another_unit_are_doubted(factor: float, names: tuple[str, ...]) -> None:
     made = _import({name: _track()[name] for name in names}, time=factor * T)
     assert made.data["verdict"]["level"] != "good"

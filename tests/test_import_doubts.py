@@ -68,7 +68,7 @@ UNJUDGED: dict[str, tuple[dict[str, Any], str]] = {
     "count of the rows": ({"t_s": T, "depth_m": np.arange(len(T))}, "depth_m counts the rows"),
     "mark of missing samples": (
         {"t_s": T, "force_N": np.where(np.arange(len(T)) % 50 == 0, -9999.0, STROKE)},
-        "force_N: 15 samples in 15 jumps left out (lines 1, 51, 101, 151, 201, ...); they hold exactly -9999",
+        "force_N holds -9999 in 1 samples",
     ),
     "one error far away": (
         {"t_s": T, "depth_m": np.where(np.arange(len(T)) == 70, 80.0, STROKE)},
