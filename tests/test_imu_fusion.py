@@ -13,6 +13,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
 from swimid.inertial.alignment import clock_offset, without_slow
+from swimid.inertial.track_imu import track_imu
 from tests.conftest import Ran
 from tests.generators import imu
 from tests.test_imu import BAND, rms, save, table
@@ -351,3 +352,45 @@ def test_a_stray_fix_is_removed(swimid: Callable[..., Ran], tmp_path: Path, stra
     assert "SWM058" in ran.err
     error = table(tmp_path / "run.csv").x_m - run.position[:, 0]
     assert np.sqrt(np.mean(error**2)) < 0.002
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("edge_s", [0.006, 0.1])
+def test_bands_beside_an_accurate_camera_are_those_of_the_errors(edge_s: float) -> None:
+    """A planar swim after a rest of 1.5 s, by forward Euler steps; the sensor is 0.1 m behind the marker."""
+    rng, step, rest = np.random.default_rng(1), 1 / 5000, 1.5
+    t = np.arange(0.0, 12.0, step)
+    phase, steep = 2 * np.pi * 1.2 * (t - rest), 1 / (np.pi * 1.2 * edge_s)
+    on = np.clip((t - rest) / 0.05, 0, 1)
+    push = np.array([np.tanh(steep * np.sin(phase + p)) for p in (0.0, 0.8)]) * on
+    thrust = on * (0.35 + 0.8 * np.maximum(0.0, np.tanh(steep * np.sin(2 * phase + 0.3))))
+    u = v = r = 0.0
+    rows = []
+    for a, b, c in zip(6.0 * push[0], push[1], thrust, strict=True):
+        rates = c - 2.5 * u * abs(u) + v * r, b - 4 * v - u * r, a - 3 * r
+        rows.append((u, v, r, *rates))
+        u, v, r = u + step * rates[0], v + step * rates[1], r + step * rates[2]
+    u, v, r, du, dv, dr = np.array(rows).T
+    yaw = 0.3 + step * np.cumsum(r)
+    x = 0.5 + step * np.cumsum(u * np.cos(yaw) - v * np.sin(yaw))
+    y = 0.8 + step * np.cumsum(u * np.sin(yaw) + v * np.cos(yaw))
+    at = slice(None, None, 50)
+    force = np.column_stack([du - v * r + 0.1 * r**2, dv + u * r - 0.1 * dr, np.full(len(t), 9.80665)])[at]
+    force += 0.05 * rng.normal(size=3) + 0.039 * rng.normal(size=force.shape)
+    turn = np.column_stack([0 * r, 0 * r, r])[at]
+    turn += 0.003 * rng.normal(size=3) + 0.0017 * rng.normal(size=turn.shape)
+    names = ("ax_m_s2", "ay_m_s2", "az_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s")
+    imu_log = pd.DataFrame({"t_s": t[at], **dict(zip(names, np.hstack([force, turn]).T, strict=True))})
+    seen = np.arange(0.4, 11.7, 1 / 30)
+    noise = {"x_m": (x, 2e-4), "y_m": (y, 2e-4), "yaw_rad": (yaw, 2e-3)}
+    camera = {n: np.interp(seen, t, z) + sd * rng.normal(size=len(seen)) for n, (z, sd) in noise.items()}
+    made = track_imu(imu_log, other=pd.DataFrame({"t_s": seen - 3.09312, **camera}))
+    assert len(made.data["still_periods"]) == 1
+    assert made.data["mounting"]["lever_m"][0] == pytest.approx(-0.1, abs=0.003)
+    inside = slice(100, 1100)
+    for name, truth in (("x", x), ("y", y)):
+        off = (made.frame[f"{name}_m"].to_numpy() - truth[at])[inside]
+        sd = made.frame[f"{name}_sd_m"].to_numpy()[inside]
+        assert np.sqrt(np.mean(off**2)) < 2.5e-4
+        assert 0.6 < np.sqrt(np.mean((off / sd) ** 2)) < 1.6
+    assert made.verdict != "bad"

@@ -629,9 +629,7 @@ def sandwich(
     projected = [basis.T @ r for basis, r in zip(bases, residuals, strict=True)]
     directions = np.split(u, np.cumsum([len(f) for f in factors])[:-1])
     variance = float(sum(r @ r for r in residuals)) / max(samples - unknowns, 1)
-    middle = np.zeros((len(singular),) * 2)
-    for part, core in zip(directions, cores, strict=True):
-        middle += part.T @ core @ part
+    middle = u.T @ np.concatenate([core @ part for part, core in zip(directions, cores, strict=True)])
     middle = 0.5 * (middle + middle.T)
     own = [factor[:, at] for factor, (_, at, _) in zip(factors, blocks.parts, strict=True)]
     scatter, p_value = _scatter(own, cores, projected, variance, degrees=-int(good.sum()))

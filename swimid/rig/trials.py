@@ -407,7 +407,11 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
         if found is not None:
             return found
     raise InputError(
-        "does not swing: it crosses its rest position fewer than two times", file=log.path, column=name
+        "does not swing: it crosses its rest position fewer than two times",
+        file=log.path,
+        column=name,
+        hint="cut a slow creep after the swings off with end_s in the trials file; a body that is damped so "
+        "strongly that it hardly swings needs 'experiment: towed' with a measured force",
     )
 
 
