@@ -1031,11 +1031,14 @@ class Course:
         Circular standard deviation of course minus heading, rad.
     mirrored : bool
         Whether the course follows the negative of the heading, as in a mirrored image.
+    opposed : bool
+        Whether it does, but by less than a hull may slip in a turn.
     """
 
     slip_rad: float
     spread_rad: float
     mirrored: bool
+    opposed: bool
 
 
 def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
@@ -1060,8 +1063,9 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
     along, against = np.mean(course * heading.conj()), np.mean(course * heading)
     spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
     evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
-    mirrored = bool(evidence > VERY_STRONG and spread > LARGEST_SLIP)
-    return Course(float(np.angle(along)), spread, mirrored)
+    mirrored = evidence > VERY_STRONG and spread > LARGEST_SLIP
+    opposed = evidence > VERY_STRONG and not mirrored
+    return Course(float(np.angle(along)), spread, bool(mirrored), bool(opposed))
 
 
 def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:

@@ -140,8 +140,8 @@ def _of_course(
     advances = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) > MIN_SPEED_M_S * np.ptp(
         time
     )
-    if seen.mirrored:
-        gain = -1.0
+    if seen.mirrored or seen.opposed:
+        gain, doubtful = -1.0, seen.opposed
         text = f"turns opposite to {against}: one of both is mirrored (factor: -1 for {name} or y)"
     elif seen.spread_rad < LARGEST_SLIP and abs(seen.slip_rad) > MIN_ANGLE and advances:
         doubtful, turn = True, math.degrees(seen.slip_rad)
