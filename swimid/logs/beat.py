@@ -1032,7 +1032,7 @@ class Course:
     mirrored : bool
         Whether the course follows the negative of the heading, as in a mirrored image.
     opposed : bool
-        Whether it does, but by less than a hull may slip in a turn.
+        Whether it does, but by less than a hull may slip in a turn, and by more than half of that.
     """
 
     slip_rad: float
@@ -1064,7 +1064,7 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
     spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
     evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
     mirrored = evidence > VERY_STRONG and spread > LARGEST_SLIP
-    opposed = evidence > VERY_STRONG and not mirrored
+    opposed = evidence > VERY_STRONG and 0.5 * LARGEST_SLIP < spread <= LARGEST_SLIP
     return Course(float(np.angle(along)), spread, bool(mirrored), bool(opposed))
 
 

@@ -346,7 +346,7 @@ def _channels(columns: Mapping[str, Array]) -> Iterator[tuple[tuple[str, ...], A
     for name in names:
         place = columns[name][:, None]
         rules: dict[str, Any] = {"brief": True}
-        if name.endswith("_rad"):
+        if name.endswith("_rad") and not SET.fullmatch(name):
             place = np.column_stack((np.cos(place), np.sin(place)))
         if name in ANGLES:
             rules = {}
@@ -387,8 +387,8 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     """Return the channels whose values no working sensor gives, each with a description of the fault.
 
     Such a channel is constant, counts the rows, equals another column, is saturated at a value, or holds a
-    value far from all others. Channels with fewer than :data:`LONG_ENOUGH` values are not checked, nor are
-    commands, standard deviations, likelihoods and confidences.
+    value far from all others. Channels with fewer than :data:`LONG_ENOUGH` values are not checked. Commands,
+    standard deviations, likelihoods and confidences are checked for values far from all others only.
 
     Parameters
     ----------
@@ -407,7 +407,11 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     earlier: dict[bytes, list[str]] = {}
     for name, values in columns.items():
         known = values[np.isfinite(values)]
-        if len(known) < LONG_ENOUGH or SET.fullmatch(name) or quantity_of(name) is None:
+        if len(known) < LONG_ENOUGH or quantity_of(name) is None:
+            continue
+        if SET.fullmatch(name):
+            if text := _find_far(known):
+                found[name] = text
             continue
         content = np.where(np.isnan(values), np.nan, values + 0.0).tobytes()  # one pattern for NaN and for 0
         equal = earlier.setdefault(hashlib.sha256(content).digest(), [])

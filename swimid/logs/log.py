@@ -671,7 +671,7 @@ MAX_EXTENT_M = 100.0
 MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
 #: Minimum plausible time step and duration of a record of more than 20 samples, s. Load cells and inertial
 #: sensors are sampled at 100 kHz at most, and the fastest stroke of a small fish takes 0.05 s.
-MIN_STEP_S, MIN_DURATION_S = 1e-5, 0.05
+SHORT_S, MIN_DURATION_S = 1e-5, 0.05
 #: Maximum fraction of the samples of a column whose rate of change may exceed its limit without a warning.
 #: Such samples are taken for outliers of the tracking.
 OUTLIER_SHARE = 0.05
@@ -698,7 +698,9 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
     if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= MS_STEP_S and np.ptp(time_s) >= MS_DURATION_S:
         text = "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
         found.append(Doubt(TIME, text))
-    elif len(time_s) > 20 and (np.nanmedian(np.diff(time_s)) < MIN_STEP_S or np.ptp(time_s) < MIN_DURATION_S):
+    elif len(time_s) > 20 and (
+        np.nanmedian(np.diff(time_s)) < SHORT_STEP_S or np.ptp(time_s) < MIN_DURATION_S
+    ):
         rate_hz = (len(time_s) - 1) / np.ptp(time_s)
         text = (
             f"lasts {np.ptp(time_s):.3g} s at {rate_hz:.3g} Hz, which is unusual: state the unit of the time"
