@@ -698,9 +698,7 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
     if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= MS_STEP_S and np.ptp(time_s) >= MS_DURATION_S:
         text = "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
         found.append(Doubt(TIME, text))
-    elif len(time_s) > 20 and (
-        np.nanmedian(np.diff(time_s)) < SHORT_STEP_S or np.ptp(time_s) < MIN_DURATION_S
-    ):
+    elif len(time_s) > 20 and (np.nanmedian(np.diff(time_s)) < SHORT_S or np.ptp(time_s) < MIN_DURATION_S):
         rate_hz = (len(time_s) - 1) / np.ptp(time_s)
         text = (
             f"lasts {np.ptp(time_s):.3g} s at {rate_hz:.3g} Hz, which is unusual: state the unit of the time"
