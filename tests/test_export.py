@@ -567,7 +567,7 @@ def test_readings_of_the_fit_are_kept(tmp_path: Path, swimid: Callable[..., Ran]
     assert "head 0 kg forward" in ran.err
     ran = swimid("export", path, "--to", "gazebo", "--added-mass", "fold", "--json")
     (limit,) = (one for one in ran.json["result"]["limits"] if "differs by direction" in one)
-    assert "swimid.exporters.mjcf.water, in Gazebo with --added-mass native" in limit
+    assert "swimid.exporters.mjcf.water of MuJoCo or --added-mass native of Gazebo" in limit
 
 
 # ------------------------------------------------------------ the command

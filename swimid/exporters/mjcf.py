@@ -49,12 +49,6 @@ STEP_S = 0.002
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
 
 
-def _offset(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
-    if actuator.driven.gain == 0.0:
-        return {}
-    return {"offset_rad": values["offset_rad"]}
-
-
 def _lock(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
     name = f"locked_{actuator.column.removesuffix('_rad')}"
     if name not in values:
@@ -66,7 +60,7 @@ def _lock(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
 #: The key is the name of the effect.
 SERVOS: dict[str, Callable[[Mapping[str, float], Actuated], dict[str, float]]] = {
     "amplitude-loss": lambda values, _: {"gain": 1.0 - values["loss"]},
-    "amplitude-offset": _offset,
+    "amplitude-offset": lambda v, actuator: {"offset_rad": v["offset_rad"]} if actuator.driven.gain else {},
     "joint-locked": _lock,
     "rate-limit": lambda values, _: {"rate_rad_s": values["rate_limit_rad_s"]},
     "servo-backlash": lambda values, _: {"play_rad": values["backlash_rad"]},
@@ -262,8 +256,7 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     upright = bytes(model.text_data)[begin : begin + size].rstrip(b"\0") == b"vertical"
     side, turn, sign = (2, 1, -1.0) if upright else (1, 2, 1.0)
     along, across = (model.numeric("swimid_reference").data[k] for k in (0, 1))
-    six, pose = np.zeros(6), np.zeros(3)
-    moves, row_of = np.zeros((4, 3, model.nv)), np.repeat(np.arange(model.nv), model.M_rownnz)
+    six, pose, moves = np.zeros(6), np.zeros(3), np.zeros((4, 3, model.nv))
 
     def passive(given: Any, data: Any) -> None:
         if given.nsite != model.nsite or given.nv != model.nv:
@@ -288,14 +281,13 @@ def water(model: Any) -> Callable[[Any, Any], None]:
 
     def add_masses(given: Any, data: Any) -> None:
         total, axes = np.zeros((given.nv, given.nv)), np.diag([0.0, 0.0, sign])
-        flow = np.append(given.opt.wind[[0, side]], 0.0)
         for site, mass in masses:
             place = data.site_xpos[site], given.site_bodyid[site]
             mujoco.mj_jac(given, data, *moves[:2], *place)
             mujoco.mj_jacDot(given, data, *moves[2:], *place)
             axes[:2, :2] = data.site_xmat[site].reshape(3, 3)[np.ix_([0, side], [0, side])].T
             own, rate = axes @ moves.reshape(2, 6, -1)[:, [0, side, 3 + turn]]
-            u, v, r = own @ data.qvel - axes @ flow
+            u, v, r = own @ data.qvel - axes @ np.append(given.opt.wind[[0, side]], 0.0)
             px, py, _ = mass @ (u, v, r)
             # Acceleration if that of all joints is zero. The axes of the link turn.
             load = mass @ (rate @ data.qvel + (r * v, -r * u, 0.0)) + (-r * py, r * px, u * py - v * px)
@@ -303,7 +295,7 @@ def water(model: Any) -> Callable[[Any, Any], None]:
             total += own.T @ mass @ own
         # Compute the mass matrix of MuJoCo again, because a step that keeps the positions keeps the sum.
         mujoco.mj_makeM(given, data)
-        data.M += total[row_of, given.M_colind]
+        data.M += total[np.repeat(np.arange(given.nv), given.M_rownnz), given.M_colind]
         mujoco.mj_factorM(given, data)
 
     return passive

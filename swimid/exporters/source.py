@@ -384,12 +384,9 @@ def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     ``choice`` is the value of the option. ``native`` is the sentence for the value ``native``.
     """
     wet = [link for link in source.links if np.any(link.added)]
-    if not wet:
-        return []
-    if choice == "native":
-        return [native]
-    if choice == "none":
-        return ["added mass and inertia are left out, as asked"]
+    unfolded = {"native": [native], "none": ["added mass and inertia are left out, as asked"]}
+    if not wet or choice in unfolded:
+        return unfolded[choice] if wet else []
     limits = [
         "added mass is part of the bodies' masses: their weight, where gravity acts, is that much too large"
     ]
@@ -400,9 +397,8 @@ def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     ]
     if directional:
         limits.append(
-            f"added mass that differs by direction ({', '.join(directional)}) is folded with its mean; its "
-            "directions act in MuJoCo with the callback swimid.exporters.mjcf.water, in Gazebo with "
-            "--added-mass native"
+            f"added mass that differs by direction ({', '.join(directional)}) has its mean without the callback "
+            "swimid.exporters.mjcf.water of MuJoCo or --added-mass native of Gazebo"
         )
     return limits
 
