@@ -397,8 +397,8 @@ def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     ]
     if directional:
         limits.append(
-            f"added mass that differs by direction ({', '.join(directional)}) has its mean without the callback "
-            "swimid.exporters.mjcf.water of MuJoCo or --added-mass native of Gazebo"
+            f"added mass that differs by direction ({', '.join(directional)}) has its mean without the "
+            "callback swimid.exporters.mjcf.water of MuJoCo or --added-mass native of Gazebo"
         )
     return limits
 
