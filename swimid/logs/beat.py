@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -444,17 +445,16 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> tu
     return chances[0], chances[1]
 
 
+@lru_cache(maxsize=1)
 def _slepian_tapers(count: int) -> Array:
     """Return the tapers that concentrate a spectral line within :data:`BAND` cycles per record.
 
-    They are discrete prolate spheroidal sequences, shape (N_TAPERS, count).
+    They are discrete prolate spheroidal sequences, shape (N_TAPERS, count). Do not change the array: the last
+    one is kept, because the channels of a log have the same count.
     """
-    from scipy.linalg import eigh_tridiagonal
+    from scipy.signal.windows import dpss
 
-    k = np.arange(count)
-    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
-    largest = (count - N_TAPERS, count - 1)
-    return eigh_tridiagonal(diagonal, k[1:] * (count - k[1:]) / 2, select="i", select_range=largest)[1].T
+    return dpss(count, BAND, N_TAPERS)
 
 
 def _no_line(t: Array, x: Array, frequency: float) -> float:
@@ -712,10 +712,12 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
     The slopes are per sample. Within half a window of either end of the path, the line of the first or last
     complete window is used.
     """
+    from scipy.signal import convolve  # by FFT where that is faster: the window is a share of the log
+
     half = width // 2
     offsets = np.arange(-half, half + 1)
-    middles = np.column_stack([np.convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
-    slopes = np.column_stack([np.correlate(x, offsets / (offsets @ offsets), "valid") for x in place.T])
+    middles = np.column_stack([convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
+    slopes = np.column_stack([convolve(x, -offsets / (offsets @ offsets), "valid") for x in place.T])
     samples = np.arange(len(place))
     line = np.clip(samples - half, 0, len(middles) - 1)
     beyond = samples - half - line
@@ -1100,8 +1102,8 @@ def _windows(
         return []
     time, path, heading = time[there], (x + 1j * y)[there], heading[there]
     numbers = (time - time[0]) // window_s
-    pairs = []
-    for window in (numbers == number for number in np.unique(numbers)):
+    pairs, order = [], np.argsort(numbers, kind="stable")
+    for window in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
         t, place, span = time[window], path[window], np.ptp(time[window])
         if len(t) < 3 or span < 0.5 * window_s:
             continue
