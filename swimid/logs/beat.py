@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -452,9 +452,12 @@ def _slepian_tapers(count: int) -> Array:
     They are discrete prolate spheroidal sequences, shape (N_TAPERS, count). Do not change the array: the last
     one is kept, because the channels of a log have the same count.
     """
-    from scipy.signal.windows import dpss
+    from scipy.linalg import eigh_tridiagonal
 
-    return dpss(count, BAND, N_TAPERS)
+    k = np.arange(count)
+    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
+    largest = (count - N_TAPERS, count - 1)
+    return eigh_tridiagonal(diagonal, k[1:] * (count - k[1:]) / 2, select="i", select_range=largest)[1].T
 
 
 def _no_line(t: Array, x: Array, frequency: float) -> float:
@@ -706,13 +709,20 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
     return found
 
 
+#: Number of products above which a convolution is computed by FFT. Below it the import of SciPy takes longer.
+LONG_PRODUCT = 100_000_000
+
+
 def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
     """Return values and slopes of straight lines fitted to ``width`` samples around each sample of a path.
 
     The slopes are per sample. Within half a window of either end of the path, the line of the first or last
     complete window is used.
     """
-    from scipy.signal import convolve  # by FFT where that is faster: the window is a share of the log
+    convolve: Callable[..., Array] = np.convolve
+    if width * len(place) > LONG_PRODUCT:
+        # The window is a share of the log: its products grow with the square of the length. By FFT they do not.
+        from scipy.signal import convolve
 
     half = width // 2
     offsets = np.arange(-half, half + 1)
