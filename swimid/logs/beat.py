@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -721,8 +722,8 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
     """
     convolve: Callable[..., Array] = np.convolve
     if width * len(place) > LONG_PRODUCT:
-        # The window is a share of the log: its products grow with the square of the length. By FFT they do not.
-        from scipy.signal import convolve
+        # The window is a share of the log, so that its products grow with the square of the length.
+        convolve = import_module("scipy.signal").convolve
 
     half = width // 2
     offsets = np.arange(-half, half + 1)
