@@ -511,7 +511,7 @@ def test_a_folder_and_binary_content_are_refused(swimid: Run, tmp_path: Path) ->
     (tmp_path / "a.csv").mkdir()
     ran = swimid("import", tmp_path / "a.csv", "--guess")
     assert ran.status == 3
-    assert "name a file in this folder" in ran.err
+    assert "is a folder; a file is needed here" in ran.err
     noise = np.random.default_rng(2).integers(1, 256, 4000, dtype=np.uint8)
     (tmp_path / "b.csv").write_bytes(noise.tobytes())
     ran = swimid("import", tmp_path / "b.csv", "--guess")
