@@ -126,8 +126,9 @@ def test_evidence_that_contradicts_itself(change: str, swimid: Run, tmp_path: Pa
     EVIDENCE[change](content)
     (tmp_path / "drag.yaml").write_text(PARAMETERS)
     (tmp_path / "drag.evidence.json").write_text(json.dumps(content))
-    for named in (tmp_path / "drag.yaml", tmp_path):
-        refused(swimid("report", named, "-o", tmp_path / "page.html"), "drag.evidence.json")
+    named = [tmp_path] + [tmp_path / "drag.yaml"] * (change != "no result")
+    for given in named:
+        refused(swimid("report", given, "-o", tmp_path / "page.html"), "drag.evidence.json")
 
 
 #: Factors on the time and the values of a log that leave the range of numbers, and words of the refusal.

@@ -19,7 +19,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
 from swimid import reading
-from swimid.errors import UsageError
+from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
 from swimid.notices import CODES, Progress, recorded, silent, warn
