@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.log import FREQUENCY_RTOL
+from swimid.logs.log import FREQUENCY_RTOL, unwrap_angle
 from swimid.logs.sampling import has_levels, longest_even, quantum
 from swimid.notices import warn
 
@@ -981,9 +981,7 @@ def _beats(
 def _unwrap(name: str, values: Array) -> Array:
     """Return the samples of a channel, unwrapped if the name of the channel is that of an angle."""
     if name.endswith("_rad"):
-        known = np.isfinite(values)
-        values = values.copy()
-        values[known] = np.unwrap(values[known])
+        return unwrap_angle(values)
     return values
 
 
