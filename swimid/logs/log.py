@@ -581,16 +581,18 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0])))).reshape(-1, 2)
 
 
-def unwrap_angle(values: Array) -> Array:
-    """Return the samples of an angle without jumps by a full rotation, NaN where a sample is missing.
+def unwrapped(name: str, values: Array) -> Array:
+    """Return a column without jumps by a full rotation if its name is that of an angle of a body.
 
-    An angle with a range above :data:`MAX_WRAPPED_RAD` is returned unchanged.
+    Missing samples stay NaN. An angle with a range above :data:`MAX_WRAPPED_RAD` is returned unchanged.
 
-    >>> unwrap_angle(np.array([3.0, np.nan, -3.0])).round(2).tolist()
+    >>> unwrapped("yaw_rad", np.array([3.0, np.nan, -3.0])).round(2).tolist()
     [3.0, nan, 3.28]
     """
     known = np.isfinite(values)
-    if not known.any() or np.ptp(values[known]) > MAX_WRAPPED_RAD:
+    if not name.endswith("_rad") or name.startswith("joint") or not known.any():
+        return values
+    if np.ptp(values[known]) > MAX_WRAPPED_RAD:
         return values
     found = np.array(values, dtype=float)
     found[known] = np.unwrap(found[known])
@@ -741,7 +743,7 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
         bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
         if tilted or wrapped or bent:
             return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
-        rate = _usual_rate(time_s, unwrap_angle(values))
+        rate = _usual_rate(time_s, unwrapped(name, values))
         if rate > MAX_RATE_RAD_S:
             return f"turns at {rate:.3g} rad/s: state the unit if it is degrees (a factor of 57.3)"
     elif name.endswith("_rad_s") and largest > MAX_RATE_RAD_S:

@@ -454,12 +454,12 @@ def find_material(stated: FitResult, other: FitResult) -> list[str]:
     They move out of both 95 % intervals and by more than :data:`MATERIAL_SHARE`. A coefficient that is fixed
     in the other fit has no interval there.
     """
-    found = []
-    for label in [one for one in find_moved(stated, other) if one not in OF_SENSOR]:
+
+    def is_material(label: str) -> bool:
         limit = max(1.96 * (other.stderr(label) or 0.0), MATERIAL_SHARE * abs(stated.value(label)))
-        if abs(other.value(label) - stated.value(label)) > limit:
-            found.append(label)
-    return found
+        return label not in OF_SENSOR and abs(other.value(label) - stated.value(label)) > limit
+
+    return [*filter(is_material, find_moved(stated, other))]
 
 
 def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:

@@ -16,7 +16,7 @@ from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, RigInput, Trial, chosen
 from swimid.logs import tracks
 from swimid.logs import trials as trials_format
-from swimid.logs.log import Log, longest_run, runs, unwrap_angle
+from swimid.logs.log import Log, longest_run, runs, unwrapped
 from swimid.logs.sampling import step_of
 from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
 from swimid.notices import warn
@@ -475,9 +475,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     the first of the largest swings. If the body was held at an excursion before its release, or was at rest
     before it was deflected, the decay begins at the end of this time.
     """
-    column = log[name]
-    if rig.COORDINATES[name][2]:
-        column = unwrap_angle(column)
+    column = unwrapped(name, log[name])
     there = np.isfinite(column)
     time, values = log.time_s[there], column[there]
     noise = third_difference_sd(values)

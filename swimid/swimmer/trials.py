@@ -26,7 +26,7 @@ from swimid.logs.beat import (
     is_in_degrees,
     stated_against_found,
 )
-from swimid.logs.log import Log, unwrap_angle
+from swimid.logs.log import Log, unwrapped
 from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.robots import file as robot_format
@@ -193,7 +193,7 @@ def _recording(
     known = [c.name for c in model.channels]
     optional = tuple(dict.fromkeys((*known, *input_columns(model))))
     log = read_log(entry, path.parent, required=tuple(channels), optional=optional)
-    log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
+    log = replace(log, columns={name: unwrapped(name, values) for name, values in log.columns.items()})
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
     swim = replace(_drive_input(entry, log, path, model), pose=_first_pose(model, log))
@@ -345,13 +345,6 @@ def _logged_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
         column=actuator.column,
         hint="or give the trial a 'drive' in the trials file",
     )
-
-
-def _unwrapped(name: str, values: Array) -> Array:
-    """Remove jumps by a full rotation from the column of a body angle. Other columns are unchanged."""
-    if not name.endswith("_rad") or name.startswith("joint"):
-        return values
-    return unwrap_angle(values)
 
 
 def _default_channels(model: Swimmer, log: Log) -> list[str]:
