@@ -94,6 +94,17 @@ def test_a_correlation_that_no_data_have(tmp_path: Path) -> None:
         ParameterFile.read(path)
 
 
+def test_a_correlation_may_name_a_value_that_parameters_share(tmp_path: Path) -> None:
+    """The parameters c_f0 and c_f4 share the value c_f, which has one row of the correlation matrix."""
+    path = tmp_path / "drag.yaml"
+    text = PARAMETERS.replace("names: [drag_coefficient, added_mass]", "names: [drag_coefficient, c_f]")
+    path.write_text(text)
+    with pytest.raises(InputError, match="the correlation names 'c_f', no parameter"):
+        ParameterFile.read(path)
+    path.write_text(f"{text}settings:\n  shared: {{c_f: [drag_coefficient, added_mass]}}\n")
+    assert ParameterFile.read(path).settings["shared"] == {"c_f": ["drag_coefficient", "added_mass"]}
+
+
 def test_a_parameter_file_is_read_and_written_unchanged(tmp_path: Path) -> None:
     first, second = tmp_path / "a.yaml", tmp_path / "b.yaml"
     first.write_text(PARAMETERS)

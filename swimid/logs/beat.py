@@ -12,7 +12,7 @@ from importlib import import_module
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.log import FREQUENCY_RTOL
+from swimid.logs.log import FREQUENCY_RTOL, unwrapped
 from swimid.logs.sampling import has_levels, longest_even, quantum
 from swimid.notices import warn
 
@@ -820,7 +820,7 @@ def _motions(
 
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
-    channels = {n: _unwrap(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
+    channels = {n: unwrapped(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
     channels |= swing(columns)
     seen = _beats(time_s, channels, within)
     swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
@@ -891,7 +891,7 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
     """
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
-    signals = {name: _unwrap(name, columns[name]) for name in names}
+    signals = {name: unwrapped(name, columns[name]) for name in names}
     axes = _coordinates(columns)
     if axes and not driven:
         place = np.column_stack(axes)
@@ -989,15 +989,6 @@ def _beats(
         if beats:
             found[name] = beats
     return found
-
-
-def _unwrap(name: str, values: Array) -> Array:
-    """Return the samples of a channel, unwrapped if the name of the channel is that of an angle."""
-    if name.endswith("_rad"):
-        known = np.isfinite(values)
-        values = values.copy()
-        values[known] = np.unwrap(values[known])
-    return values
 
 
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:

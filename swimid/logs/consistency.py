@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from swimid.logs.beat import LARGEST_SLIP, NO_MOTION, compare_course, coordinates
 from swimid.logs.foreign import quantity_of
 from swimid.logs.kinematics import AXES, from_angles, with_angles
-from swimid.logs.log import TIME, runs
+from swimid.logs.log import TIME, runs, unwrapped
 from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, find_held, has_levels, rounding_ratio
 from swimid.logs.tracks import WINDOW, find_jumps
 
@@ -99,9 +99,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
         if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
             against = "yaw_rad"
         if against in columns:
-            motion = columns[against]
-            if pose == "rad":
-                motion = np.unwrap(motion)
+            motion = unwrapped(against, columns[against])
             found += _judge(time, [motion], [[values]], [name], against, angle=pose == "rad")
     turned = with_angles(dict(columns))
     for x_name, y_name, angle in PLANES:
