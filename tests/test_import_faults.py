@@ -33,6 +33,7 @@ def test_a_heading_that_crosses_the_full_turn_leaves_the_track(tmp_path: Path, s
     ran = swimid("import", tmp_path / "a.csv", "-o", tmp_path / "o.csv", "--json")
     log = pd.read_csv(tmp_path / "o.csv", comment="#")
     assert log["x_m"].notna().all()
+    assert ran.json["verdict"]["level"] == "good"
     assert ran.json["result"]["speed"]["line_m_s"] == pytest.approx(SPEED, rel=5e-3)
 
 

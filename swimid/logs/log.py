@@ -722,7 +722,8 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
         bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
         if tilted or wrapped or bent:
             return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
-        rate = _usual_rate(time_s, values)
+        known = np.isfinite(values)
+        rate = _usual_rate(time_s[known], np.unwrap(values[known], 1.5 * np.pi))  # a full turn is no motion
         if rate > MAX_RATE_RAD_S:
             return f"turns at {rate:.3g} rad/s: state the unit if it is degrees (a factor of 57.3)"
     elif name.endswith("_rad_s") and largest > MAX_RATE_RAD_S:
