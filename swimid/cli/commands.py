@@ -56,7 +56,7 @@ def import_log(
     if options.guess:
         if options.map_path is not None:
             raise UsageError("--guess drafts a mapping, and takes none")
-        return guess_mapping(file, select=options.select, output=output)
+        return guess_mapping(file, options=options, output=output)
     if output is None:
         raise UsageError("say where the log goes", hint="add -o run.csv")
     return logs.import_log(file, options=options, output=output, progress=progress)

@@ -74,6 +74,9 @@ QUATERNION_TOL = 0.05
 #: in the same second, and the two beside it, do not exceed, above which the reading is corrupt. Noise with
 #: Laplace's heavy tails reaches it once in 10^7 readings.
 GLITCH = 10.0
+#: Deviation of a single turn rate from the running median, divided by the range of the running median, above
+#: which no motion causes it. In a real recording of a hand-held sensor at 1 kHz it is 2.3 at most.
+MAX_JERK = 3.0
 #: Length of the window around a quaternion in which the median of its difference from the gyroscope is taken:
 #: in s, and the maximum in samples; minimum deviation from the median of a corrupt quaternion, in standard
 #: deviations; and maximum fraction of corrupt quaternions.
@@ -229,14 +232,21 @@ def is_glitch(record: Record, values: Array) -> Flags:
 def find_glitches(record: Record) -> tuple[Record, Finding | None]:
     """Find single corrupt readings, and interpolate them if the sensor has some of them in its rests.
 
-    A moving sensor alone does not prove that a single high reading is corrupt, because it may be a jerk.
+    A moving sensor alone does not prove that a single high reading is corrupt, because it may be a jerk. No
+    jerk turns a robot for one sample much faster than the whole range of its turn rates, so that such turn
+    rates are interpolated in any case.
     """
-    test = find_samples("corrupt readings", is_glitch, 1.0, "differ from the readings around them")
-    fixed, found = test(record)
+    name, text = "corrupt readings", "differ from the readings around them"
+    fixed, found = find_samples(name, is_glitch, 1.0, text)(record)
     bad = (fixed.channels != record.channels).any(axis=1)
     if any(bad[rest.rows].any() for rest in recording.find_rests(fixed)):
         return fixed, found
-    return record, None
+    ranges = np.ptp(median_filter(record.rate, size=(WINDOW, 1), mode="nearest"), axis=0)
+    far = np.abs(fixed.rate - record.rate) > MAX_JERK * ranges
+    if not far.any():
+        return record, None
+    left_out = replace(record, rate=np.where(far, np.nan, record.rate))
+    return find_samples(name, lambda _, values: np.isnan(values), 1.0, text)(left_out)
 
 
 def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: str) -> Test:
@@ -565,6 +575,12 @@ def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
 #: Tests for faults of an inertial recording, in the order in which they run.
 TESTS: tuple[Test, ...] = (
     find_stamps,
+    find_samples(
+        "empty samples",
+        lambda record, _: np.ptp(record.channels, axis=1) == 0,
+        MAX_MISSING,
+        "hold one value in every channel, {largest:.4g}",
+    ),
     find_samples("wild readings", is_wild, MAX_MISSING, "exceed any motion (up to {largest:.4g})"),
     find_samples("missing cells", lambda _, values: ~np.isfinite(values), MAX_MISSING, "are missing"),
     find_samples(

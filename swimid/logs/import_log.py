@@ -233,17 +233,10 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
     cleaned = cleaned and bool(coordinates)
     cleaning = speed = None
-    jumped: dict[str, Jumped] = {}
-    if options.clean or not log.written_by(source.metadata, "swimid track"):
-        lines = source.rows[order.index]
-        jumped = {
-            _describe(one, source, lines, options.clean is not False): one for one in find_jumped(columns)
-        }
-    for text in jumped:
-        warn("SWM058", f"{name}: {text}")
+    jumped = _jumped(source, source.rows[order.index], options.clean)
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
-        angles = [known[column] for column in ANGLES if column in columns]
+        angles = [_unwrapped(known[column]) for column in ANGLES if column in columns]
         stamps = columns[TIME]
         cleaning = tracks.clean(stamps, track, angles)
     if options.clean is not False:
@@ -297,12 +290,14 @@ def _in_order(source: MappedLog) -> Order:
     order = mapping.in_order(source.time_s, channels)
     if len(order.index) < 2:
         text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
-        raise InputError(text, file=source.path, column=TIME, hint="is the time complete?")
+        raise InputError(
+            text, file=source.path, column=TIME, hint="is the time complete, with enough digits?"
+        )
     if order.reset_row is not None:
         last = np.nanmax(source.time_s[: order.reset_row])
         text = f"the clock starts again: {source.time_s[order.reset_row]:g} s after {last:g} s"
         line = int(source.rows[order.reset_row])
-        hint = "split the file there, or state the range of a counter: 'wraps_at: 65536' under 'time:'"
+        hint = "split the file there, or state the range of a counter under 'time:': 'wraps_at: 4294967296'"
         raise InputError(text, file=source.path, line=line, column=TIME, hint=hint)
     return order
 
@@ -411,6 +406,8 @@ def _take_out(
     Such a sample becomes NaN. A row that holds no other value is removed.
     """
     columns |= {n: np.where(one.out, np.nan, columns[n]) for one in jumped for n in one.columns}
+    # A reader that unwraps attitudes counts a full turn for a jump of the heading by more than half a turn.
+    columns |= {n: _unwrapped(columns[n]) for one in jumped for n in one.columns if n in ANGLES}
     empty = np.any([np.zeros(len(columns[TIME]), dtype=bool), *(one.out for one in jumped)], axis=0)
     if cleaning is not None:
         done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
@@ -434,6 +431,13 @@ def _take_out(
     empty &= np.isnan([values for column, values in columns.items() if column != TIME]).all(axis=0)
     if empty.any():
         _keep(columns, ~empty)
+
+
+def _unwrapped(angle: Array) -> Array:
+    """Return an angle, rad, without steps of full turns between its known samples."""
+    known, values = np.isfinite(angle), angle.copy()
+    values[known] = np.unwrap(angle[known])
+    return values
 
 
 def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:

@@ -56,9 +56,10 @@ from swimid.logs.log import (
     metadata_of,
     written_by,
 )
+from swimid.logs.options import ImportOptions
 from swimid.logs.sampling import PAUSE, SET, UNIFORM_SHARE, usual_step
 from swimid.notices import Progress, silent, warn
-from swimid.options import LARGEST
+from swimid.options import LARGEST, takes
 from swimid.results.result import Text
 
 Array = NDArray[np.float64]
@@ -1110,6 +1111,7 @@ MIN_DISTANCE = 0.5
 ODD_ROWS = {
     "unfilled": "at the end, which repeat one row without a later time, left out",
     "untimed": "without a time left out",
+    "misdated": "with a time far from all others left out",
     "repeated": "repeated left out",
     "clashing": "with the time of the row before but other values left out",
     "late": "that came late put in their place",
@@ -1126,7 +1128,7 @@ class Order:
         Numbers of the rows that are kept, sorted by time.
     counts : dict of str to int
         Number of rows of each kind in :data:`ODD_ROWS`: rows at the end that were never filled, rows
-        without a time, rows equal to an earlier row at
+        without a time, single rows with a time far from all others, rows equal to an earlier row at
         the same time, rows with other values at the time of an earlier row (all left out), and rows that
         follow a row with a later time (moved to the place of their time).
     reset_row : int or None
@@ -1170,8 +1172,10 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
         length = int(np.max(np.flatnonzero(~np.all(last, axis=0)), initial=-1)) + 1
         length += length == len(time_s) - 1  # a single row is no unfilled part
     index = np.flatnonzero(np.isfinite(time_s[:length]))
-    times = time_s[index]
-    counts = dict.fromkeys(ODD_ROWS, 0) | {"unfilled": len(time_s) - length, "untimed": length - len(index)}
+    wrong = _find_wrong_times(time_s[index])
+    index, times = index[~wrong], time_s[index[~wrong]]
+    counts = dict.fromkeys(ODD_ROWS, 0) | {"unfilled": len(time_s) - length, "untimed": length - len(wrong)}
+    counts["misdated"] = int(wrong.sum())
     if np.all(np.diff(times) > 0):
         return Order(index, counts)
     behind = times < np.maximum.accumulate(times)
@@ -1188,6 +1192,21 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     again, counts["repeated"] = rows.duplicated(TIME), int(rows.duplicated().sum())
     counts["clashing"] = int(again.sum()) - counts["repeated"]
     return Order(rows.index[~again].to_numpy(), counts)
+
+
+def _find_wrong_times(times: Array) -> NDArray[np.bool_]:
+    """Return flags of single times, s, far before the first or after the last, between rows in order.
+
+    They are corrupt: a row that arrives late has a time close to those of other rows.
+    """
+    none = np.zeros(len(times), dtype=bool)
+    if len(times) < LATE_RUN:
+        return none
+    margin = LATE_RUN * np.median(np.abs(np.diff(times)))
+    wrong = (times < times[[0, -1]].min() - margin) | (times > times[[0, -1]].max() + margin)
+    if longest_run(wrong) > 1 or wrong.sum() > max(1, LATE_SHARE * len(times)):
+        return none
+    return wrong
 
 
 # ---------------------------------------------------------------- draft of a mapping
@@ -1249,7 +1268,8 @@ class Draft(Text):
         return of(yamlio.parse_scalar(self.document))
 
 
-def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:
+@takes(ImportOptions)
+def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path | None = None) -> Draft:
     """Draft a mapping that converts a foreign log to the log format.
 
     The draft states the values that follow from a profile, from the name of a column or from a stated unit.
@@ -1260,10 +1280,13 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     ----------
     source : path, DataFrame or Log
         Foreign log. A table has shape (n, k), one row per sample.
-    select : str, optional
-        Track, topic, struct or group to read, if the file holds several.
     output : path, optional
         Path of the mapping file. Without a path nothing is written.
+
+    Notes
+    -----
+    Of the options of ``import``, the draft contains the format, the selection, the frame rate, the unit of
+    length and the minimum likelihood.
 
     Returns
     -------
@@ -1284,7 +1307,8 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     """
     given = log.unread(source)
     path = path_of(given)
-    table = open_table(given, Options(bad_lines="skip"), select=select, kind="")
+    unit, select = options.length_unit, options.select
+    table = open_table(given, Options(bad_lines="skip", length_unit=unit), select, options.profile or "")
     lines = [
         f"# Drafted from {path.name} by swimid import --guess. Answer or delete every line with {ASK};",
         "# an axis may be swapped or flipped (factor: -1), which no name states.",
@@ -1293,10 +1317,14 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     lines += [f"# {path.name}: {note}" for note in table.notes]
     if select is not None or "topic" in table.metadata:
         lines.append(_line("select", select or table.metadata["topic"]))
+    stated = {"reader": unit and {"length_unit": unit}, "min_likelihood": options.min_likelihood}
     if table.profile not in ("", "swimid"):
+        lines += [_line(key, value) for key, value in stated.items() if value]
         lines += _of_profile(table)
     else:
         lines += _of_names(table)
+    if options.rate_hz is not None:
+        lines = [line.replace(f"rate_hz: {ASK}", f"rate_hz: {options.rate_hz:.10g}") for line in lines]
     asked = sum(ASK in line.partition("#")[0] for line in lines)
     text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
     data = {"file": str(path), "mapping": text, "open": asked}

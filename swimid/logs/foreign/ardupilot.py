@@ -126,7 +126,8 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         columns[name] *= next((f for ending, f in FACTORS.items() if name.endswith(ending)), 1.0)
     stated = {MAVLINK[name]: STATED.get(unit, 1.0) for name, unit in table.units.items() if name in MAVLINK}
     columns |= {name: values * stated.get(name, 1.0) for name, values in renamed(table, MAVLINK).items()}
-    columns |= {name: np.unwrap(values) for name, values in columns.items() if "yaw" in name}
+    yaws = [name for name in columns if "yaw" in name]
+    columns |= {name: np.unwrap(np.angle(np.exp(1j * columns[name]))) for name in yaws}
     for (lat, lon), factor in _PLACES.items():
         if lat in table.columns:
             place, origin = east_north(*(factor * table.columns[name].astype(float) for name in (lat, lon)))

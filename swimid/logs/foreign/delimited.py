@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, number, parse
 from swimid.logs.foreign import GROUPED, KNOWN, Format, Options, Peek, Table, canonical, numbers_in
-from swimid.logs.foreign.serial import find_label, to_table
+from swimid.logs.foreign.serial import find_label, split_stamps, to_table
 from swimid.logs.log import TIME
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
     text, notes = _read_utf8(path, options)
     label = find_label(text[:SAMPLE])
     if label is None:
-        return read_text(text, notes, options, path)
+        return read_text(split_stamps(text), notes, options, path)
     text, labels = to_table(text, label, notes)
     layout = {"header": False, "delimiter": ",", "decimal": "."}
     table = read_text(text, notes, options.model_copy(update=layout), path)

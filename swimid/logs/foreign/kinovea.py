@@ -16,15 +16,19 @@ from xml.etree import ElementTree
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, length, numbers, open_table
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, length, open_table
 from swimid.logs.foreign.keypoints import points
 from swimid.logs.log import TIME
 
 _TEXT = "#Kinovea Trajectory data export"
+#: Seconds in the parts of a time: hours, minutes, seconds and hundredths.
+_CLOCK = [3600.0, 60.0, 1.0, 0.01]
 _NAME = re.compile(r"(?P<track>.+)/(?P<point>[^/]+)/(?P<axis>[XY])")
 #: Maximum distance of a time from a multiple of the frame period, in units of the last decimal of the times.
 #: Kinovea rounds the times that it exports, so that the distance is 0.5, and the period is estimated.
 MAX_ROUNDING = 0.6
+#: Minimum number of times to which a period is fitted.
+MIN_FITTED = 8
 
 
 def _header(peek: Peek) -> list[str]:
@@ -67,8 +71,10 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
 def _frame_numbers(time: Array) -> Array | None:
     """Return the frame number of each time, from 0; None if the times are no rounded multiples of a period.
 
-    The first estimate of the period is the mean of the shortest steps, which differ by the rounding. Each
-    further estimate is fitted to twice as many times, so that the frame numbers stay right.
+    The times are those of successive frames if such frames fit. Otherwise the first estimate of the period is
+    the mean of the shortest steps, which differ by the rounding. Each further estimate is fitted to twice as
+    many times, so that the frame numbers stay right. The first of them has several times, because steps of
+    one or two rounding units fit any period.
     """
     rounding = next(
         (0.1**k for k in range(7) if np.allclose(np.round(time, k), time, rtol=0, atol=1e-9)), 0.0
@@ -76,11 +82,12 @@ def _frame_numbers(time: Array) -> Array | None:
     steps = np.diff(time)
     if not len(steps) or not steps.min() > 0:
         return None
-    origin, period, count = time[0], float(steps[steps <= steps.min() + 1.01 * rounding].mean()), 1
-    while count < len(time):
-        count *= 2
-        frames = np.round((time[:count] - origin) / period)
-        period, origin = np.polyfit(frames, time[:count], 1)
+    frames, period, origin = np.arange(float(len(time))), *np.polyfit(np.arange(len(time)), time, 1)
+    if np.abs(time - origin - period * frames).max() > MAX_ROUNDING * rounding:
+        origin, period = time[0], float(steps[steps <= steps.min() + 1.01 * rounding].mean())
+        for count in MIN_FITTED * 2 ** np.arange(int(np.log2(len(time))) + 1):
+            frames = np.round((time[:count] - origin) / period)
+            period, origin = np.polyfit(frames, time[:count], 1)
     left = np.abs(time - origin - period * frames).max()
     return frames if left <= max(MAX_ROUNDING * rounding, 1e-6 * period) else None
 
@@ -102,21 +109,33 @@ def _of_csv(path: Path) -> tuple[Array, dict[str, Array]]:
 
 
 def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
-    """Return the times of all sections of a text, and the coordinates of their tracks by ``track.x``."""
+    """Return the times of all sections of a text, and the coordinates of their tracks by ``track.x``.
+
+    Kinovea 0.8 writes no names of tracks, and times as hours:minutes:seconds:hundredths. Empty lines separate
+    its tracks.
+    """
     import pandas as pd
 
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
-    starts = [at for at, line in enumerate(lines) if line.startswith("# ")]
-    tracks = []
-    for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
-        decimal = "," if "," in lines[min(start + 1, end - 1)] else "."
-        cells, _ = numbers(path, start + 1, " ", 3, most=end - start - 1, decimal=decimal)
-        name = lines[start][2:].strip()
-        tracks.append(pd.DataFrame(cells[:, 1:], index=cells[:, 0], columns=[f"{name}.x", f"{name}.y"]))
-    if not tracks:
+    rows, name, count = [], "", 0
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    for at, line in enumerate(lines[2:], start=3):
+        cells = line.replace(",", ".").split()
+        if line.startswith("#") or not cells:
+            name = line[1:].strip()
+            continue
+        if len(cells) != 3:
+            hint = "export the tracks again"
+            raise InputError(f"has {len(cells)} values in place of t, x and y", file=path, line=at, hint=hint)
+        count += not name
+        name = name or f"track {count}"
+        # A time without a colon is a number in the unit that the user chose.
+        clock = [float(part) for part in cells[0].split(":")]
+        time = clock[0] if len(clock) == 1 else np.dot(clock, _CLOCK[-len(clock) :])
+        rows.append((name, time, float(cells[1]), float(cells[2])))
+    if not rows:
         raise InputError("holds no track", file=path)
-    whole = pd.concat(tracks, axis=1).sort_index()
-    found = dict(zip(whole.columns, whole.to_numpy().T, strict=True))
+    whole = pd.DataFrame(rows, columns=["track", "t", "x", "y"]).pivot(index="t", columns="track")
+    found = {f"{name}.{axis}": values.to_numpy() for (axis, name), values in whole.items()}
     return whole.index.to_numpy(), found
 
 

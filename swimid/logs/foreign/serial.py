@@ -18,6 +18,8 @@ _CLOCK, _PAIRS = (
     rb"(?P<pairs>%b(?:[ ,;\t]+%b)*)" % ((_PAIR.pattern,) * 2),
 )
 _LINE = re.compile(rb"\s*" + _CLOCK + _PAIRS + rb"[ ,;\t]*", re.I)
+#: Time of day that the serial monitor of Arduino puts before a line of any content.
+_STAMP = re.compile(rb"(?m)^\[?(\d\d?:\d\d:\d\d[\d.]*)\]? -> ?")
 #: Minimum number of lines by which a file of labelled values is recognised, and their minimum fraction after
 #: the first of them. All have the same first label. Others are messages, as of a microcontroller that starts.
 MIN_LINES, MIN_SHARE = 3, 0.5
@@ -30,6 +32,19 @@ def find_label(text: bytes) -> bytes | None:
     label, count = next(iter(Counter(filter(None, labels)).most_common(1)), (b"", 0))
     least = max(MIN_LINES, MIN_SHARE * (len(labels) - labels.index(label))) if count else MIN_LINES
     return label if count >= least else None
+
+
+def split_stamps(text: bytes) -> bytes:
+    """Return a text in which the time of day that a serial monitor puts before each line is a first cell.
+
+    Before a line that begins with a letter, such as the names of the columns, the cell is ``clock``.
+    """
+    if len(_STAMP.findall(text)) < MIN_LINES:
+        return text
+    rest = _STAMP.sub(b"", text)
+    mark = next((mark for mark in (b";", b"\t", b",") if mark in rest), b" ")
+    text = _STAMP.sub(rb"\1" + mark, text)
+    return re.sub(rb"(?m)^[\d:.]+" + mark + rb"(?=[A-Za-z])", b"clock" + mark, text)
 
 
 def to_table(text: bytes, label: bytes, notes: list[str]) -> tuple[bytes, list[str]]:
