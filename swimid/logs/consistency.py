@@ -436,8 +436,7 @@ def _find_far(known: Array) -> str:
     """Return a message on an extreme value of a channel far from all other values; empty without one."""
     for extreme in (known.min(), known.max()):
         others = known[known != extreme]
-        away = float(np.min(np.abs(others - extreme)))
-        if away > FAR * np.ptp(others) > 0:
+        if len(others) and float(np.min(np.abs(others - extreme))) > FAR * np.ptp(others) > 0:
             count = len(known) - len(others)
             return f"holds {extreme:.6g} in {count} samples, far from all others: missing samples?"
     return ""
