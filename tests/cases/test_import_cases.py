@@ -346,7 +346,8 @@ def test_units_that_a_netcdf_file_states(
     refused = swimid("import", "plain.nc", "--map", "map.yaml", "-o", "none.csv")
     assert refused.status == 3
     assert "states ms for the times, the mapping states ns" in refused.err
-    drafted("plain.nc")
+    draft = drafted("plain.nc")
+    Path("map.yaml").write_text(draft.replace("target: ASK", "target: yaw_rad"))  # heading: of a compass?
     result = imported("plain.nc", "--map", "map.yaml")
     assert result["speed"]["line_m_s"] == pytest.approx(0.2137, abs=5e-4)
 
