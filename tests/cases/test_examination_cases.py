@@ -79,7 +79,7 @@ def test_spikes_of_a_load_cell(file: str, spikes: int, imported: Any) -> None:
 
 
 def test_implausible_times(case: Case) -> None:
-    """A unit that contradicts that of the file is refused, and so are implausible times without a stated unit."""
+    """A unit that contradicts that of the file is refused, and so are implausible times without a unit."""
     h5py = pytest.importorskip("h5py")
     folder = case("t4-speed-of-213700")
     with pytest.raises(InputError, match="states ms for the times, the mapping states ns"):
