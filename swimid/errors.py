@@ -291,6 +291,4 @@ def file_errors(file: str | Path, done: str = "read", *, noted: bool = True) -> 
             raise InputError("is a folder; a file is needed here", file=file, hint=hint) from error
         if isinstance(error, FileNotFoundError):
             hint = "check the path"
-        elif isinstance(error, IsADirectoryError):
-            hint = "name a file in this folder"
         raise InputError(f"cannot be {done}: {error.strerror or error}", file=file, hint=hint) from error

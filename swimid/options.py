@@ -39,7 +39,7 @@ Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
 
 #: Clause of messages on a number that is not usable.
-BEYOND = f"not usable: a number other than 0 must be from {SMALLEST:g} to {LARGEST:g} in magnitude"
+BEYOND = f"not usable: a number other than 0 must be finite, from {SMALLEST:g} to {LARGEST:g} in magnitude"
 
 
 def is_beyond(value: Any) -> bool:

@@ -283,7 +283,10 @@ def test_linear_drag_and_a_tether_pull_as_their_equations_say(
     assert _forces(mujoco, tether, move) - plain == pytest.approx([-1.5 * pull, -0.9 * pull, 0.0])
 
 
-def test_a_current_is_a_motion_of_the_water(tmp_path: Path, swimid: Swimid, mujoco: Any) -> None:
+@pytest.mark.parametrize("reading", ["isotropic", "lateral"])
+def test_a_current_is_a_motion_of_the_water(
+    reading: str, tmp_path: Path, swimid: Swimid, mujoco: Any
+) -> None:
     """At rest in a current there are the forces of the opposite motion in still water."""
 
     def rest(data: Any) -> None:
@@ -292,10 +295,11 @@ def test_a_current_is_a_motion_of_the_water(tmp_path: Path, swimid: Swimid, mujo
     def swim(data: Any) -> None:
         data.qpos[2], data.qvel[:2] = 0.6, (-0.03, 0.05)
 
-    still = _exported(swimid, _write(tmp_path, {}), "mjcf")
+    entries, fold = {"settings": {"readings": {"added_mass": reading}}}, ("--added-mass", "fold")
+    still = _exported(swimid, _write(tmp_path, {}, **entries), "mjcf", *fold)
     truth = _forces(mujoco, still, swim)
-    path = _write(tmp_path, {"current": {"cx_m_s": 0.03, "cy_m_s": -0.05}})
-    assert _forces(mujoco, _exported(swimid, path, "mjcf"), rest) == pytest.approx(truth)
+    path = _write(tmp_path, {"current": {"cx_m_s": 0.03, "cy_m_s": -0.05}}, **entries)
+    assert _forces(mujoco, _exported(swimid, path, "mjcf", *fold), rest) == pytest.approx(truth)
     plugins = _exported(swimid, path, "gazebo").iter("default_current")
     assert {plugin.text for plugin in plugins} == {"0.03 -0.05 0.0"}
 

@@ -94,6 +94,17 @@ def test_a_correlation_that_no_data_have(tmp_path: Path) -> None:
         ParameterFile.read(path)
 
 
+def test_a_correlation_may_name_a_value_that_parameters_share(tmp_path: Path) -> None:
+    """The parameters c_f0 and c_f4 share the value c_f, which has one row of the correlation matrix."""
+    path = tmp_path / "drag.yaml"
+    text = PARAMETERS.replace("names: [drag_coefficient, added_mass]", "names: [drag_coefficient, c_f]")
+    path.write_text(text)
+    with pytest.raises(InputError, match="the correlation names 'c_f', no parameter"):
+        ParameterFile.read(path)
+    path.write_text(f"{text}settings:\n  shared: {{c_f: [drag_coefficient, added_mass]}}\n")
+    assert ParameterFile.read(path).settings["shared"] == {"c_f": ["drag_coefficient", "added_mass"]}
+
+
 def test_a_parameter_file_is_read_and_written_unchanged(tmp_path: Path) -> None:
     first, second = tmp_path / "a.yaml", tmp_path / "b.yaml"
     first.write_text(PARAMETERS)
@@ -126,8 +137,9 @@ def test_evidence_that_contradicts_itself(change: str, swimid: Run, tmp_path: Pa
     EVIDENCE[change](content)
     (tmp_path / "drag.yaml").write_text(PARAMETERS)
     (tmp_path / "drag.evidence.json").write_text(json.dumps(content))
-    for named in (tmp_path / "drag.yaml", tmp_path):
-        refused(swimid("report", named, "-o", tmp_path / "page.html"), "drag.evidence.json")
+    named = [tmp_path] + [tmp_path / "drag.yaml"] * (change != "no result")
+    for given in named:
+        refused(swimid("report", given, "-o", tmp_path / "page.html"), "drag.evidence.json")
 
 
 #: Factors on the time and the values of a log that leave the range of numbers, and words of the refusal.

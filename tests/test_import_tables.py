@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -510,7 +511,7 @@ def test_a_folder_and_binary_content_are_refused(swimid: Run, tmp_path: Path) ->
     (tmp_path / "a.csv").mkdir()
     ran = swimid("import", tmp_path / "a.csv", "--guess")
     assert ran.status == 3
-    assert "name a file in this folder" in ran.err
+    assert "is a folder; a file is needed here" in ran.err
     noise = np.random.default_rng(2).integers(1, 256, 4000, dtype=np.uint8)
     (tmp_path / "b.csv").write_bytes(noise.tobytes())
     ran = swimid("import", tmp_path / "b.csv", "--guess")
@@ -520,3 +521,18 @@ def test_a_folder_and_binary_content_are_refused(swimid: Run, tmp_path: Path) ->
     latin = "Zeit (ms);Höhe (mm)\n".encode("latin-1") + b"".join(b"%d;%d\n" % (20 * k, k) for k in range(50))
     (tmp_path / "c.csv").write_bytes(latin)
     assert isinstance(open_table(tmp_path / "c.csv"), Table)
+
+
+@pytest.mark.slow
+def test_a_long_log_takes_time_in_proportion(tmp_path: Path, swimid: Run) -> None:
+    """The averaged path of a swim of 50 minutes at 100 Hz took minutes; all else takes seconds."""
+    rng, n = np.random.default_rng(1), 300_000
+    t = np.arange(n) / 100
+    yaw = 0.1 * np.sin(2 * np.pi * 1.2 * t)
+    y = 0.01 * np.sin(2 * np.pi * 1.2 * t + 1) + rng.normal(0, 5e-4, n)
+    table = pd.DataFrame({"t_s": t, "x_m": 0.02 * t + rng.normal(0, 5e-4, n), "y_m": y, "yaw_rad": yaw})
+    table.to_csv(tmp_path / "long.csv", index=False, float_format="%.5f")
+    begin = time.process_time()
+    assert swimid("import", tmp_path / "long.csv", "-o", tmp_path / "out.csv").status in (0, 1)
+    assert swimid("plot", tmp_path / "out.csv", "-o", tmp_path / "log.svg").status == 0
+    assert time.process_time() - begin < 90.0

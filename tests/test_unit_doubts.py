@@ -28,6 +28,8 @@ WAVE = np.sin(2.0 * np.pi * TIME)
         ("yaw_rad", (30.0 * TIME + 180.0) % 360.0 - 180.0, "57.3"),
         ("yaw_rad", (-30.0 * TIME + 180.0) % 360.0 - 180.0, "57.3"),
         ("yaw_rad", (0.5 * TIME + np.pi) % (2 * np.pi) - np.pi, ""),
+        ("yaw_rad", (0.3 * WAVE + 2.0 * np.pi) % (2 * np.pi) - np.pi, ""),
+        ("yaw_rad", (0.3 * WAVE) % (2 * np.pi), ""),
         ("yaw_rad", 20.0 * WAVE, "turns at"),
         ("yaw_rate_rad_s", 59.0 * WAVE, ""),
         ("yaw_rate_rad_s", 61.0 * WAVE, "degrees per second"),

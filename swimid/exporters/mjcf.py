@@ -3,7 +3,8 @@
 The MJCF document has bodies, joints, springs, wires and servos. The fluid models of MuJoCo have no added-mass
 inertia. Their drag acts along the velocity, and not separately along and across the link. Therefore the
 coefficients of the forces of the water are written as ``user`` data of sites, and the callback :func:`water`
-applies these forces exactly.
+applies these forces exactly. A MuJoCo body has the same mass in all directions. If the added mass differs by
+direction, the body gets its mean, and the callback adds the remainder to MuJoCo's mass matrix.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from swimid.effects.catalogue import catalogue
 from swimid.exporters.causes import Cause
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
+from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml, symmetric
 from swimid.fitting.model import TRACEABLE, Force
 from swimid.swimmer.tree import Actuated
 
@@ -38,17 +39,14 @@ USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
 #: prefix is for force elements, and the second for forces of effects. The name of the force's function
 #: follows the second.
 PREFIX, CAUSE = "water:", "water:cause:"
+#: Prefix of the names of the MuJoCo sites whose user data are an added mass that differs by direction: the
+#: upper triangle of :attr:`swimid.exporters.source.Link.directional`, row by row.
+MASS = "mass:"
 #: Time step of the exported MuJoCo model, s.
 STEP_S = 0.002
 #: Fractions into which the half-width of the play of a servo is divided. The first is the range of an
 #: additional hinge. The second is the angle by which the dry friction in this hinge deflects the servo.
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
-
-
-def _offset(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
-    if actuator.driven.gain == 0.0:
-        return {}
-    return {"offset_rad": values["offset_rad"]}
 
 
 def _lock(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
@@ -62,7 +60,7 @@ def _lock(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
 #: The key is the name of the effect.
 SERVOS: dict[str, Callable[[Mapping[str, float], Actuated], dict[str, float]]] = {
     "amplitude-loss": lambda values, _: {"gain": 1.0 - values["loss"]},
-    "amplitude-offset": _offset,
+    "amplitude-offset": lambda v, actuator: {"offset_rad": v["offset_rad"]} if actuator.driven.gain else {},
     "joint-locked": _lock,
     "rate-limit": lambda values, _: {"rate_rad_s": values["rate_limit_rad_s"]},
     "servo-backlash": lambda values, _: {"play_rad": values["backlash_rad"]},
@@ -75,7 +73,10 @@ NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
 
 def export(source: Source, options: ExportOptions) -> Exported:
     """Return the MJCF document of a multi-link robot, and sentences on what it cannot represent."""
-    inertias = source.inertias(fold=options.added_mass == "fold")
+    fold = options.added_mass == "fold"
+    inertias = source.inertias(fold=fold)
+    directional = [fold * link.directional for link in source.links]
+    carried = list(np.add(inertias, directional))
     wet = ", ".join(link.name for link in source.links if np.any(link.added))
     native = (
         "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
@@ -92,7 +93,7 @@ def export(source: Source, options: ExportOptions) -> Exported:
     settings, filtered = _settings(source)
     actuators = [
         _actuator(servo, own)
-        for servo, own in zip(source.servos(inertias, options.servo_hz), settings, strict=True)
+        for servo, own in zip(source.servos(carried, options.servo_hz), settings, strict=True)
     ]
     return export_xml(
         "mjcf.xml",
@@ -105,6 +106,8 @@ def export(source: Source, options: ExportOptions) -> Exported:
         step_s=STEP_S,
         point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
         rigid=[central(inertia) for inertia in inertias],
+        directional=[mass[np.triu_indices(3)] for mass in directional],
+        mass_prefix=MASS,
         user=_user,
         user_size=max([USER_SIZE, *(len(force.constants) for _, force in source.forces)]),
         prefix=PREFIX,
@@ -219,7 +222,8 @@ def _wires(source: Source) -> list[dict[str, Any]]:
 def water(model: Any) -> Callable[[Any, Any], None]:
     """Return a MuJoCo callback that applies the forces of the water and the weight to an exported robot.
 
-    The forces are those of drag, foils, trailing edges, buoyancy, constant forces and effects.
+    The forces are those of drag, foils, trailing edges, buoyancy, constant forces and effects. The callback
+    also adds to the mass matrix what differs by direction of a folded added mass.
 
     Parameters
     ----------
@@ -244,21 +248,22 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, i) or "" for i in range(model.nsite)]
-    sites = [i for i, name in enumerate(names) if name.startswith(PREFIX)]
-    laws = [_law(names[i], np.array(model.site_user[i])) for i in sites]
+    rows = list(zip(range(model.nsite), names, np.array(model.site_user), strict=True))
+    laws = [(site, _law(name, row)) for site, name, row in rows if name.startswith(PREFIX)]
+    masses = [(site, symmetric(row[:6])) for site, name, row in rows if name.startswith(MASS)]
     plane = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "swimid_plane")
     begin, size = int(model.text_adr[plane]), int(model.text_size[plane])
     upright = bytes(model.text_data)[begin : begin + size].rstrip(b"\0") == b"vertical"
     side, turn, sign = (2, 1, -1.0) if upright else (1, 2, 1.0)
     along, across = (model.numeric("swimid_reference").data[k] for k in (0, 1))
-    six, pose = np.zeros(6), np.zeros(3)
+    six, pose, moves = np.zeros(6), np.zeros(3), np.zeros((4, 3, model.nv))
 
     def passive(given: Any, data: Any) -> None:
         if given.nsite != model.nsite or given.nv != model.nv:
             return
         base = data.xmat[1].reshape(3, 3)
         pose[:2] = (data.xpos[1] + along * base[:, 0] + across * base[:, side])[[0, side]]
-        for site, law in zip(sites, laws, strict=True):
+        for site, law in laws:
             mujoco.mj_objectVelocity(given, data, mujoco.mjtObj.mjOBJ_SITE, site, six, 1)
             axes = data.site_xmat[site].reshape(3, 3)
             u, v = (six[3:] - axes.T @ given.opt.wind)[[0, side]]
@@ -271,6 +276,27 @@ def water(model: Any) -> Callable[[Any, Any], None]:
                 force, torque = axes @ force, axes @ torque
             owner = given.site_bodyid[site]
             mujoco.mj_applyFT(given, data, force, torque, data.site_xpos[site], owner, data.qfrc_passive)
+        if masses:
+            add_masses(given, data)
+
+    def add_masses(given: Any, data: Any) -> None:
+        total, axes = np.zeros((given.nv, given.nv)), np.diag([0.0, 0.0, sign])
+        for site, mass in masses:
+            place = data.site_xpos[site], given.site_bodyid[site]
+            mujoco.mj_jac(given, data, *moves[:2], *place)
+            mujoco.mj_jacDot(given, data, *moves[2:], *place)
+            axes[:2, :2] = data.site_xmat[site].reshape(3, 3)[np.ix_([0, side], [0, side])].T
+            own, rate = axes @ moves.reshape(2, 6, -1)[:, [0, side, 3 + turn]]
+            u, v, r = own @ data.qvel - axes @ np.append(given.opt.wind[[0, side]], 0.0)
+            px, py, _ = mass @ (u, v, r)
+            # Acceleration if that of all joints is zero. The axes of the link turn.
+            load = mass @ (rate @ data.qvel + (r * v, -r * u, 0.0)) + (-r * py, r * px, u * py - v * px)
+            data.qfrc_passive -= own.T @ load
+            total += own.T @ mass @ own
+        # Compute the mass matrix of MuJoCo again, because a step that keeps the positions keeps the sum.
+        mujoco.mj_makeM(given, data)
+        data.M += total[np.repeat(np.arange(given.nv), given.M_rownnz), given.M_colind]
+        mujoco.mj_factorM(given, data)
 
     return passive
 

@@ -84,6 +84,13 @@ class Link:
         """Whether the link can rotate relative to its parent link, by a driven or a passive joint."""
         return self.joint is not None and bool(self.joint.driven or self.joint.passive)
 
+    @cached_property
+    def directional(self) -> Array:
+        """Added-mass matrix without that of a body, whose mass is the mean over the two directions."""
+        mass, (x, y), moment = central(self.added)
+        rest = self.added - about(np.diag([mass, mass, moment]), -x, -y)
+        return rest * (np.abs(rest).max() > 1e-9 * np.abs(self.added).max())
+
 
 @dataclass(frozen=True)
 class Element:
@@ -213,8 +220,8 @@ class Source:
         """Links of the robot with their inertias. A parent link precedes its child links."""
         dry = Assembly(self.body.model_copy(update={"elements": []}), self.robot.fluid)
         own = _changed(dry.tables(self.values), [cause for cause in self.causes if cause.rigid])
-        rigid = [_symmetric(row) for row in own["inertia"]]
-        total = [_symmetric(row) for row in self.tables["inertia"]]
+        rigid = [symmetric(row) for row in own["inertia"]]
+        total = [symmetric(row) for row in self.tables["inertia"]]
         joints = {joint.child: joint for joint in self.body.joints}
         links = []
         for i, link in enumerate(self.assembly.links):
@@ -262,12 +269,7 @@ class Source:
         The velocity is that at the origin of the link. With ``fold`` the added mass is included. An added
         mass that depends on the direction is replaced by its mean over the two directions.
         """
-        inertias = [link.rigid for link in self.links]
-        for i, link in enumerate(self.links):
-            if fold and np.any(link.added):
-                mass, (x, y), moment = central(link.added)
-                inertias[i] = link.rigid + about(np.diag([mass, mass, moment]), -x, -y)
-        return inertias
+        return [link.rigid + fold * (link.added - link.directional) for link in self.links]
 
     def actuator(self, axis: Axis) -> Actuated:
         """Return the actuator of a driven joint."""
@@ -326,7 +328,7 @@ def _changed(tables: Mapping[str, Any], causes: Sequence[Cause]) -> dict[str, An
 # ---------------------------------------------------------------- planar inertias
 
 
-def _symmetric(row: Array) -> Array:
+def symmetric(row: Array) -> Array:
     """Return the symmetric 3 x 3 matrix whose upper triangle the six values of a row contain, row by row."""
     a, b, c, d, e, f = (float(value) for value in row)
     return np.array([[a, b, c], [b, d, e], [c, e, f]])
@@ -382,23 +384,22 @@ def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     ``choice`` is the value of the option. ``native`` is the sentence for the value ``native``.
     """
     wet = [link for link in source.links if np.any(link.added)]
-    if not wet:
-        return []
-    if choice == "native":
-        return [native]
-    if choice == "none":
-        return ["added mass and inertia are left out, as asked"]
+    unfolded = {"native": [native], "none": ["added mass and inertia are left out, as asked"]}
+    if not wet or choice in unfolded:
+        return unfolded[choice] if wet else []
     limits = [
         "added mass is part of the bodies' masses: their weight, where gravity acts, is that much too large"
     ]
     directional = [
         f"{link.name} {link.added[0, 0]:.4g} kg forward, {link.added[1, 1]:.4g} kg sideways"
         for link in wet
-        if np.ptp(link.added.diagonal()[:2]) + abs(link.added[0, 1]) > 1e-9 * link.added.diagonal()[:2].max()
+        if np.any(link.directional)
     ]
     if directional:
-        text = ", ".join(directional)
-        limits.append(f"added mass that differs by direction is folded with its mean: {text}")
+        limits.append(
+            f"added mass that differs by direction ({', '.join(directional)}) has its mean without the "
+            "callback swimid.exporters.mjcf.water of MuJoCo or --added-mass native of Gazebo"
+        )
     return limits
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.log import FREQUENCY_RTOL
+from swimid.logs.log import FREQUENCY_RTOL, unwrapped
 from swimid.logs.sampling import has_levels, longest_even, quantum
 from swimid.notices import warn
 
@@ -444,10 +446,12 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> tu
     return chances[0], chances[1]
 
 
+@lru_cache(maxsize=1)
 def _slepian_tapers(count: int) -> Array:
     """Return the tapers that concentrate a spectral line within :data:`BAND` cycles per record.
 
-    They are discrete prolate spheroidal sequences, shape (N_TAPERS, count).
+    They are discrete prolate spheroidal sequences, shape (N_TAPERS, count). Do not change the array: the last
+    one is kept, because the channels of a log have the same count.
     """
     from scipy.linalg import eigh_tridiagonal
 
@@ -706,16 +710,25 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
     return found
 
 
+#: Number of products above which a convolution is computed by FFT. Below it the import of SciPy takes longer.
+LONG_PRODUCT = 100_000_000
+
+
 def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
     """Return values and slopes of straight lines fitted to ``width`` samples around each sample of a path.
 
     The slopes are per sample. Within half a window of either end of the path, the line of the first or last
     complete window is used.
     """
+    convolve: Callable[..., Array] = np.convolve
+    if width * len(place) > LONG_PRODUCT:
+        # The window is a share of the log, so that its products grow with the square of the length.
+        convolve = import_module("scipy.signal").convolve
+
     half = width // 2
     offsets = np.arange(-half, half + 1)
-    middles = np.column_stack([np.convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
-    slopes = np.column_stack([np.correlate(x, offsets / (offsets @ offsets), "valid") for x in place.T])
+    middles = np.column_stack([convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
+    slopes = np.column_stack([convolve(x, -offsets / (offsets @ offsets), "valid") for x in place.T])
     samples = np.arange(len(place))
     line = np.clip(samples - half, 0, len(middles) - 1)
     beyond = samples - half - line
@@ -807,7 +820,7 @@ def _motions(
 
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
-    channels = {n: _unwrap(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
+    channels = {n: unwrapped(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
     channels |= swing(columns)
     seen = _beats(time_s, channels, within)
     swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
@@ -878,7 +891,7 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
     """
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
-    signals = {name: _unwrap(name, columns[name]) for name in names}
+    signals = {name: unwrapped(name, columns[name]) for name in names}
     axes = _coordinates(columns)
     if axes and not driven:
         place = np.column_stack(axes)
@@ -978,15 +991,6 @@ def _beats(
     return found
 
 
-def _unwrap(name: str, values: Array) -> Array:
-    """Return the samples of a channel, unwrapped if the name of the channel is that of an angle."""
-    if name.endswith("_rad"):
-        known = np.isfinite(values)
-        values = values.copy()
-        values[known] = np.unwrap(values[known])
-    return values
-
-
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
     """Return the samples of a channel for the search for a beat, reduced to :data:`MAX_RATE_HZ` or less.
 
@@ -1031,11 +1035,14 @@ class Course:
         Circular standard deviation of course minus heading, rad.
     mirrored : bool
         Whether the course follows the negative of the heading, as in a mirrored image.
+    opposed : bool
+        Whether it does, but by less than a hull may slip in a turn, and by more than half of that.
     """
 
     slip_rad: float
     spread_rad: float
     mirrored: bool
+    opposed: bool
 
 
 def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
@@ -1060,8 +1067,9 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
     along, against = np.mean(course * heading.conj()), np.mean(course * heading)
     spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
     evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
-    mirrored = bool(evidence > VERY_STRONG and spread > LARGEST_SLIP)
-    return Course(float(np.angle(along)), spread, mirrored)
+    mirrored = evidence > VERY_STRONG and spread > LARGEST_SLIP
+    opposed = evidence > VERY_STRONG and 0.5 * LARGEST_SLIP < spread <= LARGEST_SLIP
+    return Course(float(np.angle(along)), spread, bool(mirrored), bool(opposed))
 
 
 def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
@@ -1096,8 +1104,8 @@ def _windows(
         return []
     time, path, heading = time[there], (x + 1j * y)[there], heading[there]
     numbers = (time - time[0]) // window_s
-    pairs = []
-    for window in (numbers == number for number in np.unique(numbers)):
+    pairs, order = [], np.argsort(numbers, kind="stable")
+    for window in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
         t, place, span = time[window], path[window], np.ptp(time[window])
         if len(t) < 3 or span < 0.5 * window_s:
             continue

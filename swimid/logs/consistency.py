@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from swimid.logs.beat import LARGEST_SLIP, NO_MOTION, compare_course, coordinates
 from swimid.logs.foreign import quantity_of
 from swimid.logs.kinematics import AXES, from_angles, with_angles
-from swimid.logs.log import TIME, runs
+from swimid.logs.log import TIME, runs, unwrapped
 from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, find_held, has_levels, rounding_ratio
 from swimid.logs.tracks import WINDOW, find_jumps
 
@@ -99,9 +99,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
         if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
             against = "yaw_rad"
         if against in columns:
-            motion = columns[against]
-            if pose == "rad":
-                motion = np.unwrap(motion)
+            motion = unwrapped(against, columns[against])
             found += _judge(time, [motion], [[values]], [name], against, angle=pose == "rad")
     turned = with_angles(dict(columns))
     for x_name, y_name, angle in PLANES:
@@ -140,8 +138,8 @@ def _of_course(
     advances = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) > MIN_SPEED_M_S * np.ptp(
         time
     )
-    if seen.mirrored:
-        gain = -1.0
+    if seen.mirrored or seen.opposed:
+        gain, doubtful = -1.0, seen.opposed
         text = f"turns opposite to {against}: one of both is mirrored (factor: -1 for {name} or y)"
     elif seen.spread_rad < LARGEST_SLIP and abs(seen.slip_rad) > MIN_ANGLE and advances:
         doubtful, turn = True, math.degrees(seen.slip_rad)
@@ -346,7 +344,7 @@ def _channels(columns: Mapping[str, Array]) -> Iterator[tuple[tuple[str, ...], A
     for name in names:
         place = columns[name][:, None]
         rules: dict[str, Any] = {"brief": True}
-        if name.endswith("_rad"):
+        if name.endswith("_rad") and not SET.fullmatch(name):
             place = np.column_stack((np.cos(place), np.sin(place)))
         if name in ANGLES:
             rules = {}
@@ -387,8 +385,8 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     """Return the channels whose values no working sensor gives, each with a description of the fault.
 
     Such a channel is constant, counts the rows, equals another column, is saturated at a value, or holds a
-    value far from all others. Channels with fewer than :data:`LONG_ENOUGH` values are not checked, nor are
-    commands, standard deviations, likelihoods and confidences.
+    value far from all others. Channels with fewer than :data:`LONG_ENOUGH` values are not checked. Commands,
+    standard deviations, likelihoods and confidences are checked for values far from all others only.
 
     Parameters
     ----------
@@ -407,7 +405,11 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     earlier: dict[bytes, list[str]] = {}
     for name, values in columns.items():
         known = values[np.isfinite(values)]
-        if len(known) < LONG_ENOUGH or SET.fullmatch(name) or quantity_of(name) is None:
+        if len(known) < LONG_ENOUGH or quantity_of(name) is None:
+            continue
+        if SET.fullmatch(name):
+            if text := _find_far(known):
+                found[name] = text
             continue
         content = np.where(np.isnan(values), np.nan, values + 0.0).tobytes()  # one pattern for NaN and for 0
         equal = earlier.setdefault(hashlib.sha256(content).digest(), [])

@@ -581,6 +581,24 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0])))).reshape(-1, 2)
 
 
+def unwrapped(name: str, values: Array) -> Array:
+    """Return a column without jumps by a full rotation if its name is that of an angle of a body.
+
+    Missing samples stay NaN. An angle with a range above :data:`MAX_WRAPPED_RAD` is returned unchanged.
+
+    >>> unwrapped("yaw_rad", np.array([3.0, np.nan, -3.0])).round(2).tolist()
+    [3.0, nan, 3.28]
+    """
+    known = np.isfinite(values)
+    if not name.endswith("_rad") or name.startswith("joint") or not known.any():
+        return values
+    if np.ptp(values[known]) > MAX_WRAPPED_RAD:
+        return values
+    found = np.array(values, dtype=float)
+    found[known] = np.unwrap(found[known])
+    return found
+
+
 def longest_run(flags: NDArray[np.bool_]) -> int:
     """Return the number of elements in the longest unbroken sequence of True in an array.
 
@@ -664,6 +682,9 @@ MAX_SPEED_M_S = 15.0
 #: Maximum plausible turn rate of a robot or a fin, rad/s: about ten rotations per second. Neither the fastest
 #: escape of a fish nor a fin that beats through ±50 degrees at 10 Hz reaches it.
 MAX_RATE_RAD_S = 60.0
+#: Maximum range of an angle for which jumps by a full rotation are removed, rad. An angle with a larger
+#: range is already continuous, or is not in radians. The margin over one rotation is for noise.
+MAX_WRAPPED_RAD = 2.1 * np.pi
 #: Maximum plausible extent of a track along one axis, m. Tanks, pools and fields of view are smaller.
 MAX_EXTENT_M = 100.0
 #: Minimum median time step and minimum duration of a record, both read in s. A record that reaches both
@@ -671,7 +692,7 @@ MAX_EXTENT_M = 100.0
 MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
 #: Minimum plausible time step and duration of a record of more than 20 samples, s. Load cells and inertial
 #: sensors are sampled at 100 kHz at most, and the fastest stroke of a small fish takes 0.05 s.
-MIN_STEP_S, MIN_DURATION_S = 1e-5, 0.05
+SHORT_S, MIN_DURATION_S = 1e-5, 0.05
 #: Maximum fraction of the samples of a column whose rate of change may exceed its limit without a warning.
 #: Such samples are taken for outliers of the tracking.
 OUTLIER_SHARE = 0.05
@@ -698,7 +719,7 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
     if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= MS_STEP_S and np.ptp(time_s) >= MS_DURATION_S:
         text = "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
         found.append(Doubt(TIME, text))
-    elif len(time_s) > 20 and (np.nanmedian(np.diff(time_s)) < MIN_STEP_S or np.ptp(time_s) < MIN_DURATION_S):
+    elif len(time_s) > 20 and (np.nanmedian(np.diff(time_s)) < SHORT_S or np.ptp(time_s) < MIN_DURATION_S):
         rate_hz = (len(time_s) - 1) / np.ptp(time_s)
         text = (
             f"lasts {np.ptp(time_s):.3g} s at {rate_hz:.3g} Hz, which is unusual: state the unit of the time"
@@ -722,8 +743,7 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
         bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
         if tilted or wrapped or bent:
             return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
-        known = np.isfinite(values)
-        rate = _usual_rate(time_s[known], np.unwrap(values[known], 1.5 * np.pi))  # a full turn is no motion
+        rate = _usual_rate(time_s, unwrapped(name, values))
         if rate > MAX_RATE_RAD_S:
             return f"turns at {rate:.3g} rad/s: state the unit if it is degrees (a factor of 57.3)"
     elif name.endswith("_rad_s") and largest > MAX_RATE_RAD_S:

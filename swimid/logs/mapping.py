@@ -57,7 +57,7 @@ from swimid.logs.log import (
     written_by,
 )
 from swimid.logs.options import ImportOptions
-from swimid.logs.sampling import PAUSE, UNIFORM_SHARE, usual_step
+from swimid.logs.sampling import PAUSE, SET, UNIFORM_SHARE, usual_step
 from swimid.notices import Progress, silent, warn
 from swimid.options import LARGEST, takes
 from swimid.results.result import Text
@@ -484,11 +484,15 @@ def _offset(
         text = f"'{align.that}' explains {100 * explained:.0f} % of '{align.this}': they do not move together"
         hint = "align other columns, or state the offset: time: {offset_s: ...}"
         raise InputError(text, file=place, hint=hint)
-    name, total_s = str(joined.file or joined.select), -found.value_s
+    name, total_s = str(joined.select or place.name), -found.value_s
     if joined.time is not None:
         total_s += joined.time.offset_s
     stated = {"offset_s": total_s, "sd_s": found.stderr_s, "by": f"{align.this}, {align.that}"}
     log.metadata.setdefault("clock_offsets", {})[name] = stated
+    target = targets[align.that]
+    if SET.fullmatch(target) and target.removeprefix("cmd") != align.this.removeprefix("joint"):
+        text = f"the offset of {name} includes the lag of {align.this} behind {target}, its error does not"
+        log.notes.append(f"{text}: a fit estimates the lag with --free clock_offset")
     if found.rivals:
         others = ", ".join(f"{total_s + found.value_s - rival:.3f}" for rival in found.rivals[:3])
         text = f"the clock of {name} is ambiguous: offsets of {total_s:.3f} and {others} s fit equally well"

@@ -363,15 +363,11 @@ def read(path: str | Path) -> Evidence:
     path = Path(path)
     try:
         with file_errors(path):
-            found = Evidence.model_validate_json(path.read_bytes())
+            return Evidence.model_validate_json(path.read_bytes())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise InputError(f"no {FORMAT} file: {first['msg']}", file=path, column=place or None) from error
-    if found.result in ("", ".", ".."):
-        text = f"names no result file, but '{found.result}'"
-        raise InputError(text, file=path, column="result", hint="make the result again")
-    return found
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from swimid.errors import InputError, Named, UsageError, suggestion
 from swimid.files import yamlio
@@ -157,17 +157,18 @@ class ParameterFile(yamlio.ResultFile):
     #: file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
-    @field_validator("correlation")
-    @classmethod
-    def _names_agree(cls, found: Correlation | None, info: ValidationInfo) -> Correlation | None:
-        """Check that every name of the correlation is the name of a parameter."""
-        known = info.data.get("parameters", {})
-        for name in () if found is None else found.names:
-            if known and name not in known:
+    @model_validator(mode="after")
+    def _names_agree(self) -> Self:
+        """Check that every name of the correlation is that of a parameter or of a shared value."""
+        known, shared = set(self.parameters), self.settings.get("shared")
+        if isinstance(shared, dict):
+            known |= set(shared)
+        for name in getattr(self.correlation, "names", ()):
+            if name not in known:
                 raise ValueError(
                     f"the correlation names '{name}', no parameter; {suggestion(name, [*known])}"
                 )
-        return found
+        return self
 
     def write(self, path: str | Path) -> None:
         """Write the parameter file, completely or not at all. Floating-point numbers are not rounded."""

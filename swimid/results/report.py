@@ -19,7 +19,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
 from swimid import reading
-from swimid.errors import UsageError
+from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
 from swimid.notices import CODES, Progress, recorded, silent, warn
@@ -146,7 +146,11 @@ def _sources(given: str | Path | Result) -> list[Path | Result]:
         return [path]
     found: list[Path | Result] = []
     for place in sorted(path.glob("*.evidence.json"), key=lambda one: one.stat().st_mtime_ns):
-        found.append(place.with_name(ev.read(place).result))
+        name = ev.read(place).result
+        if name in ("", ".", ".."):
+            text = f"names no result file, but '{name}'"
+            raise InputError(text, file=place, column="result", hint="make the result again")
+        found.append(place.with_name(name))
     if not found:
         raise UsageError(f"the folder {path} has no result with evidence", hint="name a result file")
     return found

@@ -16,7 +16,7 @@ from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, RigInput, Trial, chosen
 from swimid.logs import tracks
 from swimid.logs import trials as trials_format
-from swimid.logs.log import Log, longest_run, runs
+from swimid.logs.log import Log, longest_run, runs, unwrapped
 from swimid.logs.sampling import step_of
 from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
 from swimid.notices import warn
@@ -30,6 +30,10 @@ EXTREME_RTOL = 0.05
 #: have been held there before release. A free swing stays within 5 % of its extreme for 0.1 of a period,
 #: ``2 arccos(0.95) / (2 pi)``.
 HELD_PERIODS = 0.1
+#: Maximum creep of the rest position after the only overshoot of a free decay, as a fraction of the
+#: overshoot. The relative error of the damping ratio is about this fraction divided by the logarithmic
+#: decrement of a half swing, which is about 1 or more if the second overshoot is hidden.
+MAX_CREEP = 0.2
 #: Minimum number of samples of a falling-weight trial.
 MIN_SAMPLES = 5
 #: Maximum position of the first sample of a drop, as a fraction of the drop distance, at which the drop is
@@ -268,12 +272,16 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         if not measured:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
         force = log["force_N"]
-        spikes = tracks.clean(log.time_s, [force]).jumped
-        if spikes.any():
-            first = log.time_s[np.argmax(spikes)]
-            text = f"{spikes.sum()} outliers of force_N, the first at {first:.4g} s, are interpolated"
+        missing = np.isnan(force)
+        known = np.flatnonzero(~missing)
+        # A force may change in one step, as dry friction does where the body reverses. Spikes are errors.
+        stays, _ = tracks.find_jumps(log.time_s[known], force[known, None], brief=True)
+        spikes = known[~stays]
+        missing[spikes] = True
+        if len(spikes):
+            first = log.time_s[spikes[0]]
+            text = f"{len(spikes)} outliers of force_N, the first at {first:.4g} s, are interpolated"
             warn("SWM058", f"{log.path.name}: {text}: does the amplifier of the load cell fail there?")
-        missing = np.isnan(force) | spikes
         if longest_run(missing) > MAX_FORCE_GAP:
             first, _ = max(runs(missing).tolist(), key=np.ptp)
             text = f"the applied force is missing for more than {MAX_FORCE_GAP} samples; it drives the model"
@@ -289,8 +297,8 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         # A body that coasts down has no measured force: its drag then takes its momentum.
         taken = mass * speeds[-1] / float(np.ptp(log.time_s))
         forces.append(max(float(np.sqrt(np.mean(force**2))), taken))
-        known = RigInput(mass, area_factor=factor, release_s=begin, x0=first)
-        trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, known))
+        rig_input = RigInput(mass, area_factor=factor, release_s=begin, x0=first)
+        trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, rig_input))
     model = rig.towed(
         mass_kg=float(np.median([t.rig.inertia for t in trials])),
         force_N=max(float(np.median(forces)), 1e-9),
@@ -390,12 +398,13 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
     Raises
     ------
     InputError
-        If the record has fewer than three half swings.
+        If the record has fewer than three half swings, and no overshoot after which it comes to rest.
     """
     found = None
     # Most records end with the body at rest, so that the last quarter of the record gives the rest position.
     # If no swings are found about this level, try the middle of the range of the record.
-    for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
+    end = float(np.median(values[len(values) * 3 // 4 :]))
+    for level in (end, 0.5 * float(values.max() + values.min())):
         for _ in range(3):
             crossings, extremes = _half_swings(values, level, noise)
             if len(extremes) < 3:
@@ -406,8 +415,16 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
+    # A creep of the rest position can hide the swings after the first overshoot, and a strongly damped body
+    # has none. A record that comes to rest after one overshoot shorter than the first swing determines both.
+    crossings, extremes = _half_swings(values, end, noise)
+    if len(extremes) == 2 and abs(extremes[1] - end) < abs(extremes[0] - end):
+        after = values[np.argmin(np.abs(values - extremes[1])) :]
+        creep = abs(float(np.median(after[len(after) // 2 :]) - np.median(after[: len(after) // 2 + 1])))
+        if len(after) > len(values) // 4 and creep < MAX_CREEP * abs(extremes[1] - end):
+            return crossings, extremes
     raise InputError(
-        "does not swing: it crosses its rest position fewer than two times",
+        "does not swing: it has no overshoot after which it comes to rest without a creep",
         file=log.path,
         column=name,
         hint="cut a slow creep after the swings off with end_s in the trials file; a body that is damped so "
@@ -431,8 +448,17 @@ def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Arra
     return crossings, np.array(extremes) + level
 
 
-def _period(time: Array, crossings: Array) -> float:
-    """Return the mean period of a free decay, s, over the swings before the first irregular swing."""
+def _period(time: Array, values: Array, crossings: Array, extremes: Array) -> float:
+    """Return the mean period of a free decay, s, over the swings before the first irregular swing.
+
+    The arguments ``crossings`` and ``extremes`` begin at the first swing (:func:`_swings`).
+    """
+    if len(crossings) == 1:
+        # The extremes of two successive half swings are half a period apart.
+        before, after = values[: crossings[0]], values[crossings[0] :]
+        near = np.abs(before - extremes[0]) <= EXTREME_RTOL * abs(extremes[0] - extremes[1])
+        turns = np.flatnonzero(near)[-1], crossings[0] + np.argmin(np.abs(after - extremes[1]))
+        return 2.0 * float(np.ptp(time[[*turns]]))
     halves = np.diff(time[crossings])
     regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
     count = max(int(np.argmin([*regular, False])), 1)
@@ -449,8 +475,9 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     the first of the largest swings. If the body was held at an excursion before its release, or was at rest
     before it was deflected, the decay begins at the end of this time.
     """
-    there = np.isfinite(log[name])
-    time, values = log.time_s[there], log[name][there]
+    column = unwrapped(name, log[name])
+    there = np.isfinite(column)
+    time, values = log.time_s[there], column[there]
     noise = third_difference_sd(values)
     crossings, extremes = _swings(values, noise, log, name)
     heights = np.abs(np.diff(extremes))
@@ -458,7 +485,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     slack = max(EXTREME_RTOL * largest, 3.0 * math.sqrt(2.0) * noise)
     first = int(np.argmax(heights >= largest - slack))
     begin, end = ([0, *crossings.tolist()][first + k] for k in (0, 1))
-    period = _period(time, crossings[first:])
+    period = _period(time, values, crossings[first:], extremes[first:])
     amplitude = 0.5 * float(heights[first])
     part, since = values[begin:end], time[begin:end] - time[begin]
     margin = max(EXTREME_RTOL * amplitude, 3.0 * noise)
@@ -488,7 +515,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
             "left out",
         )
     start = int(np.flatnonzero(there)[begin])
-    return log.time_s[start:], log[name][start:], period, amplitude
+    return log.time_s[start:], column[start:], period, amplitude
 
 
 # ------------------------------------------------------------ encoder

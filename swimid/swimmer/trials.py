@@ -26,7 +26,7 @@ from swimid.logs.beat import (
     is_in_degrees,
     stated_against_found,
 )
-from swimid.logs.log import Log
+from swimid.logs.log import Log, unwrapped
 from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.robots import file as robot_format
@@ -54,9 +54,6 @@ MAX_RAMP_SHARE = 0.3
 MIN_JOINT_SAMPLES, MIN_BEAT_SAMPLES = 5, 17
 #: Number of drive phases that are tried as start values for a trial that begins in steady swimming.
 N_PHASES = 12
-#: Maximum range of a heading for which jumps by a full rotation are removed, rad. A heading with a larger
-#: range is already continuous, or is not in radians. The margin over one rotation is for noise.
-MAX_WRAPPED_RAD = 2.1 * math.pi
 #: Keys of the trials file that each kind of experiment uses.
 USES = dict.fromkeys(
     ("free-swim", "multibody"),
@@ -196,7 +193,7 @@ def _recording(
     known = [c.name for c in model.channels]
     optional = tuple(dict.fromkeys((*known, *input_columns(model))))
     log = read_log(entry, path.parent, required=tuple(channels), optional=optional)
-    log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
+    log = replace(log, columns={name: unwrapped(name, values) for name, values in log.columns.items()})
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
     swim = replace(_drive_input(entry, log, path, model), pose=_first_pose(model, log))
@@ -348,18 +345,6 @@ def _logged_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
         column=actuator.column,
         hint="or give the trial a 'drive' in the trials file",
     )
-
-
-def _unwrapped(name: str, values: Array) -> Array:
-    """Remove jumps by a full rotation from the column of a body angle. Other columns are unchanged."""
-    known = np.isfinite(values)
-    if not name.endswith("_rad") or name.startswith("joint") or not known.any():
-        return values
-    if np.ptp(values[known]) > MAX_WRAPPED_RAD:
-        return values
-    found = values.copy()
-    found[known] = np.unwrap(values[known])
-    return found
 
 
 def _default_channels(model: Swimmer, log: Log) -> list[str]:

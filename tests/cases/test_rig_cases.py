@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import Ran
+from tests.generators import real_logs
 
 Run = Callable[..., Ran]
 Case = Callable[..., Path]
@@ -142,3 +143,46 @@ def test_a_body_towed_backwards(case: Case, swimid: Run) -> None:
     assert near(ran, "added_mass", 0.684)
     assert "SWM024" not in ran.err
     assert "SWM110" not in ran.err
+
+
+def test_a_decay_whose_swings_a_creep_hides_is_fitted(case: Case, swimid: Run) -> None:
+    """A programmed spring of 15 kN/m. The body is still pushed before its first extreme, at 4 ms."""
+    folder = case("t4-decay-of-quarter-damping-refused")
+    text = (folder / "d25.yaml").read_text()
+    (folder / "later.yaml").write_text(text.replace(".csv", ".csv, start_s: 0.004"))
+    held = ("--fix", "quadratic_drag=0")
+    assert swimid("fit-drag", "d25.yaml", *held, "-o", "whole.yaml").status == 0
+    ran = swimid("fit-drag", "later.yaml", *held, "--json")
+    assert near(ran, "stiffness", 15000.0)
+    assert parameter(ran, "linear_drag")["value"] == pytest.approx(25.3, rel=0.15)
+
+
+@pytest.mark.parametrize("record", ["d50", pytest.param("d50_s0.04", marks=pytest.mark.slow)])
+def test_a_decay_that_hardly_swings_says_what_to_do(case: Case, swimid: Run, record: str) -> None:
+    case("t4-decay-of-quarter-damping-refused")
+    ran = swimid("fit-drag", f"{record}.yaml", "--fix", "quadratic_drag=0")
+    assert ran.status == 3
+    assert "needs 'experiment: towed' with a measured force" in " ".join(ran.err.split())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("record", ["tow", "clean"])
+def test_a_drift_that_changes_nothing_is_caution(case: Case, swimid: Run, record: str) -> None:
+    case("t4-o02-loadcell-spikes")
+    ran = swimid("fit-drag", f"{record}.yaml")
+    assert verdict(ran) == "CAUTION"
+    assert "which moves no estimate materially" in " ".join(ran.out.split())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drift", [(), ("--free", "force_drift")])
+def test_a_drive_that_is_fitted_within_its_errors_is_caution(
+    real_data: Path, swimid: Run, tmp_path: Path, drift: tuple[str, ...]
+) -> None:
+    """A drift of 6 standard errors, and then a drag of 2.7, are named beside the published friction."""
+    trials = real_logs.write_screw_drive(tmp_path, real_data)
+    free = ("--free", "dry_friction", "--free", "linear_drag", "--free", "force_offset", *drift)
+    ran = swimid("fit-drag", trials, "--fix", "quadratic_drag=0", *free)
+    assert verdict(ran) == "CAUTION"
+    assert "SWM024" in ran.err
+    assert "SWM058" not in ran.err

@@ -83,3 +83,21 @@ def test_a_coefficient_that_nothing_uses_has_no_share(
     shares = [o["shares"]["c_x"] for o in outputs if "c_x" in o.get("shares", {})]
     assert shares
     assert all(s["total"]["value"] == 0.0 for s in shares)
+
+
+@pytest.mark.slow
+def test_errors_do_not_depend_on_the_direction_or_on_a_wrapped_heading(
+    case: Callable[..., Path], swimid: Callable[..., Ran]
+) -> None:
+    case("t4-o16-heading-invariance")
+    ran = swimid("fit-graybox", "as/trials.yaml", "--share", "c_f", "-o", "new.yaml")
+    assert "GOOD:" in ran.out
+    errors = []
+    for name in ("as", "r90", "r180wrap", "r217wrap"):
+        ran = swimid("compare", f"{name}/trials.yaml", "--params", "new.yaml", "-o", f"new_{name}.yaml")
+        assert "GOOD:" in ran.out
+        assert "SWM002" not in ran.err
+        channels = yaml.safe_load(Path(f"new_{name}.yaml").read_text())["channels"]
+        errors.append([channels[c]["rmse"] for c in ("x_m", "y_m", "yaw_rad")])
+    for turned in errors[1:]:
+        assert turned == pytest.approx(errors[0], rel=1e-3)

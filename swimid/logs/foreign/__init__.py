@@ -327,12 +327,8 @@ class Peek:
             The file cannot be read, or is a folder that is no bag of ROS 2.
         """
         file = path
-        if path.is_dir():
+        if (path / BAG_INFORMATION).is_file():
             file = path / BAG_INFORMATION
-            if not file.is_file():
-                names = ", ".join(sorted(one.name for one in path.iterdir())[:8])
-                hint = f"name a file in it: {names or 'it is empty'}"
-                raise InputError("is a folder, and no bag of ROS 2", file=path, hint=hint)
         with file_errors(path), file.open("rb") as stream:
             return cls(path, stream.read(1 << 14))
 
