@@ -615,7 +615,8 @@ def test_fits_with_other_parameters_or_units_are_not_compared(tmp_path: Path) ->
     other = {**file.parameters, "added_mass": file.parameters["added_mass"].model_copy(update={"unit": "g"})}
     file.model_copy(update={"parameters": other}).write(tmp_path / "grams.yaml")
     fewer = {name: e for name, e in file.parameters.items() if name != "added_mass"}
-    file.model_copy(update={"parameters": fewer}).write(tmp_path / "fewer.yaml")
+    without = {"parameters": fewer, "correlation": parameters.Correlation(names=[], matrix=[])}
+    file.model_copy(update=without).write(tmp_path / "fewer.yaml")
     inputs = [path, tmp_path / "grams.yaml", tmp_path / "fewer.yaml"]
     quietly(inputs=inputs, output=tmp_path / "r.html")
     assert "fits of" not in outline(tmp_path / "r.html").words
