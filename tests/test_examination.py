@@ -201,7 +201,7 @@ def test_commands_and_scores_may_hold_one_value() -> None:
 
 def test_a_short_freeze_does_not_condemn_a_log() -> None:
     yaw = YAW + _noise(0.003)
-    yaw[700:730] = yaw[700]
+    yaw[700:714] = yaw[700]
     made = _import({"yaw_rad": yaw})
     assert "hold one value" in _reason(made)
     assert made.data["verdict"]["level"] == "caution"

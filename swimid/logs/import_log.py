@@ -474,8 +474,8 @@ MIN_SAMPLES = LONG_ENOUGH + 1
 #: not known.
 MIN_SAMPLES_PER_STROKE = 6.0
 #: Maximum fraction of the rows of a log that are left out because of a missing or repeated time, and of its
-#: duration in which a channel is frozen. With a larger fraction the log is not usable.
-MAX_DROPPED = 0.1
+#: duration in which a channel is frozen, whose samples stay. With a larger fraction the log is not usable.
+MAX_DROPPED, MAX_FROZEN = 0.1, 0.01
 #: Pattern of the columns whose values are compared with the limits of a swimmer
 #: (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
@@ -608,7 +608,7 @@ def _value_checks(found: Examined) -> list[Check]:
     frozen, faulty = f"channels hold one value amid their motion: {holds}", f"channels look faulty: {faults}"
     span_s, jumps = np.ptp(found.log.time_s), "; ".join(found.jumped)
     lossy = any(one.out.mean() > MAX_JUMPED for one in found.jumped.values())
-    long_held = any(end - begin > MAX_DROPPED * span_s for begin, end in stuck.values())
+    long_held = any(end - begin > MAX_FROZEN * span_s for begin, end in stuck.values())
     uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
     enough = len(found.log.time_s) >= MIN_SAMPLES
     channels = {name: values for name, values in found.log.signals.items() if not SET.fullmatch(name)}
