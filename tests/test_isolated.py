@@ -137,7 +137,7 @@ def test_aliases_in_a_comment_line_do_not_multiply(tmp_path: Path) -> None:
     rows = ["&a [1,1,1,1,1,1,1,1,1]", *(f"&{new} [{','.join([f'*{old}'] * 9)}]" for old, new in pairs)]
     path = tmp_path / "a.csv"
     path.write_text(f"# key: [{', '.join(rows)}]\nt_s,x_m\n0,0\n1,1\n")
-    with pytest.raises(InputError, match="more than 500000 nodes"):
+    with pytest.raises(InputError, match="more than 100000 nodes"):
         log.read(path)
 
 
