@@ -126,7 +126,7 @@ def clock_unit(steps_s: np.ndarray) -> float:
 
     All time steps are multiples of the unit, and their mean is not. ``steps_s`` holds the time steps, s.
 
-    >>> round(clock_unit(np.diff(np.round(np.arange(100) / 240, 3))), 9), clock_unit(np.full(9, 0.02))
+    >>> round(clock_unit(np.diff(np.round(np.arange(100) / 240, 3))), 6), clock_unit(np.full(9, 0.02))
     (0.001, 0.0)
     """
     mean = float(np.mean(steps_s[steps_s < PAUSE * np.median(steps_s)]))
