@@ -196,7 +196,11 @@ class Result:
         """
         known = getattr(self.evidence, "provenance", {}).get("inputs", {})
         paths = getattr(known, "paths", {})
-        digests = {name: digest for name, digest in known.items() if name.endswith((".yaml", ".yml"))}
+        digests = {
+            name: digest
+            for name, digest in known.items()
+            if name.endswith((".yaml", ".yml")) and not name.startswith("swimid/robots/")
+        }
         for base in (Path(), *self.path.absolute().parents):
             files = {name: base / paths.get(name, name) for name in digests}
             if all(file.is_file() and sha256(file) == digests[name] for name, file in files.items()):
