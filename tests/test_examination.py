@@ -315,9 +315,9 @@ def test_a_beat_whose_rate_wanders_is_found(kind: str) -> None:
     assert 0.005 < high - low < 0.1
 
 
-@pytest.mark.parametrize("hz", [0.8, 1.2, 1.6])
+@pytest.mark.parametrize("hz", [0.8, pytest.param(1.2, marks=pytest.mark.slow), 1.6])
 @pytest.mark.parametrize("shape", ["sine", "square"])
-@pytest.mark.parametrize("rest_s", [1.5, 6.0])
+@pytest.mark.parametrize("rest_s", [1.5, pytest.param(6.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_rests_around_a_swim_do_not_hide_its_beat(hz: float, shape: str, rest_s: float, noise: float) -> None:
     t = np.arange(int((8.5 + 2 * rest_s) * 50)) / 50.0

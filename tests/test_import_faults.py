@@ -154,7 +154,7 @@ def inertial() -> pd.DataFrame:
     return pd.DataFrame({"t_s": t, **signals})
 
 
-@pytest.mark.parametrize("fault", ["spike", "zeros"])
+@pytest.mark.parametrize("fault", ["spike", pytest.param("zeros", marks=pytest.mark.slow)])
 def test_single_faults_of_a_gyroscope_do_not_turn_the_heading(
     fault: str, swimid: Any, tmp_path: Path
 ) -> None:

@@ -114,7 +114,9 @@ def test_warnings_name_points_and_frames(swimid: Run, tmp_path: Path) -> None:
     assert "3 exchanged, 1 stray" in ran.out
 
 
-@pytest.mark.parametrize(("pair", "share"), [(("hip", "tip"), 0.7), (("snout", "back"), 1.0)])
+@pytest.mark.parametrize(
+    ("pair", "share"), [(("hip", "tip"), 0.7), pytest.param(("snout", "back"), 1.0, marks=pytest.mark.slow)]
+)
 def test_labels_exchanged_in_most_frames(
     pair: tuple[str, str], share: float, imported: Imported, tmp_path: Path
 ) -> None:
