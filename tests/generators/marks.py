@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-
-from swimid.files.provenance import says_simulated
 
 SOURCE = "# source: simulated (tests/generators)\n"
 
@@ -12,5 +11,6 @@ SOURCE = "# source: simulated (tests/generators)\n"
 def mark(folder: Path) -> None:
     """State in every log and every setup of a folder that its data are simulated, if it does not say so."""
     for path in [*folder.glob("*.csv"), *folder.glob("*_setup.yaml")]:
-        if not says_simulated(path):
-            path.write_text(SOURCE + path.read_text(encoding="utf-8"), encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+        if not re.search(r"(?m)^#.*simulated", text[:2000]):
+            path.write_text(SOURCE + text, encoding="utf-8")
