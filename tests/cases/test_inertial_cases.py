@@ -40,7 +40,7 @@ def test_corrupt_readings_of_an_inertial_sensor_are_left_out(
     case("t4-o11-imu-glitches")
     ran = swimid("track", "imu", f"{log}.csv", "-o", "run.csv", "--json")
     assert ran.status == 0
-    data = json.loads(ran.out)
+    data = json.loads(ran.out)["result"]
     found = {one["fault"]: one["count"] for one in data["faults"]}
     assert found[fault] >= 15
     assert found["corrupt quaternions"] == 15
