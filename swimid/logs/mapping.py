@@ -1283,11 +1283,6 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
     output : path, optional
         Path of the mapping file. Without a path nothing is written.
 
-    Notes
-    -----
-    Of the options of ``import``, the draft contains the format, the selection, the frame rate, the unit of
-    length and the minimum likelihood.
-
     Returns
     -------
     Draft
@@ -1297,6 +1292,11 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
     ------
     InputError
         The file cannot be read.
+
+    Notes
+    -----
+    Of the options of ``import``, the draft contains the format, the selection, the frame rate, the unit of
+    length and the minimum likelihood.
 
     Examples
     --------
