@@ -1036,7 +1036,8 @@ class Course:
     mirrored : bool
         Whether the course follows the negative of the heading, as in a mirrored image.
     opposed : bool
-        Whether it does, but by less than a hull may slip in a turn, and by more than half of that.
+        Whether it does, but by less than a hull may slip in a turn, and by more than the heading swings in a
+        window.
     """
 
     slip_rad: float
@@ -1064,11 +1065,13 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
     if len(pairs) < MIN_COURSE_WINDOWS:
         return None
     course, heading = np.array(pairs).T
+    swing = math.sqrt(-2.0 * math.log(min(float(np.mean(np.abs(heading))), 1.0)))
+    heading = heading / np.abs(heading)
     along, against = np.mean(course * heading.conj()), np.mean(course * heading)
     spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
     evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
     mirrored = evidence > VERY_STRONG and spread > LARGEST_SLIP
-    opposed = evidence > VERY_STRONG and 0.5 * LARGEST_SLIP < spread <= LARGEST_SLIP
+    opposed = evidence > VERY_STRONG and swing < spread <= LARGEST_SLIP
     return Course(float(np.angle(along)), spread, bool(mirrored), bool(opposed))
 
 
@@ -1098,7 +1101,10 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
 def _windows(
     time: Array, x: Array, y: Array, heading: Array, window_s: float
 ) -> list[tuple[complex, complex]]:
-    """Return course and mean heading as complex unit vectors, for each window with more advance than sway."""
+    """Return course and mean heading as complex numbers, for each window with more advance than sway.
+
+    The course has the absolute value 1, the heading that of the mean of its unit vectors.
+    """
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
     if there.sum() < 3:
         return []
@@ -1113,7 +1119,7 @@ def _windows(
         sway = np.sqrt(np.mean(np.abs(place - slope * t - level) ** 2))
         mean = np.mean(np.exp(1j * heading[window]))
         if abs(slope) * span > 2.0 * sway and abs(mean) > 0.5:
-            pairs.append((complex(slope / abs(slope)), complex(mean / abs(mean))))
+            pairs.append((complex(slope / abs(slope)), complex(mean)))
     return pairs
 
 
