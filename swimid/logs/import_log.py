@@ -236,7 +236,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     jumped = _jumped(source, source.rows[order.index], options.clean)
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
-        angles = [_unwrapped(known[column]) for column in ANGLES if column in columns]
+        angles = [log.unwrap(known[column]) for column in ANGLES if column in columns]
         stamps = columns[TIME]
         cleaning = tracks.clean(stamps, track, angles)
     if options.clean is not False:
@@ -407,7 +407,7 @@ def _take_out(
     """
     columns |= {n: np.where(one.out, np.nan, columns[n]) for one in jumped for n in one.columns}
     # A reader that unwraps attitudes counts a full turn for a jump of the heading by more than half a turn.
-    columns |= {n: _unwrapped(columns[n]) for one in jumped for n in one.columns if n in ANGLES}
+    columns |= {n: log.unwrap(columns[n]) for one in jumped for n in one.columns if n in ANGLES}
     empty = np.any([np.zeros(len(columns[TIME]), dtype=bool), *(one.out for one in jumped)], axis=0)
     if cleaning is not None:
         done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
@@ -431,13 +431,6 @@ def _take_out(
     empty &= np.isnan([values for column, values in columns.items() if column != TIME]).all(axis=0)
     if empty.any():
         _keep(columns, ~empty)
-
-
-def _unwrapped(angle: Array) -> Array:
-    """Return an angle, rad, without steps of full turns between its known samples."""
-    known, values = np.isfinite(angle), angle.copy()
-    values[known] = np.unwrap(angle[known])
-    return values
 
 
 def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:

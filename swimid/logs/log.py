@@ -581,22 +581,26 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0])))).reshape(-1, 2)
 
 
-def unwrapped(name: str, values: Array) -> Array:
-    """Return a column without jumps by a full rotation if its name is that of an angle of a body.
+def unwrap(angle: Array) -> Array:
+    """Return an angle, rad, without steps of full turns between its known samples. Missing samples stay NaN.
 
-    Missing samples stay NaN. An angle with a range above :data:`MAX_WRAPPED_RAD` is returned unchanged.
-
-    >>> unwrapped("yaw_rad", np.array([3.0, np.nan, -3.0])).round(2).tolist()
+    >>> unwrap(np.array([3.0, np.nan, -3.0])).round(2).tolist()
     [3.0, nan, 3.28]
     """
-    known = np.isfinite(values)
-    if not name.endswith("_rad") or name.startswith("joint") or not known.any():
+    known, values = np.isfinite(angle), np.array(angle, dtype=float)
+    values[known] = np.unwrap(values[known])
+    return values
+
+
+def unwrapped(name: str, values: Array) -> Array:
+    """Return a column without steps of full turns if it is an angle, and otherwise unchanged.
+
+    An angle with a range above :data:`MAX_WRAPPED_RAD` is not wrapped, and is returned unchanged.
+    """
+    known = values[np.isfinite(values)]
+    if not name.endswith("_rad") or not known.size or np.ptp(known) > MAX_WRAPPED_RAD:
         return values
-    if np.ptp(values[known]) > MAX_WRAPPED_RAD:
-        return values
-    found = np.array(values, dtype=float)
-    found[known] = np.unwrap(found[known])
-    return found
+    return unwrap(values)
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:

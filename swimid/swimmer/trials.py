@@ -193,7 +193,9 @@ def _recording(
     known = [c.name for c in model.channels]
     optional = tuple(dict.fromkeys((*known, *input_columns(model))))
     log = read_log(entry, path.parent, required=tuple(channels), optional=optional)
-    log = replace(log, columns={name: unwrapped(name, values) for name, values in log.columns.items()})
+    turning = {name: values for name, values in log.columns.items() if not name.startswith("joint")}
+    columns = log.columns | {name: unwrapped(name, values) for name, values in turning.items()}
+    log = replace(log, columns=columns)
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
     swim = replace(_drive_input(entry, log, path, model), pose=_first_pose(model, log))
