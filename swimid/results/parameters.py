@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from swimid.errors import InputError, Named, UsageError, suggestion
 from swimid.files import yamlio
@@ -142,6 +142,8 @@ class ParameterFile(yamlio.ResultFile):
     parameters: dict[str, Estimate]
     #: Sentences that state which combinations of parameters the data determine and which they do not.
     identifiability: list[str] = []
+    #: Settings of the fit that a simulation needs, such as model orders, subtracted means and column names.
+    settings: dict[str, Any] = {}
     correlation: Correlation | None = None
     #: Quantities computed from the parameters, with their uncertainty.
     derived: dict[str, Estimate] = {}
@@ -149,26 +151,25 @@ class ParameterFile(yamlio.ResultFile):
     sample_time_s: float | None = None
     poles: list[Pole] | None = None
     stable: bool | None = None
-    #: Settings of the fit that a simulation needs, such as model orders, subtracted means and column names.
-    settings: dict[str, Any] = {}
     fit: Fit | None = None
     provenance: yamlio.Provenance = Field(default_factory=dict)
     #: Drag parameters that a fit of the recoil law used; None for other fits. They are not written to the
     #: file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
-    @model_validator(mode="after")
-    def _names_agree(self) -> Self:
+    @field_validator("correlation")
+    @classmethod
+    def _names_agree(cls, found: Correlation | None, info: ValidationInfo) -> Correlation | None:
         """Check that every name of the correlation is that of a parameter or of a shared value."""
-        known, shared = set(self.parameters), self.settings.get("shared")
+        known, shared = set(info.data.get("parameters", {})), info.data.get("settings", {}).get("shared")
         if isinstance(shared, dict):
             known |= set(shared)
-        for name in getattr(self.correlation, "names", ()):
+        for name in () if found is None or not known else found.names:
             if name not in known:
                 raise ValueError(
                     f"the correlation names '{name}', no parameter; {suggestion(name, [*known])}"
                 )
-        return self
+        return found
 
     def write(self, path: str | Path) -> None:
         """Write the parameter file, completely or not at all. Floating-point numbers are not rounded."""
