@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import site
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -137,11 +138,12 @@ def watch() -> Iterator[None]:
         yield
     finally:
         _HEARD.reset(token)
-        system = tuple(f"{place}{os.sep}" for place in (sys.prefix, sys.base_prefix, _PACKAGE, "/proc"))
-        for path in map(os.path.abspath, heard):
+        places = (sys.prefix, sys.base_prefix, site.getusersitepackages(), _PACKAGE, "/proc", "/sys", "/etc")
+        system = tuple(f"{place}{os.sep}" for place in places)
+        for path in map(os.path.abspath, dict.fromkeys(heard)):
             if path.endswith(".pyc"):
                 path = importlib.util.source_from_cache(path)
-            if os.path.isfile(path) and not path.startswith(system):
+            if not path.startswith(system) and os.path.isfile(path):
                 note(path)
 
 
@@ -150,10 +152,14 @@ _HEARD: ContextVar[list[str] | None] = ContextVar("_HEARD", default=None)
 
 @cache
 def _listen() -> None:
+    """Have the names of all files that are opened for reading added to the list of :func:`watch`."""
+
     def hear(event: str, arguments: tuple[Any, ...]) -> None:
+        if event != "open" or not isinstance(arguments[0], str):
+            return
         heard = _HEARD.get()
-        if event == "open" and heard is not None and isinstance(arguments[0], str):
-            heard += [arguments[0]] * set(arguments[1] or "").isdisjoint("wax+")
+        if heard is not None and set(arguments[1] or "").isdisjoint("wax+"):
+            heard.append(arguments[0])
 
     sys.addaudithook(hear)
 
@@ -213,17 +219,17 @@ def digest_of(files: Sequence[Path]) -> str:
 # ---------------------------------------------------------------- names in results
 
 
-def name_of(path: str | Path) -> str:
+def name_of(path: str | Path, folder: str | Path | None = None) -> str:
     """Return the name by which a result states a file.
 
-    The name is the path relative to the folder of the result. For a file of swimid it begins with
-    ``swimid/``. A path through the root folder or a folder of home folders is reduced to the file name, so
-    that a result that is passed on does not state where its author's files are.
+    The name is the path relative to the folder of the result, or to ``folder``. For a file of swimid it
+    begins with ``swimid/``. A path through the root folder or a folder of home folders is reduced to the file
+    name, so that a result that is passed on does not state where its author's files are.
     """
     place, now = os.path.abspath(path), _RECORD.get()
-    folder = os.getcwd()
-    if now is not None:
+    if folder is None and now is not None:
         folder = now.folder
+    folder = os.path.abspath(folder or "")
     if place.startswith(_PACKAGE + os.sep):
         return Path(place).relative_to(os.path.dirname(_PACKAGE)).as_posix()
     try:

@@ -22,6 +22,7 @@ from swimid.files import atomic, provenance, tabular, yamlio
 from swimid.files.provenance import paths_of, sha256
 from swimid.notices import warn
 from swimid.options import explained
+from swimid.reading import name_of
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
@@ -179,14 +180,15 @@ class Result:
         """
         words: dict[str, Any] = {"file": typed(file), "free": _Free(folder)}
         words["data"] = {name: typed(value) for name, value in self.data.items() if isinstance(value, str)}
-        if "{trials}" in self.next_step:
+        step = self.next_step
+        if "{trials}" in step:
             given = self._inputs(folder)
             about = getattr(self.document, "params", None)
             params = [place for name, place in given.items() if Path(name).name == Path(str(about)).name]
-            if not given or ("{params}" in self.next_step and not params):
+            if not given or ("{params}" in step and not params):
                 return ""
             words |= {"trials": typed(next(iter(given.values()))), "params": "".join(map(typed, params[:1]))}
-        return self.next_step.format(**words)
+        return step.format(**words)
 
     def _inputs(self, folder: Path) -> dict[str, str]:
         """Return the path of each YAML file among the inputs of the result from a folder, by its name.
@@ -204,7 +206,10 @@ class Result:
         for base in (Path(), *self.path.absolute().parents):
             files = {name: base / paths.get(name, name) for name in digests}
             if all(file.is_file() and sha256(file) == digests[name] for name, file in files.items()):
-                return {name: os.path.relpath(file, folder) for name, file in files.items()}
+                places = {name: os.path.relpath(file, folder) for name, file in files.items()}
+                # A page does not state a path through the home folder of its author.
+                if all(Path(name_of(file, folder)) == Path(places[name]) for name, file in files.items()):
+                    return places
         return {}
 
     def content(self) -> ev.Evidence:
