@@ -14,6 +14,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -260,12 +261,14 @@ class Trial:
     time_sd_s: float | Array = 0.0
     stamps_uncertain: bool = False
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 of the samples of the trial, which identifies the trial under any name."""
         found = hashlib.sha256(self.time_s.tobytes())
         for name, values in sorted((*self.measured.items(), *self.inputs.items())):
-            found.update(name.encode() + np.asarray(values, dtype=float).tobytes())
+            # Have one pattern of bits for NaN and for 0.
+            same = np.where(np.isnan(values), np.nan, np.asarray(values, dtype=float) + 0.0)
+            found.update(name.encode() + same.tobytes())
         return found.hexdigest()
 
     @property

@@ -759,6 +759,7 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
             cost = step_only.cost if np.isfinite(step_only.cost) else np.inf
             ends.append((cost, step_only.x))
             before, after = (float(np.linalg.norm(rows.along(p - theta))) for p in (start, step_only.x))
+            # A parameter without slope does not move: both distances are 0.
             if cost >= here - material and after >= 0.5 * before:
                 ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
     cost, point = min(ends, key=lambda pair: pair[0])

@@ -154,16 +154,17 @@ class Applied:
     def owner(self, trial: Trial | None) -> str | None:
         """Return the id under which the parameter file has the samples of a trial; None if it has others.
 
-        A name does not identify a trial, because the log of another day may have it. Only in a file of no
-        fit the names are those of the trials.
+        A name does not identify a trial, because the log of another day may have it. If the file comes from
+        no fit, trials are matched by name.
         """
         if trial is None or self.file is None:
             return None
         if self.file.fit is None:
             return trial.id
         known = self.file.fit.samples_sha256
-        same = [name for name, digest in known.items() if digest == trial.digest]
-        return next((name for name in same if name == trial.id), next(iter(same), None))
+        if known.get(trial.id) == trial.digest:
+            return trial.id
+        return next((name for name, digest in known.items() if digest == trial.digest), None)
 
     def _value(self, p: Parameter, trial: str | None) -> float:
         if p.name in self.chosen:
