@@ -299,6 +299,7 @@ def test_rows_out_of_order_are_sorted_and_reported(swimid: Run, tmp_path: Path) 
     ran = swimid("import", tmp_path / "a.csv", "-o", tmp_path / "run.csv", "--json")
     assert ran.json["result"]["rows"] == {
         "unfilled": 0,
+        "misdated": 0,
         "untimed": 1,
         "repeated": 1,
         "clashing": 1,

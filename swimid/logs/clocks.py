@@ -209,11 +209,11 @@ class _Profile:
         The excess of the variance of the score over its information divides the likelihood ratio (Rotnitzky
         and Jewell 1990, doi:10.1093/biomet/77.3.485), because the residuals are correlated.
         """
-        found, half = [], 0.2 * self.period_s
+        found, half, top = [], 0.2 * self.period_s, self(best)
         for start in starts[np.abs(starts - best) > half]:
             bounds = start - half, start + half
             other = optimize.minimize_scalar(lambda shift: -self(shift), bounds=bounds, method="bounded").x
-            if 2 * (self(best) - self(other)) / self.excess < CHI2_99:
+            if 2 * (top - self(other)) / self.excess < CHI2_99:
                 found.append(float(other))
         return tuple(found)
 

@@ -428,7 +428,9 @@ def _take_out(
             for column in columns:
                 if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
                     columns[column] = np.where(out, np.nan, columns[column])
-    empty &= np.isnan([values for column, values in columns.items() if column != TIME]).all(axis=0)
+    for column, values in columns.items():
+        if column != TIME and empty.any():
+            empty &= np.isnan(values)
     if empty.any():
         _keep(columns, ~empty)
 

@@ -541,7 +541,7 @@ def check_not_tiny(values: Array, path: Path, column: str) -> None:
     low, high = _ends(values)
     top, limit, what = max(-low, high), SMALLEST, "no value is larger than"
     if column == TIME:
-        top, limit, what = (high - low) / max(len(values), 1), MIN_STEP_S, "the mean step is"
+        top, limit, what = (high - low) / max(len(values) - 1, 1), MIN_STEP_S, "the mean step is"
     if 0 < top < limit:
         text = f"{what} {top:g}; at least {limit:g} is needed"
         raise InputError(text, file=path, column=column, hint=RESCALE)

@@ -587,9 +587,11 @@ def signed(values: Array, name: str, notes: list[str]) -> Array:
     """
     top = np.max(values, initial=0.0, where=np.isfinite(values))
     bits = next((n for n in (16, 24, 32) if 0.75 * 2**n <= top < 2**n), 0)
+    if not bits or np.nanmin(values) < 0:
+        return values
     found = np.where(values >= 2.0 ** (bits - 1), values - 2.0**bits, values)
     known = found[np.isfinite(found)]
-    if not bits or np.nanmin(values) < 0 or np.any(known % 1) or np.abs(known).max() >= 2.0 ** (bits - 2):
+    if np.any(known % 1) or np.abs(known).max() >= 2.0 ** (bits - 2):
         return values
     low, steps, crosses = known.min(), np.abs(np.diff(known)), np.diff(known < 0)
     usual = max(steps.max(initial=0.0, where=~crosses), min(known.max(), -low))

@@ -20,7 +20,7 @@ from swimid.errors import InputError
 from swimid.logs import foreign
 from swimid.logs.foreign import Format, Options, Peek, Table, axes, choose, is_text, open_table, renamed, rows
 from swimid.logs.foreign.gps import east_north
-from swimid.logs.kinematics import from_frd, with_angles
+from swimid.logs.kinematics import AXES, from_frd, with_angles
 from swimid.logs.log import TIME
 
 #: Column of the log for each field of a message of ArduPilot.
@@ -48,7 +48,10 @@ MAVLINK: dict[str, str] = {
 #: Factors from the units of ArduPilot to SI (degrees to radians, milligauss to tesla), by the ending of the
 #: log column, and from the units that MAVLink states.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
-STATED = {"mG": 9.80665e-3, "mrad/s": 1e-3, "mgauss": 1e-7, "gauss": 1e-4, "cm/s": 1e-2}
+STATED = {
+    **dict.fromkeys(("m", "m/s", "m/s/s", "rad", "rad/s"), 1.0), "mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3,
+    "cm/s": 1e-2, "mG": 9.80665e-3, "mrad/s": 1e-3, "mgauss": 1e-7, "gauss": 1e-4,
+}  # fmt: skip
 #: Fields that state the time, with their factor to seconds. The first that a message has is used.
 _TIMES = {"TimeUS": 1e-6, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 #: Fields of latitude and longitude, with the factor to degrees.
@@ -124,8 +127,12 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     columns = renamed(table, FIELDS)
     for name in columns:
         columns[name] *= next((f for ending, f in FACTORS.items() if name.endswith(ending)), 1.0)
-    stated = {MAVLINK[name]: STATED.get(unit, 1.0) for name, unit in table.units.items() if name in MAVLINK}
-    columns |= {name: values * stated.get(name, 1.0) for name, values in renamed(table, MAVLINK).items()}
+    # A field without a known unit is left out, such as the raw counts of a sensor. Quaternions have no unit.
+    units = {MAVLINK[name]: STATED.get(unit) for name, unit in table.units.items() if name in MAVLINK}
+    for name, values in renamed(table, MAVLINK).items():
+        factor = 1.0 if name in AXES else units.get(name)
+        if factor is not None:
+            columns[name] = values * factor
     yaws = [name for name in columns if "yaw" in name]
     columns |= {name: np.unwrap(np.angle(np.exp(1j * columns[name]))) for name in yaws}
     for (lat, lon), factor in _PLACES.items():
