@@ -304,6 +304,13 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
     return decorate
 
 
+#: Names of the classes that an annotation admits besides those that it names.
+ALSO = {
+    "LogLike": ("str", "Path", "Log", "DataFrame"), "Mapping": ("dict",), "Array": ("ndarray",),
+    "float": ("int",), "None": ("NoneType",),
+}  # fmt: skip
+
+
 @contextmanager
 def explained(function: Callable[..., Any], args: Sequence[Any]) -> Iterator[None]:
     """Convert an exception in the ``with`` block into a :class:`UsageError` if an argument has a wrong type.
@@ -322,8 +329,7 @@ def explained(function: Callable[..., Any], args: Sequence[Any]) -> Iterator[Non
     except Exception as error:
         for name, value in zip(inspect.signature(function).parameters, args, strict=False):
             wanted = set(re.findall(r"\w+", str(inspect.get_annotations(function).get(name, "Any"))))
-            if "LogLike" in wanted:
-                wanted |= {"str", "Path", "Log", "DataFrame"}
+            wanted |= {kind for word in wanted & ALSO.keys() for kind in ALSO[word]}
             several = isinstance(value, list | tuple) and "Sequence" in wanted
             for one in value if several else [value]:
                 kinds = {kind.__name__ for kind in type(one).__mro__}

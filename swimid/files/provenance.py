@@ -197,11 +197,8 @@ def _head(path: Path) -> str:
     """Return the first bytes of a file (:data:`NEAR`) as text.
 
     For a Parquet file that swimid wrote, the text is ``PAR1`` and the metadata of the file as comment lines.
-    For an HDF5 file with the attribute ``made_by``, it is this attribute as a comment line. A folder has no
-    text.
+    For an HDF5 file with the attribute ``made_by``, it is this attribute as a comment line.
     """
-    if path.is_dir():
-        return ""
     with file_errors(path, noted=False), path.open("rb") as stream:
         head = stream.read(NEAR)
     if head.startswith(b"PAR1"):

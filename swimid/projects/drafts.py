@@ -32,7 +32,7 @@ from swimid.robots.file import built_in
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup
 
-#: Name of the log of a recording to which the tables of the same trial are joined.
+#: Option of a plan that names the log to which the tables of the same trial are joined.
 NAMED = {"as": "log"}
 #: Folder of the run of the plan, in the project.
 RUN = "run"
@@ -236,7 +236,7 @@ def pair_groups(groups: list[Group]) -> list[Group]:
     ``swim1_servo.csv`` belongs to ``swim1.mp4`` if each table like it has its film, log or points.
     """
     bases = [group for group in groups if group.first.kind in ("film", "points", "log")]
-    paired: list[Group] = []
+    kept: list[Group] = []
     for group in groups:
         others = [one for base in bases if base is not group for one in base.recordings]
         names = [_namesake(one, others) for one in group.recordings]
@@ -245,18 +245,13 @@ def pair_groups(groups: list[Group]) -> list[Group]:
             for one, other in zip(group.recordings, names, strict=True)
             if other is not None
         }
-        base = next((base for base in bases if names[0] in base.recordings), None)
-        whole = base is not None and all(one in base.recordings for one in names)
-        if (
-            group.first.kind in ("table", "log")
-            and base
-            and whole
-            and len(suffixes) == 1
-            and "" not in suffixes
-        ):
+        base = next((one for one in bases if all(name in one.recordings for name in names)), None)
+        is_table = group.first.kind in ("table", "log")
+        if base is not None and is_table and len(suffixes) == 1 and "" not in suffixes:
             base.companions.append(group)
-            paired.append(group)
-    return [group for group in groups if all(group is not one for one in paired)]
+        else:
+            kept.append(group)
+    return kept
 
 
 def draft(project: Project, groups: list[Group], notes: list[Recording], progress: Progress = silent) -> None:
@@ -410,8 +405,8 @@ def _add_companions(project: Project, group: Group, progress: Progress) -> None:
     """
     joined: list[str] = []
     for companion in group.companions:
-        file, base = companion.first, group.recordings[0]
-        base = _namesake(file, group.recordings) or base
+        file = companion.first
+        base = _namesake(file, group.recordings) or group.recordings[0]
         text = guess_mapping(file.path).document
         columns = tuple(re.findall(r"(?m)^ *- .*target: (\w+)", text))
         if {"ax_m_s2", "wx_rad_s"} <= {*columns}:
@@ -610,8 +605,10 @@ def _keys_of(one: Recording, notes: list[Recording], experiment: str) -> dict[st
                 continue
             for name, (key, factor) in stated.items():
                 value = yamlio.parse_scalar(table.cells[name][number])
+                if isinstance(value, int | float) and factor != 1:
+                    value *= factor
                 if value is not None:
-                    found[key] = value if factor == 1 else float(value) * factor
+                    found[key] = value
     drive = {key: found.pop(key) for key in DRIVE_KEYS if key in found}
     return found | ({"drive": drive} if {"frequency_hz", "amplitude_deg"} <= drive.keys() else {})
 

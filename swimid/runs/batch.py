@@ -42,6 +42,7 @@ class Batch(Result):
     keys = {
         "items": NotRequired[int | list[dict[str, Any]]], "states": NotRequired[dict[str, int]],
         "entries": NotRequired[list[dict[str, Any]]], "jobs": NotRequired[int],
+        "collected": NotRequired[bool],
     }  # fmt: skip
 
     @property

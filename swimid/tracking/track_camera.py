@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -51,10 +50,9 @@ class CameraFile(yamlio.ResultFile):
     #: Standard error of each parameter, by its name in OpenCV.
     standard_errors: dict[str, float]
     pictures: list[str]
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
 class Calibration(FileResult[CameraFile]):
     """Result of ``track_camera``: matrix and distortion of a camera, with their standard errors.
 
