@@ -1014,6 +1014,9 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 #: Minimum number of time windows in which the course is compared with the heading.
 MIN_COURSE_WINDOWS = 8
+#: Minimum fraction of a window from its first to its last sample. Its mean is then free of a sway with the
+#: period of the window, up to a tenth of the amplitude.
+MIN_KNOWN_SPAN = 0.9
 #: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
 #: 1995, JASA 90).
 VERY_STRONG = math.log(150.0)
@@ -1101,25 +1104,31 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
 def _windows(
     time: Array, x: Array, y: Array, heading: Array, window_s: float
 ) -> list[tuple[complex, complex]]:
-    """Return course and mean heading as complex numbers, for each window with more advance than sway.
+    """Return course and mean heading as complex numbers, for each two successive windows.
 
-    The course has the absolute value 1, the heading that of the mean of its unit vectors.
+    The course is the direction from the mean place of a window to that of the next one. A mean over whole
+    strokes is free of the sway, which a line fitted to a single stroke is not. Windows with gaps at their
+    ends are left out, and courses with less advance than sway. The course has the absolute value 1, the
+    heading that of the mean of its unit vectors.
     """
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
     if there.sum() < 3:
         return []
-    time, path, heading = time[there], (x + 1j * y)[there], heading[there]
-    numbers = (time - time[0]) // window_s
-    pairs, order = [], np.argsort(numbers, kind="stable")
+    time, path, facing = time[there], (x + 1j * y)[there], np.exp(1j * heading[there])
+    window_s, step = min(window_s, np.ptp(time) / 2), float(np.median(np.abs(np.diff(time))))
+    numbers = ((time - time[0]) // window_s).astype(int)
+    order = np.argsort(numbers, kind="stable")
+    means: dict[int, tuple[complex, complex, float]] = {}
     for window in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
-        t, place, span = time[window], path[window], np.ptp(time[window])
-        if len(t) < 3 or span < 0.5 * window_s:
-            continue
-        slope, level = np.polyfit(t, place, 1)
-        sway = np.sqrt(np.mean(np.abs(place - slope * t - level) ** 2))
-        mean = np.mean(np.exp(1j * heading[window]))
-        if abs(slope) * span > 2.0 * sway and abs(mean) > 0.5:
-            pairs.append((complex(slope / abs(slope)), complex(mean)))
+        if np.ptp(time[window]) + step > MIN_KNOWN_SPAN * window_s:
+            place, ahead = complex(np.mean(path[window])), complex(np.mean(facing[window]))
+            means[int(numbers[window[0]])] = place, ahead, float(np.std(path[window]))
+    pairs = []
+    for number, (place, ahead, sway) in means.items():
+        later, turned, sway_later = means.get(number + 1, (place, ahead, sway))
+        advance, mean_ahead = later - place, (ahead + turned) / 2
+        if abs(advance) > max(sway, sway_later) and abs(mean_ahead) > 0.5:
+            pairs.append((advance / abs(advance), mean_ahead))
     return pairs
 
 

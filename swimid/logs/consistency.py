@@ -132,8 +132,8 @@ def _of_course(
     seen = compare_course([(time, x, y, yaw)], period_s or long_s)
     if seen is None:
         return []
-    if not seen.mirrored:
-        seen = compare_course([(time, x, y, yaw)], max(long_s, period_s or 0.0)) or seen
+    if not seen.mirrored and period_s:
+        seen = compare_course([(time, x, y, yaw)], period_s * math.ceil(long_s / period_s)) or seen
     gain, text, doubtful, against = 1.0, "", False, "the course of the track"
     advances = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) > MIN_SPEED_M_S * np.ptp(
         time
