@@ -111,6 +111,7 @@ def _beside(path: Path) -> list[Path]:
 # ---------------------------------------------------------------- films
 
 
+@pytest.mark.slow
 def test_a_film_in_memory_is_the_film_on_disk(film: tuple[Path, Path], swimid: Run, tmp_path: Path) -> None:
     video, setup = film
     path = tmp_path / "run.csv"
@@ -145,6 +146,7 @@ def test_a_setup_may_be_a_dictionary(film: tuple[Path, Path], tmp_path: Path) ->
         track_video(video, setup=keys | {"markrs": []})
 
 
+@pytest.mark.slow
 def test_a_wrong_scale_is_told_of_the_film(film: tuple[Path, Path], swimid: Run, tmp_path: Path) -> None:
     """Speeds that no swimmer reaches are warned of, with the film and the column."""
     video, setup = film
@@ -180,6 +182,7 @@ def test_a_saved_track_is_read_back(film: tuple[Path, Path], tmp_path: Path) -> 
     assert read.evidence == made.evidence
 
 
+@pytest.mark.slow
 def test_a_drafted_setup_is_used_as_it_is(film: tuple[Path, Path], swimid: Run, tmp_path: Path) -> None:
     video, _ = film
     ran = swimid("track", "setup", video, "--metres-per-pixel", 0.004, "-o", tmp_path / "s.yaml", "--json")
@@ -260,6 +263,7 @@ def camera() -> pd.DataFrame:
     return pd.read_csv(ROOT / "sample_logs" / "camera" / "polled.csv", sep=";", comment="#")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [{}, {"clean": False}], ids=["cleaned", "raw"])
 def test_an_import_in_memory_is_the_import_on_disk(
     camera: pd.DataFrame, asked: dict[str, Any], swimid: Run, tmp_path: Path
@@ -282,6 +286,7 @@ def test_an_import_in_memory_is_the_import_on_disk(
     assert table.data | {"file": ""} == made.data | {"file": ""}
 
 
+@pytest.mark.slow
 def test_a_table_is_not_changed(camera: pd.DataFrame) -> None:
     before = camera.copy(deep=True)
     made = import_log(camera, map_path=CAMERA)

@@ -256,6 +256,7 @@ def test_displacement_in_millimetres(swimid: Run, rig: Path) -> None:
     warned(ran, "SWM002", ["w10.csv, 'x_m'", "millimetres", "factor of 1000"])
 
 
+@pytest.mark.slow
 def test_time_in_milliseconds(swimid: Run, rig: Path) -> None:
     for path in rig.glob("w*.csv"):
         edited(path, lambda c: [r.__setitem__(0, str(1000 * float(r[0]))) for r in c[1:]] and None)

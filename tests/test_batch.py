@@ -123,6 +123,7 @@ def test_a_second_run_repeats_nothing(lab: Path, swimid: Run) -> None:
     assert stamps(lab / "run") == before
 
 
+@pytest.mark.slow
 def test_a_changed_input_is_done_again(lab: Path, swimid: Run) -> None:
     before = stamps(lab / "run")
     archive.write_log(lab / "logs" / "log0.csv", 7)
@@ -140,6 +141,7 @@ def test_a_touched_input_is_not_done_again(lab: Path, swimid: Run) -> None:
     assert stamps(lab / "run") == before
 
 
+@pytest.mark.slow
 def test_changed_options_leave_no_old_result(lab: Path, swimid: Run) -> None:
     plan = written(lab, PLAN.replace("nb: 1", "nb: 1, as: arx"))
     ran = swimid("batch", plan, "-o", lab / "run", "--json")
@@ -215,6 +217,7 @@ def spoilt(tmp_path: Path, swimid: Run) -> Callable[..., dict[str, Any]]:
     return run
 
 
+@pytest.mark.slow
 def test_a_crash_is_tried_twice_more(spoilt: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     place = tmp_path / "attempts"
     status = spoilt(
@@ -240,6 +243,7 @@ def test_an_item_beyond_its_time_fails_once(spoilt: Callable[..., dict[str, Any]
     assert not [*(tmp_path / "run").rglob("*.lock")]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits private memory")
 def test_an_item_beyond_its_memory_fails(lab: Path, swimid: Run) -> None:
     (lab / "logs/log0.csv").write_text(
@@ -350,6 +354,7 @@ def test_two_groups_with_one_file_need_names(lab: Path, swimid: Run) -> None:
     assert {entry["id"] for entry in ran.json["result"]["items"]} >= {"a_logs_log0.csv", "b_logs_log0.csv"}
 
 
+@pytest.mark.slow
 def test_a_long_file_name_makes_a_short_folder(lab: Path, swimid: Run) -> None:
     shutil.copy(lab / "logs/log0.csv", lab / "logs" / f"{'x' * 240}.csv")
     ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--json")
@@ -390,6 +395,7 @@ def test_shards_and_job_array_do_all_items(lab: Path, swimid: Run) -> None:
     assert sorted(table.state) == ["done", "done", "refused"]
 
 
+@pytest.mark.slow
 def test_an_item_of_another_process_is_left_to_it(lab: Path, swimid: Run) -> None:
     folder = lab / "run/items/logs_log0.csv"
     (folder / "status.json").unlink()

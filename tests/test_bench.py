@@ -135,6 +135,7 @@ def test_reaction_is_that_of_the_closed_form(tmp_path):
         assert found[name] == pytest.approx(force, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_plate_on_a_load_cell(swimid, tmp_path):
     trials = write(tmp_path, np.random.default_rng(7), (0.9, 2.1))
 

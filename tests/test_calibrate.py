@@ -40,6 +40,7 @@ def test_what_cannot_be_seen_may_as_well_be_none() -> None:
     assert only.probability(known) > 0.5
 
 
+@pytest.mark.slow
 def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Path) -> None:
     """Cases whose true effect leaves a tenth of what its rival does, and such as no effect closes."""
     rng = np.random.default_rng(5)

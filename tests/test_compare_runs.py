@@ -43,6 +43,7 @@ def days(folder: Path, rng: np.random.Generator, *, changed: float, count: int =
     return files
 
 
+@pytest.mark.slow
 def test_chance_is_not_a_change(tmp_path: Path, rng: np.random.Generator) -> None:
     """In a family without changes, the probability of any false alarm is the false discovery rate."""
     alarms = 0

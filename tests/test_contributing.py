@@ -97,6 +97,7 @@ def _tested(copy: Path, *names: str) -> str:
     return ran.stdout.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_the_new_command_runs(copy: Path) -> None:
     """Two files make ``swimid fit-glide``, its help and its line in the list of commands."""
     assert _tested(copy, "tests/test_glide_command.py").startswith("2 passed")

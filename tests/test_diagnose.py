@@ -326,6 +326,7 @@ def test_only_the_effects_asked_for_are_tried(rig: tuple[Path, Path]) -> None:
     assert result["as_given"] == compared.json["result"]["channels"]
 
 
+@pytest.mark.slow
 def test_a_validation_trial_that_is_not_predicted_is_reported(tmp_path: Path) -> None:
     """Drops without a gap, one of them, held out, with a tape that is 2 % long; and a single drop."""
     shutil.copytree(SAMPLES / "rig", tmp_path / "rig")

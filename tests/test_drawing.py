@@ -164,6 +164,7 @@ def _empty() -> Figure:
     return Figure(id="f", title="t", caption="c", panels=[Panel(x_label="x", y_label="y")])
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_pictures() -> None:
     """``plot`` at the end of a cell gives an image, as it does for a user of Jupyter."""
     cells = [

@@ -146,6 +146,7 @@ class TestRecovery:
             assert file.fit.noise[channel]["value_sd"] == pytest.approx(sd, rel=4 / np.sqrt(2 * 903))
             assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.2)
 
+    @pytest.mark.slow
     def test_the_known_sum_of_the_frictions(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(), RATES, seed=2))
         assert [n for n in FRICTIONS if file.parameters[n].status != "unidentifiable"] == []
@@ -238,6 +239,7 @@ class TestChoices:
 
 
 class TestTrialsThatDisagree:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "noise", [RATES, pytest.param(POSE, marks=pytest.mark.slow)], ids=["rates", "pose"]
     )
@@ -268,6 +270,7 @@ class TestLogs:
         assert len(off) >= 6
         assert max(map(abs, off.values())) < 4, off
 
+    @pytest.mark.slow
     def test_commanded_joints_move_the_fish_if_none_is_measured(self, swimid: Swimid, tmp_path: Path) -> None:
         runs = []
         for run in _runs(shared=True):
@@ -351,6 +354,7 @@ class TestLogs:
             # 200 samples, 8 numbers of its own
             assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.25)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("late_s", [0.037, -0.037])
     def test_a_clock_with_an_offset(self, swimid: Swimid, tmp_path: Path, late_s: float) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
@@ -364,6 +368,7 @@ class TestLogs:
         off = _deviations(file, SHARED)
         assert max(map(abs, off.values())) < 3, off
 
+    @pytest.mark.slow
     def test_a_turned_camera(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
 
@@ -382,6 +387,7 @@ class TestLogs:
         off = _deviations(file, SHARED)
         assert max(map(abs, off.values())) < 3, off
 
+    @pytest.mark.slow
     def test_a_drive_that_starts_at_another_phase(self, swimid: Swimid, tmp_path: Path) -> None:
         early = replace(swimmer.tfish(SHARED), lag=np.full(4, -0.4))
         runs = list(_runs(shared=True)[:2])
@@ -455,6 +461,7 @@ def _stopping(at: int) -> Callable[..., Any]:
 
 
 class TestInterrupted:
+    @pytest.mark.slow
     def test_a_fit_continues_from_the_best_point(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         whole = _fit(swimid, trials, "--share", "c_f")
@@ -475,6 +482,7 @@ class TestInterrupted:
             if e.stderr:
                 assert file.value(name) == pytest.approx(e.value, abs=0.02 * e.stderr)
 
+    @pytest.mark.slow
     @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send Ctrl-C to one process")
     def test_a_signal_interrupts_a_fit(self, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
@@ -541,6 +549,7 @@ class TestWrongModels:
                 assert result.value("c_Ia") == pytest.approx(swimmer.TFISH["c_Ia"], rel=0.2)
         assert spent["wrong"] < 3 * spent["right"]
 
+    @pytest.mark.slow
     def test_an_unfinished_result_is_written(self, swimid: Swimid, tmp_path: Path) -> None:
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "--max-iterations", "3", "-o", out)
@@ -572,6 +581,7 @@ class TestWrongModels:
 
 
 class TestBrokenSimulations:
+    @pytest.mark.slow
     def test_broken_simulations_do_not_stop_the_search(self, swimid: Swimid, tmp_path: Path) -> None:
         """These bounds allow links without mass, and negative drag."""
         trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
@@ -586,6 +596,7 @@ class TestBrokenSimulations:
         ]
         assert len(starts.rows) == 4
 
+    @pytest.mark.slow
     def test_a_fit_from_an_absurd_start(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
         file = _fit(swimid, trials, "--share", "c_f")
@@ -655,6 +666,7 @@ class TestBadInput:
 
 
 class TestDolphin:
+    @pytest.mark.slow
     def test_nine_coefficients(self, swimid: Swimid, tmp_path: Path) -> None:
         truth = {"c_m0": 0.4, "c_m1": 0.3, "c_m2": 0.2, "c_d0": 2.0, "c_d1": 3.2, "c_d2": 5.0, "c_f1": 0.05}
         noise = {"x_m": 0.005, "z_m": 0.005, "pitch_rad": np.radians(1.0), "joint3_rad": np.radians(1.0)}

@@ -158,6 +158,7 @@ class TestLog:
 
 
 class TestYaml:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "text, words",
         [

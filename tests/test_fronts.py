@@ -190,6 +190,7 @@ def test_an_interrupted_command_resumes_to_the_same_front(
     assert not (tmp_path / "p.yaml.partial").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_hybrid_ends_with_least_squares(swimid: Run, tmp_path: Path) -> None:
     trials, out = _trials(tmp_path), tmp_path / "p.yaml"

@@ -66,6 +66,7 @@ def _read_mutations(valid: Path, read: Callable[[Path], object]) -> None:
     run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_mutated_files(kind: str, folder: Path) -> None:
     name, make, _, _ = FILES[kind]
@@ -97,6 +98,7 @@ def test_mutated_files_of_profiles(
     _read_mutations(folder / name, read)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".mcap", ".ulg", ".h5", ".c3d", ".xlsx"])
 def test_arbitrary_files(ending: str, folder: Path) -> None:
     path = folder / f"y{ending}"

@@ -30,6 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_the_sound_files(swimid: Callable[..., Ran], folder: Path) -> None:
     """First, so that what is compiled at its first use is no hang later."""
     for more in ([], ["--with", folder / "camera.csv"]):
@@ -50,6 +51,7 @@ def test_a_mutated_recording(swimid: Callable[..., Ran], folder: Path) -> None:
     run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["imu.csv", "imu-q.csv", "camera.csv"])
 def test_odd_cells(name: str, swimid: Callable[..., Ran], folder: Path) -> None:
     rows = [line.split(",") for line in (folder / name).read_text().splitlines()]

@@ -44,6 +44,7 @@ class TestThreeFrictions:
             f"c_f0, c_f13 and c_f4 cannot be separated by these trials; known is {sum_.text}"
         ]
 
+    @pytest.mark.slow
     def test_the_error_of_the_sum_is_that_of_repeated_experiments(self) -> None:
         repeats = 100
         sums = [idn.combinations(_fit(seed))[0] for seed in range(repeats)]

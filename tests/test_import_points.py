@@ -114,6 +114,7 @@ def test_warnings_name_points_and_frames(swimid: Run, tmp_path: Path) -> None:
     assert "3 exchanged, 1 stray" in ran.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pair", "share"), [(("hip", "tip"), 0.7), pytest.param(("snout", "back"), 1.0, marks=pytest.mark.slow)]
 )
@@ -173,6 +174,7 @@ def test_a_bend_that_the_points_leave_open_is_empty(imported: Imported, tmp_path
         assert np.abs(errors[name][known]).max() < 6, name
 
 
+@pytest.mark.slow
 def test_a_mirrored_picture_is_bad(swimid: Run, tmp_path: Path) -> None:
     made = point_films.film(seed=47, frames=200)
     made.row = 1500.0 - made.row
@@ -184,6 +186,7 @@ def test_a_mirrored_picture_is_bad(swimid: Run, tmp_path: Path) -> None:
     assert "the picture is mirrored" in ran.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.0, 0.15])
 def test_perspective_is_named(tilt: float, imported: Imported, tmp_path: Path) -> None:
     """A picture whose scale changes from one side to the other, and one whose scale does not."""
@@ -206,6 +209,7 @@ def test_the_noise_follows_the_likelihood(imported: Imported, tmp_path: Path) ->
     _check_coverage(_errors(record, made))
 
 
+@pytest.mark.slow
 def test_a_wrong_place_is_named(swimid: Run, imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(seed=11, frames=300)
     wrong = dict(PLACES) | {"gill": ("head", -0.11, -0.04), "hip": ("tail1", -0.015, 0.018)}
@@ -226,6 +230,7 @@ def test_a_wrong_place_is_named(swimid: Run, imported: Imported, tmp_path: Path)
     assert "snout and gill" in result["verdict"]["text"]
 
 
+@pytest.mark.slow
 def test_a_wrong_scale_is_named(imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(seed=11, frames=300)
     stated = "scale: {metres_per_pixel: 0.00068}"  # 2 % too large
@@ -301,6 +306,7 @@ def test_two_points_give_a_heading(imported: Imported, tmp_path: Path) -> None:
     assert "joint1_rad" not in record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "stated",
     [
@@ -323,6 +329,7 @@ def test_stated_scales(stated: str, imported: Imported, tmp_path: Path) -> None:
     assert not [one for one in result["points"]["distances"] if one["wrong"]]
 
 
+@pytest.mark.slow
 def test_places_are_calibrated(imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(seed=29, frames=300, noise_px=0.3)
     rng = np.random.default_rng(4)
@@ -345,6 +352,7 @@ def test_places_are_calibrated(imported: Imported, tmp_path: Path) -> None:
 HINGES = {name: PLACES[name] for name in ("snout", "hip", "knee", "heel", "tip")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("places", "degrees", "weak"),
     [

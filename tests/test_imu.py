@@ -104,6 +104,7 @@ def test_the_steps_of_the_paper(mode: Literal["marching", "receding", "rotating"
 # ---------------------------------------------------------------- simulated runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quaternions", [False, True])
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_smoother_is_three_times_as_good_as_the_paper(
@@ -175,6 +176,7 @@ def test_surge_within_a_stroke_needs_no_rest(
     assert np.std(found.u_osc_m_s[middle] - true[middle]) < 0.15 * np.std(true[middle])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stated", "wrong"), [(1.2, False), (1.8, True)])
 def test_a_stated_stroke_frequency_is_checked(
     stated: float, wrong: bool, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
@@ -194,6 +196,7 @@ def test_a_stated_stroke_frequency_is_checked(
     assert ("SWM032" in [w["code"] for w in ran.json["warnings"]]) is wrong
 
 
+@pytest.mark.slow
 def test_mounting_by_option_and_by_rest(
     swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
 ) -> None:
@@ -217,6 +220,7 @@ def test_mounting_by_option_and_by_rest(
         assert tilt <= largest
 
 
+@pytest.mark.slow
 def test_a_lever_is_subtracted(swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator) -> None:
     """The reference point 0.2 m behind the sensor sways with the yaw rate."""
     run = imu.marching(rng, errors=imu.QUIET)

@@ -148,6 +148,7 @@ def test_equal_clocks_raise_no_warning(swimid: Callable[..., Ran], tmp_path: Pat
 # ---------------------------------------------------------------- fusing
 
 
+@pytest.mark.slow
 def test_the_band_grows_in_a_gap_of_the_camera(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     """The camera sees nothing for 3 s in mid swim, half a robot's way."""
     rng = np.random.default_rng(6)
@@ -212,6 +213,7 @@ def test_mounting_and_lever_from_three_angles(swimid: Callable[..., Ran], tmp_pa
     assert swimid("track", "imu", flipped, "--with", seen, "-o", tmp_path / "x.csv").status in (3, 4)
 
 
+@pytest.mark.slow
 def test_logs_of_two_trials_are_refused(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     rng = np.random.default_rng(9)
     run = imu.marching(rng)
@@ -339,6 +341,7 @@ def test_velocity_between_fixes_two_seconds_apart(
     assert theirs >= 3 * ours
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stray", [-9999.0, 3.0])
 def test_a_stray_fix_is_removed(swimid: Callable[..., Ran], tmp_path: Path, stray: float) -> None:
     """One mark for "no sample", or one wrong blob, among the camera's positions."""

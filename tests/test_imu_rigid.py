@@ -114,6 +114,7 @@ def test_a_rest_in_which_it_turns_is_refused(swimid: Callable[..., Ran], tmp_pat
     assert "10 to 14 s" in ran.err
 
 
+@pytest.mark.slow
 def test_a_stated_rest_in_mid_swim_is_not_used(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     """Declared while the robot swims a circle and beats: it turns there against its true rests."""
     run = rigid.swim(np.random.default_rng(0), unit=rigid.Unit(), swim_s=12.0)
@@ -126,6 +127,7 @@ def test_a_stated_rest_in_mid_swim_is_not_used(swimid: Callable[..., Ran], tmp_p
     assert [p["used_as_rest"] for p in result["still_periods"]] == [True, True]
 
 
+@pytest.mark.slow
 def test_impossible_samples_are_empty(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     """A robot said never to exceed 4 cm/s swims at 30."""
     run = rigid.swim(np.random.default_rng(2), unit=rigid.Unit(), swim_s=6.0)
@@ -141,6 +143,7 @@ def test_impossible_samples_are_empty(swimid: Callable[..., Ran], tmp_path: Path
     assert swimid("report", tmp_path / "run.csv", "-o", tmp_path / "report.html").status == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fused", [False, True], ids=["alone", "camera"])
 def test_of_an_impossible_motion_only_the_attitude_is_written(
     fused: bool, swimid: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -160,6 +163,7 @@ def test_of_an_impossible_motion_only_the_attitude_is_written(
 # ---------------------------------------------------------------- rests of sensors as they are sold
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_true_rests_agree_with_a_poor_sensor(seed: int, swimid: Callable[..., Ran], tmp_path: Path) -> None:
     run = rigid.stop_and_go(np.random.default_rng(seed), unit=rigid.POOR, legs=2)
@@ -194,6 +198,7 @@ def test_a_chip_that_warms_up_keeps_its_rests(swimid: Callable[..., Ran], tmp_pa
 # ---------------------------------------------------------------- a camera on the same clock
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("yaw_sd", "unit"),
     [(0.005, rigid.Unit()), pytest.param(None, rigid.CHEAP, marks=pytest.mark.slow)],

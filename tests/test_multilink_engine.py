@@ -314,6 +314,7 @@ class TestTendonFish:
         np.testing.assert_allclose(turned[:, 2], 0.7 + straight[:, 2], atol=1e-12)
         np.testing.assert_allclose(turned[:, 3:], straight[:, 3:], atol=1e-12)
 
+    @pytest.mark.slow
     def test_finite_differences_are_smooth(self) -> None:
         """One-sided differences with steps of 1e-6 agree with extrapolated central ones by column."""
         times = np.linspace(0.0, 10.0, 501)

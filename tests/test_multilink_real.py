@@ -220,6 +220,7 @@ class TestDoublePendulum:
 
 
 class TestFishBeat:
+    @pytest.mark.slow
     def test_the_beat_differs_from_the_stated_one(self, real_data: Path) -> None:
         """The authors' scripts say 1 Hz; straight runs beat at 2.0 Hz, biased ones at 1.85 to 2.4 Hz."""
         runs = real_logs.read_fish(real_data)

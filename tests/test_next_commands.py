@@ -85,6 +85,7 @@ def test_names_are_quoted(swimid: Run, folder: Path, name: str) -> None:
     assert not Path("pwned").exists()
 
 
+@pytest.mark.slow
 def test_a_page_has_the_paths_from_its_own_folder(
     swimid: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

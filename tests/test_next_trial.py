@@ -183,6 +183,7 @@ def test_a_shorter_tank_shortens_the_drop(drops: Path) -> None:
         assert drop(fitted(drops, law)[0], mass, log.time_s, law)[-1] <= 0.82
 
 
+@pytest.mark.slow
 def test_a_tank_that_is_too_short_is_said_and_no_file_is_written(drops: Path) -> None:
     options = ("--effects", "pulley-friction,drag-reynolds", "--tank-length-m", "0.001")
     file, ran = diagnosed(drops, "tiny", *options)
@@ -213,6 +214,7 @@ def test_detection_power_has_no_next_trial(drops: Path, swimid: Run) -> None:
     assert "--next" in ran.err
 
 
+@pytest.mark.slow
 def test_no_trial_is_proposed_for_exact_twins(tmp_path: Path) -> None:
     """Viscous friction of the pulley and linear drag are one force."""
     lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]

@@ -61,6 +61,7 @@ def test_an_imitated_effect_is_detected_if_it_is_large(of_the_rig: pd.DataFrame)
     assert absorbed["start-offset"] < 0.9
 
 
+@pytest.mark.slow
 def test_more_noise_hides_more(tmp_path: Path, of_the_rig: pd.DataFrame) -> None:
     """Twice the noise, twice the size: of an effect that is linear in it."""
     rng = np.random.default_rng(8)

@@ -70,6 +70,7 @@ def test_films_become_a_setup_and_logs(project, swimid: Run) -> None:
     assert [len(log.read(folder / name)) for name in logs] == [60] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("films", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_tables_of_a_tracker_become_pose_and_joints(project, swimid: Run, films: bool) -> None:
     folder, found = project(lambda lab: lab_folders.tracked(lab, films=films), "--robot", "tfish")
@@ -117,6 +118,7 @@ def test_chain_of_a_body_without_a_robot(project, swimid: Run) -> None:
     done(swimid, folder, {"fish1DLC_resnet50", "fish2DLC_resnet50"})
 
 
+@pytest.mark.slow
 def test_rig_logs_with_a_table_of_masses_are_fitted(project, swimid: Run) -> None:
     folder, found = project(lab_folders.rig, "--robot", "boxfish", "--experiment", "falling-weight")
     assert found["questions"] == []

@@ -167,6 +167,7 @@ def test_figures_follow_the_page(mixture: Path) -> None:
     assert "@page" in text
 
 
+@pytest.mark.slow
 def test_bare_log_shows_its_gaps(mixture: Path) -> None:
     """A log without evidence: channels over time with each gap shaded, and SWM050."""
     figure = load_result(mixture.parent / "bare.csv").content().figures[0]

@@ -57,6 +57,7 @@ def _parts() -> tuple[str, str]:
     return first, "## What estimation gains over tuning by hand" + rest
 
 
+@pytest.mark.slow
 def test_what_the_page_claims_holds(script: ModuleType) -> None:
     claims = script.checks()
     assert len(claims) == 3

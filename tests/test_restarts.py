@@ -122,6 +122,7 @@ def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
     assert counted[0] - 2 * once < once
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
     """The likelihood of the answer is at least that of the truth, which is within four standard errors."""
@@ -146,6 +147,7 @@ def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
     assert found.noise["x_m"].value_sd == pytest.approx(1e-4, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path) -> None:
     experiment = rig_experiment.load(generator.write_slide(tmp_path, np.random.default_rng(3)))
     choices = chosen(

@@ -140,6 +140,7 @@ def test_a_value_outside_the_bounds_is_wrong_usage(swimid: Run, samples: Path) -
     assert "lies between 0 and 5" in ran.err
 
 
+@pytest.mark.slow
 def test_a_release_between_two_samples_leaves_the_damping_right(swimid: Run, tmp_path: Path) -> None:
     """The last sample before the release is no sample of the decay, also in a log of few samples."""
     inertia, stiffness, linear, quadratic = 0.003, 0.3, 0.001, 0.0004

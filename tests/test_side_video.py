@@ -62,6 +62,7 @@ def test_the_robot_file_names_the_markers_of_the_film():
     assert robot.read("sealion").marker_places("vertical") == {"front": FRONT, "rear": REAR}
 
 
+@pytest.mark.slow
 def test_each_cycle_of_the_stroke_is_measured(starboard):
     """Speeds, pitch, its rates and the way made in each cycle: within 3 % of each."""
     _, log, _ = starboard

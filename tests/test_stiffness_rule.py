@@ -41,6 +41,7 @@ def two() -> RuleFile:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_optima_agree_with_a_scan_over_the_stiffness(rule: StiffnessRule) -> None:
     scan = np.linspace(0.1, 2.0, 96)
     for one in rule.file.optima[1:4:2]:

@@ -25,6 +25,7 @@ def _write(path: Path, made: Polled, head: str = "") -> None:
         writer.writerows(made.rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_speed_within_two_percent(seed: int, swimid: Run, tmp_path: Path) -> None:
     made = polled(seed)

@@ -114,6 +114,7 @@ def test_a_block_on_a_ramp_gives_its_acceleration(tmp_path):
     assert found["stroke_frequency"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [5, 7, 9])
 def test_a_whole_marker_is_not_reported_as_hidden(tmp_path, radius):
     """Pixel phase and codec change the area, in single frames by six standard deviations."""

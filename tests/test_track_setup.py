@@ -75,6 +75,7 @@ def test_a_track_within_its_noise_is_bad(tmp_path):
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "bad"
 
 
+@pytest.mark.slow
 def test_a_motionless_thing_in_front_of_a_swaying_camera_is_not_proposed(tmp_path):
     """A buoy that moves with the whole scene is rejected, and both commands warn of the camera."""
     floor = tuple(
@@ -208,6 +209,7 @@ def test_eight_markers_of_one_colour_need_no_tail(tmp_path):
     assert "yaw_rad" not in log
 
 
+@pytest.mark.slow
 def test_picks_of_one_name_are_equal_markers(tmp_path):
     """Two discs on one fish become head and tail; with two courses there is no tail."""
     fish = clutter.straight(60, 118, 60, 0)

@@ -106,6 +106,7 @@ def test_pictures_of_unequal_density_are_named(tracked: Callable[..., Ran], tmp_
 # ---------------------------------------------------------------- films that are incomplete
 
 
+@pytest.mark.slow
 def test_a_cut_film_is_a_caution(tracked: Callable[..., Ran], tmp_path: Path) -> None:
     film = Film((Disc(straight(40, 120, 60)),), duration_s=2.0)
     path = write(tmp_path / "a.avi", film.frames(), "mjpeg", "yuvj420p", Fraction(1))
@@ -116,6 +117,7 @@ def test_a_cut_film_is_a_caution(tracked: Callable[..., Ran], tmp_path: Path) ->
     assert "of 60 frames could be decoded" in ran.json["verdict"]["text"]
 
 
+@pytest.mark.slow
 def test_a_series_with_missing_pictures_is_a_caution(tracked: Callable[..., Ran], tmp_path: Path) -> None:
     film, folder = Film((Disc(straight(40, 120, 60)),), duration_s=2.0), tmp_path / "pictures"
     folder.mkdir()
@@ -148,6 +150,7 @@ def test_a_second_moving_object_is_named(others: int, tracked: Callable[..., Ran
 # ---------------------------------------------------------------- choice of head and tail
 
 
+@pytest.mark.slow
 def test_the_rigid_pair_of_three_markers_is_chosen(swimid: Run, tmp_path: Path) -> None:
     """The marker on the fin is the largest; its distance to the others changes with every stroke."""
 

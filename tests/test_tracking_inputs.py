@@ -86,6 +86,7 @@ def test_a_cut_recording_is_tracked_up_to_the_cut(tmp_path, setup, film):
     assert 20 < len(rows) < 90
 
 
+@pytest.mark.slow
 def test_a_film_damaged_in_the_middle_gives_a_log_or_a_refusal(tmp_path, setup, film):
     """Overwritten bytes never cause a crash or messages of FFmpeg."""
     rng = np.random.default_rng(4)

@@ -72,6 +72,7 @@ def test_the_green_ball_is_found_only_when_it_is_visible(tmp_path, proposed):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("proposed", [False, True])
 @pytest.mark.parametrize("name, acceleration", [("R1.MP4", 340), ("R3.MP4", 773)])
 def test_the_block_on_a_ramp_has_its_published_acceleration(tmp_path, name, acceleration, proposed):

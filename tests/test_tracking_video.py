@@ -156,6 +156,7 @@ def test_the_overlay_is_a_film_of_the_same_length(pool):
     assert count == len(log)
 
 
+@pytest.mark.slow
 def test_a_variable_frame_rate_is_read_from_the_stamps(tmp_path):
     """Times equal the stamps to a tick, speeds are right, and a warning is given."""
     scene = Scene(duration_s=2.5, dropout_s=None, variable_rate=True)
@@ -173,6 +174,7 @@ def test_a_variable_frame_rate_is_read_from_the_stamps(tmp_path):
     assert "SWM043" not in even.output
 
 
+@pytest.mark.slow
 def test_equal_markers_keep_their_names_through_a_crossing(tmp_path):
     """Two robots of the same colours cross, and every marker keeps its name."""
     scene = pool_video.crossing()
@@ -260,6 +262,7 @@ def test_the_vertical_plane_has_z_and_pitch(tmp_path, plain, by_hand):
     assert list(names[:7]) == ["t_s", "x_m", "z_m", "pitch_rad", "u_m_s", "w_m_s", "pitch_rate_rad_s"]
 
 
+@pytest.mark.slow
 def test_a_proposed_setup_tracks_as_accurately_as_one_by_hand(tmp_path, plain, by_hand):
     """From the film alone both markers and the right head are found, with the same accuracy in pixels."""
     video, _ = plain

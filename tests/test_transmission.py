@@ -193,6 +193,7 @@ def test_a_logged_actuator_moves_its_joints_as_logged_joints_do(column: str, tmp
         assert np.max(np.abs(followed[name] - expected[name])) < 1e-3 * size, name
 
 
+@pytest.mark.slow
 def test_a_table_on_a_line_equals_a_ratio(tmp_path: Path) -> None:
     pose = {name: truth()[name] for name in ("t_s", "x_m", "y_m", "yaw_rad")}
     lines = [[[x, ratio * x] for x in (-40.0, -3.0, 10.0, 40.0)] for ratio in RATIOS]

@@ -77,6 +77,7 @@ class TestRule:
             package.optimise_stiffness(robot="dolphin", coefficient="c_d2", **RULE)
 
 
+@pytest.mark.slow
 def test_the_goal_has_an_interval(tmp_path: Path) -> None:
     """It has the percentiles of single runs of the best gait with the same draws."""
     path = parameters(tmp_path, {"c_d2": 0.8})

@@ -191,6 +191,7 @@ def test_a_counter_that_wraps(
     assert result["median_rate_hz"] == pytest.approx(10, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_local_time_that_steps_by_an_hour(case: Case, imported: Any, drafted: Any, swimid: Run) -> None:
     case("c-28-counter-wraps-and-dst")
     drafted("d04_dst_back.csv")

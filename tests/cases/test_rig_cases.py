@@ -145,6 +145,7 @@ def test_a_body_towed_backwards(case: Case, swimid: Run) -> None:
     assert "SWM110" not in ran.err
 
 
+@pytest.mark.slow
 def test_a_decay_whose_swings_a_creep_hides_is_fitted(case: Case, swimid: Run) -> None:
     """A programmed spring of 15 kN/m. The body is still pushed before its first extreme, at 4 ms."""
     folder = case("t4-decay-of-quarter-damping-refused")
