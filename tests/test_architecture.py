@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -55,13 +56,16 @@ def _imported(tree: ast.AST) -> set[str]:
     return names
 
 
-GRAPH = {name: _imported(ast.parse(path.read_text(encoding="utf-8"))) for name, path in MODULES.items()}
+@cache
+def _graph() -> dict[str, set[str]]:
+    """The modules that each module imports."""
+    return {name: _imported(ast.parse(path.read_text(encoding="utf-8"))) for name, path in MODULES.items()}
 
 
 @pytest.mark.parametrize("name", [name for name in MODULES if name.count(".") > 1])
 def test_imports_run_one_way(name: str) -> None:
     package = name.split(".")[1]
-    for other in GRAPH[name] - {"swimid"}:
+    for other in _graph()[name] - {"swimid"}:
         target = other.split(".")[1]
         assert target == package or LEVEL[target] < LEVEL[package], f"{name} may not import {other}"
 
@@ -74,7 +78,7 @@ def test_every_package_is_in_the_table() -> None:
 
 def test_no_modules_import_each_other_in_a_cycle() -> None:
     # a package imports its modules where it lists them
-    graph = {name: {o for o in others if not name.startswith(f"{o}.")} for name, others in GRAPH.items()}
+    graph = {name: {o for o in others if not name.startswith(f"{o}.")} for name, others in _graph().items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +33,17 @@ def _read(
     return True
 
 
-def _import(rng: np.random.Generator, folder: Path, valid: bytes, name: str, topic: str) -> bool:
+def _import(
+    rng: np.random.Generator, folder: Path, make: Callable[[Path], object], name: str, topic: str
+) -> bool:
     path = folder / name
-    path.write_bytes(mutated(valid, rng, PIECES))
+    path.write_bytes(mutated(_made(name, make), rng, PIECES))
     open_table(path, select=topic or None)
     mapping.apply(None, path, {"select": topic} if topic else {})
     return True
 
 
+@cache
 def _made(name: str, make: Callable[[Path], object]) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         make(Path(folder) / name)
@@ -72,7 +75,7 @@ ATTACKS = [
         for name, (ending, read, valid) in FORMATS.items()
     ),
     *(
-        Attack(f"import: {name}", partial(_import, valid=_made(name, make), name=name, topic=topic))
+        Attack(f"import: {name}", partial(_import, make=make, name=name, topic=topic))
         for name, make, topic in FOREIGN
     ),
     Attack("plan: trials", partial(_plan, valid=(SAMPLES / "rig" / "trials.yaml").read_bytes())),
