@@ -70,9 +70,9 @@ LONG_STEP, MAX_STEP_S = 1.6, 2.0
 MIN_JITTER = 0.05
 #: Maximum deviation of the norm of a valid quaternion from 1.
 QUATERNION_TOL = 0.05
-#: Deviation of a single reading from the running median, divided by the deviation that four of five readings
-#: in the same second, and the two beside it, do not exceed, above which the reading is corrupt. Noise with
-#: Laplace's heavy tails reaches it once in 10^7 readings.
+#: Ratio of two deviations from the running median, above which a reading is corrupt: that of the reading, and
+#: that of its surroundings. The latter is exceeded by a fifth of the readings in the same second, and by
+#: neither neighbour. Noise with a Laplace distribution reaches the ratio once in 10^7 readings.
 GLITCH = 10.0
 #: Deviation of a single turn rate from the running median, divided by the range of the running median, above
 #: which no motion causes it. In a real recording of a hand-held sensor at 1 kHz it is 2.3 at most.
@@ -129,29 +129,28 @@ def find_samples(
 
     def test(record: Record) -> tuple[Record, Finding | None]:
         bad = np.column_stack([is_bad(record, values) for values in record.channels.T])
-        if not bad.any():
-            return record, None
         share, sizes = bad.mean(axis=0), np.abs(np.nan_to_num(record.channels)) * bad
         worst = int(np.argmax(share))
         if share[worst] > max_share:
             said = f"{100 * share[worst]:.1f} % of the samples {text.format(largest=sizes[:, worst].max())}"
             raise InputError(said, file=record.name, column=CHANNELS[worst], hint=hint)
-        names = ", ".join(np.array(CHANNELS)[bad.any(axis=0)])
-        count = int(bad.any(axis=1).sum())
-        said = f"{count} samples in {names} {text.format(largest=sizes.max())}, interpolated"
-        values = record.channels
-        for column, hole in zip(values.T, bad.T, strict=True):
-            if hole.any() and not hole.all():
-                column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
-        fixed = replace(
-            record,
-            acceleration=values[:, :3],
-            rate=values[:, 3:],
-            filled=record.filled | bad.reshape(-1, 2, 3).any(axis=2),
-        )
-        return fixed, Finding(name, "handled", said, count)
+        return interpolated(record, bad, name, text.format(largest=sizes.max()))
 
     return test
+
+
+def interpolated(record: Record, bad: Flags, name: str, text: str) -> tuple[Record, Finding | None]:
+    """Return a record whose bad samples, flags of shape (n, 6), are interpolated, and a finding on them."""
+    if not bad.any():
+        return record, None
+    values, count = record.channels, int(bad.any(axis=1).sum())
+    for column, hole in zip(values.T, bad.T, strict=True):
+        if hole.any() and not hole.all():
+            column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
+    filled = record.filled | bad.reshape(-1, 2, 3).any(axis=2)
+    fixed = replace(record, acceleration=values[:, :3], rate=values[:, 3:], filled=filled)
+    said = f"{count} samples in {', '.join(np.array(CHANNELS)[bad.any(axis=0)])} {text}, interpolated"
+    return fixed, Finding(name, "handled", said, count)
 
 
 def is_wild(_: Record, values: Array) -> Flags:
@@ -237,16 +236,13 @@ def find_glitches(record: Record) -> tuple[Record, Finding | None]:
     rates are interpolated in any case.
     """
     name, text = "corrupt readings", "differ from the readings around them"
-    fixed, found = find_samples(name, is_glitch, 1.0, text)(record)
-    bad = (fixed.channels != record.channels).any(axis=1)
-    if any(bad[rest.rows].any() for rest in recording.find_rests(fixed)):
+    bad = np.column_stack([is_glitch(record, values) for values in record.channels.T])
+    fixed, found = interpolated(record, bad, name, text)
+    if found is None or any(bad[rest.rows].any() for rest in recording.find_rests(fixed)):
         return fixed, found
     ranges = np.ptp(median_filter(record.rate, size=(WINDOW, 1), mode="nearest"), axis=0)
     far = np.abs(fixed.rate - record.rate) > MAX_JERK * ranges
-    if not far.any():
-        return record, None
-    left_out = replace(record, rate=np.where(far, np.nan, record.rate))
-    return find_samples(name, lambda _, values: np.isnan(values), 1.0, text)(left_out)
+    return interpolated(record, np.hstack([np.zeros_like(far), far]), name, text)
 
 
 def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: str) -> Test:

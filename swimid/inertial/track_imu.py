@@ -560,9 +560,9 @@ def _motion_tests(run: Run) -> Iterator[Test]:
 
 
 def _gyroscope_scale(fused: Estimate) -> tuple[str, float, float]:
-    """Return the name of the axis whose scale the other log determines best, the reading over the true rate.
+    """Return the gyroscope axis whose scale the other log determines best, its factor, and the factor's sd.
 
-    The last value is the standard deviation of this factor.
+    The factor is the reading of this axis divided by the true turn rate.
     """
     part = smoother.PARTS["rate_scale"]
     variances = np.diag(fused.smoothed.errors.covariance[-1])[part].reshape(3, 3).diagonal()

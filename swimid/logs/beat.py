@@ -220,7 +220,7 @@ def find_beats(
         and beat.share > MIN_MAIN_SHARE
         and beat.cycles > 1.5 * MIN_CYCLES
     ]
-    slow = find_slow_motion(t, x) if lowest_hz is None else None
+    slow = _slow_motion(t, x) if lowest_hz is None else None
     if has_levels(x):
         # Remove beats that are harmonics of jumps between levels. A signal with jumps has harmonics of any
         # order, but at most half as many cycles as jumps.
@@ -267,7 +267,7 @@ def _active_part(values: Array) -> tuple[int, int]:
     return int(moves[0]), int(moves[-1]) + lag + 1
 
 
-def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
+def _slow_motion(time_s: Array, values: Array) -> Beat | None:
     """Return a channel's strongest motion if it is periodic but has too few cycles for a beat; else None.
 
     Parameters
@@ -901,7 +901,7 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
             about = place - np.polynomial.polynomial.polyval(time_s, line).T
             axis = np.linalg.svd(about[there], full_matrices=False)[2][0]
             signals["the track"] = about @ axis
-    found = {name: find_slow_motion(time_s, values) for name, values in signals.items()}
+    found = {name: _slow_motion(time_s, values) for name, values in signals.items()}
     slow = {name: motion for name, motion in found.items() if motion is not None}
     return max(slow.items(), key=lambda item: item[1].frequency_hz, default=None)
 
@@ -1021,6 +1021,9 @@ VERY_STRONG = math.log(150.0)
 #: (Fossen 2011, *Handbook of Marine Craft Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle is
 #: taken for an error of the columns.
 LARGEST_SLIP = math.radians(30.0)
+#: Minimum mean angle between heading and course, rad, that is reported. It is half of the angle that swapped
+#: axes cause.
+MIN_ANGLE = math.radians(45.0)
 
 
 @dataclass(frozen=True)
@@ -1036,14 +1039,24 @@ class Course:
     mirrored : bool
         Whether the course follows the negative of the heading, as in a mirrored image.
     opposed : bool
-        Whether it does, but by less than a hull may slip in a turn, and by more than the heading swings in a
-        window.
+        Whether the course seems to follow the negative of the heading, but the difference is small. It is
+        less than a hull may slip in a turn, and more than the heading swings in a window.
     """
 
     slip_rad: float
     spread_rad: float
     mirrored: bool
     opposed: bool
+
+    def turned(self, name: str) -> str:
+        """Return a message if the heading, column ``name``, stands at a constant angle to the course."""
+        if self.spread_rad >= LARGEST_SLIP or abs(self.slip_rad) <= MIN_ANGLE:
+            return ""
+        text = (
+            f"stands at {abs(math.degrees(self.slip_rad)):.0f} degrees to the course of the track on average"
+        )
+        hint = f"unless the robot swims that way by intent, write offset: {self.slip_rad:.4f} for {name}"
+        return f"{text}: {hint}; a compass heading needs factor: -1 and offset: 1.5708"
 
 
 def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
@@ -1128,15 +1141,9 @@ def _likelihood(length: float, count: int) -> float:
 
     ``length`` is the mean resultant length of the angles.
     """
-    from scipy.special import i0e
+    from scipy.optimize import brentq
+    from scipy.special import i0e, i1e
 
     length = min(length, 1.0 - 1e-6)
-    # Estimate the concentration by maximum likelihood: Fisher 1993, *Statistical Analysis of Circular Data*,
-    # 4.5.5.
-    if length < 0.53:
-        kappa = 2 * length + length**3 + 5 * length**5 / 6
-    elif length < 0.85:
-        kappa = -0.4 + 1.39 * length + 0.43 / (1 - length)
-    else:
-        kappa = 1 / (length**3 - 4 * length**2 + 3 * length)
+    kappa = brentq(lambda kappa: i1e(kappa) / i0e(kappa) - length, 0.0, 1e6)
     return count * (kappa * length - kappa - math.log(i0e(kappa)))

@@ -32,12 +32,7 @@ from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
 from swimid.logs.point_files import Request
 from swimid.logs.points import Posed
-from swimid.logs.sampling import (
-    LONG_ENOUGH,
-    SET,
-    find_frozen,
-    may_freeze,
-)
+from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, may_freeze
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
@@ -50,11 +45,7 @@ Array = NDArray[np.float64]
 
 @takes(ImportOptions)
 def import_log(
-    source: LogLike,
-    *,
-    options: ImportOptions,
-    output: str | Path | None = None,
-    progress: Progress = silent,
+    source: LogLike, *, options: ImportOptions, output: str | Path | None = None, progress: Progress = silent
 ) -> Logged:
     """Convert a foreign recording to a log in SI units, with rows in order and jumps removed.
 

@@ -314,12 +314,7 @@ def written_by(metadata: Mapping[str, Any], program: str) -> bool:
     return str(metadata.get("made_by", "")).startswith(program)
 
 
-def read(
-    path: str | Path,
-    *,
-    required: Sequence[str] = (),
-    optional: Sequence[str] | None = None,
-) -> Log:
+def read(path: str | Path, *, required: Sequence[str] = (), optional: Sequence[str] | None = None) -> Log:
     """Read a log from a CSV or Parquet file, and check it.
 
     Parameters
@@ -621,11 +616,7 @@ def warn_units(log: Log) -> None:
 # ---------------------------------------------------------------- writing
 
 
-def write(
-    path: str | Path,
-    columns: Mapping[str, Any],
-    metadata: Mapping[str, Any] | None = None,
-) -> None:
+def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
     """Write a log to a CSV or Parquet file. If writing fails, an existing file is not changed.
 
     Parameters

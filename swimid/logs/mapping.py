@@ -417,7 +417,7 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
     order = in_order(other.time_s, {})
     time_s = other.time_s[order.index] + (begins[1] - begins[0])
     if joined.align is not None:
-        time_s = time_s + _offset(log, joined, time_s, other, order.index, place)
+        time_s = time_s + _offset(log, joined, joined.align, time_s, other, order.index, place)
     ends = np.nanmin(log.time_s), np.nanmax(log.time_s)
     if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
         text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
@@ -446,7 +446,13 @@ MIN_SLOW_S, MIN_SLOW_PERIODS = 5.0, 3.0
 
 
 def _offset(
-    log: MappedLog, joined: Joined, time_s: Array, other: MappedLog, rows: NDArray[np.int64], place: Path
+    log: MappedLog,
+    joined: Joined,
+    align: Align,
+    time_s: Array,
+    other: MappedLog,
+    rows: NDArray[np.int64],
+    place: Path,
 ) -> float:
     """Return the time to add to the times of a joined table, s; state it in the metadata of the log.
 
@@ -459,7 +465,7 @@ def _offset(
     """
     from swimid.logs import clocks
 
-    align, order = joined.align or Align(this="", that=""), in_order(log.time_s, {}).index
+    order = in_order(log.time_s, {}).index
     targets = {key: column.target for column in joined.columns for key in (str(column.source), column.target)}
     for name, known in ((align.this, list(log.columns)), (align.that, list(targets))):
         if name not in known:
@@ -580,12 +586,7 @@ def _concatenate(pieces: list[MappedLog]) -> MappedLog:
 
 
 def _mapped(
-    mapping: Mapping,
-    columns: list[Column],
-    table: Table,
-    path: Path,
-    metadata: dict[str, Any],
-    clock: Clock,
+    mapping: Mapping, columns: list[Column], table: Table, path: Path, metadata: dict[str, Any], clock: Clock
 ) -> MappedLog:
     notes = table.notes
     sources = {column.target: table.column(column.source, path) for column in columns}

@@ -55,10 +55,7 @@ class Drawn(Result):
 
 @takes(PlotOptions)
 def plot(
-    logs: LogLike | Sequence[LogLike],
-    *,
-    options: PlotOptions,
-    output: str | Path | None = None,
+    logs: LogLike | Sequence[LogLike], *, options: PlotOptions, output: str | Path | None = None
 ) -> Drawn:
     """Draw logs: channels over time, the track from above, and spectra of the channels.
 

@@ -18,11 +18,11 @@ METHODS = [
     "Pose and joint angles are weighted least-squares estimates from all tracked points of a frame. The "
     "noise of each point is estimated by restricted maximum likelihood. A point is left out if its residual "
     "exceeds the quantile of the chi-square distribution at which a film without faults loses a point with "
-    f"{FALSE_ALARM:.0%} probability (Bonferroni).",
+    f"{FALSE_ALARM:.0%} probability (Bonferroni)."
 ]
 REFERENCES = [
     "Triggs, B., McLauchlan, P. F., Hartley, R. I., Fitzgibbon, A. W. (2000). Bundle adjustment - a modern "
-    "synthesis. Lecture Notes in Computer Science 1883, 298-372. doi:10.1007/3-540-44480-7_21",
+    "synthesis. Lecture Notes in Computer Science 1883, 298-372. doi:10.1007/3-540-44480-7_21"
 ]
 
 

@@ -226,8 +226,7 @@ def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[n
     If the tail of a distribution is that of a Pareto distribution with the index 2, the logarithms of the
     ratios of ``k`` values above a threshold to this threshold have a sum of Gamma distribution with the shape
     ``k`` and the scale 1/2 (Hill 1975, Ann. Statist. 3, 1163). Noise with a heavier tail has no finite
-    variance. Excursions with a sum of probability below :data:`FALSE_ALARM` are
-    spikes.
+    variance. The excursions are spikes if the probability of their sum is below :data:`FALSE_ALARM`.
     """
     from scipy.special import gammaincc
 
@@ -293,6 +292,8 @@ MAX_ORDER, END_ORDER = 3, 2
 #: Number of blocks into which a track is divided. The variation of their mean speeds gives the uncertainty of
 #: the mean speed of the track.
 BLOCKS = 12
+#: Maximum correlation of successive residuals, from which the error of their mean is computed.
+MAX_CORRELATION = 0.8
 
 
 @dataclass(frozen=True)
@@ -326,6 +327,13 @@ class TrackSpeed:
     covered_s: float
 
 
+def widening(residuals: Array) -> float:
+    """Return the factor by which the correlation of successive residuals enlarges the error of a mean."""
+    squares = max(float(residuals @ residuals), 1e-300)
+    together = min(max(float(residuals[1:] @ residuals[:-1]) / squares, 0.0), MAX_CORRELATION)
+    return float(np.sqrt((1.0 + together) / (1.0 - together)))
+
+
 def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
     """Return the weighted mean of values with its 95 % interval from the means of :data:`BLOCKS` blocks.
 
@@ -351,10 +359,8 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     half = 0.0
     if len(means) > 1:
         # Widen the interval, because the means of successive blocks are correlated.
-        off = means - means.mean()
-        together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
-        widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
-        half = float(stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+        error = float(means.std(ddof=1)) / np.sqrt(len(means)) * widening(means - means.mean())
+        half = float(stdtrit(len(means) - 1, 0.975)) * error
     half = float(np.hypot(half, shift))
     return Estimate(value + shift, value + shift - half, value + shift + half)
 
@@ -649,7 +655,7 @@ class Logged(Result):
         return {
             "Samples": str(len(self.log)),
             "Duration": numbers.number(span, unit="s"),
-            "Median rate": numbers.number(1.0 / rate(self.log.time_s).step_s, unit="Hz"),
+            "Sampling rate": numbers.number(1.0 / rate(self.log.time_s).step_s, unit="Hz"),
         }
 
     def _own_tables(self) -> list[Table]:

@@ -337,9 +337,7 @@ def place(source: str | Path | TrialSet) -> Path:
 
 
 def read(
-    source: str | Path | TrialSet,
-    *experiments: type[T],
-    uses: Mapping[str, Collection[str]] | None = None,
+    source: str | Path | TrialSet, *experiments: type[T], uses: Mapping[str, Collection[str]] | None = None
 ) -> T:
     """Return the content of a trials file or of trials in memory, if it is of one of the given experiments.
 

@@ -474,22 +474,17 @@ def _logs_of(project: Project) -> dict[Path, str]:
     # Names of outputs do not depend on the command that makes a log, and no drafted file exists yet.
     items: list[dict[str, Any]] = []
     for group in (one for one in project.groups if one.steps):
-        named = [
-            {key: options[key] for key in NAMED if key in options}
-            for s in group.steps
-            for options in s.values()
-        ]
-        steps = [{"import": options} for options in named]
+        options = [next(iter(step.values())) for step in group.steps]
+        steps = [{"import": {key: one[key] for key in NAMED if key in one}} for one in options]
         items.append({"name": group.name, "files": _patterns(project, group), "steps": steps})
     if not items:
         return own
     content = {"format": "swimid-plan/1", "items": items}
     plan = resolve(project.folder / "plan.yaml", project.folder / RUN, content)
-    made = {
-        file: f"{RUN}/{folder_of(Path(), item.id).as_posix()}/{item.steps[-1].outputs[0]}"
-        for item in plan.items
-        for file in item.files
-    }
+    made: dict[str, str] = {}
+    for item in plan.items:
+        log = f"{RUN}/{folder_of(Path(), item.id).as_posix()}/{item.steps[-1].outputs[0]}"
+        made |= dict.fromkeys(item.files, log)
     return {path: made.get(name, name) for path, name in own.items()}
 
 

@@ -31,9 +31,9 @@ import cv2
 
 from swimid import reading
 from swimid.errors import InputError
-from swimid.logs.plane import MAX_SCALE_DIFFERENCE
+from swimid.logs.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.notices import warn
-from swimid.tracking.setup import HsvRange
+from swimid.tracking.setup import HsvRange, Setup
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -137,13 +137,6 @@ def _warn_of_densities(file: Path) -> None:
             warn("SWM173", text)
 
 
-def squared(frame: Frame, pixel_aspect: float) -> Frame:
-    """Return a picture with square pixels: its width is multiplied by the aspect of its pixels."""
-    if pixel_aspect == 1:
-        return frame
-    return np.asarray(cv2.resize(frame, None, fx=pixel_aspect, fy=1.0), np.uint8)
-
-
 def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
     """Yield the frames that a decoder returns. Each frame overwrites the previous one in memory."""
     picture: Frame | None = None
@@ -235,6 +228,16 @@ class Video:
         if len(self.files) == 1 and count < self.claimed - max(2, 0.01 * self.claimed):
             text = f"{count} of {self.claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
+
+    def squared(self, frame: Frame) -> Frame:
+        """Return a frame of this film with square pixels: its width is multiplied by the aspect."""
+        if self.pixel_aspect == 1:
+            return frame
+        return np.asarray(cv2.resize(frame, None, fx=self.pixel_aspect, fy=1.0), np.uint8)
+
+    def plane(self, setup: Setup, file: str | None = None) -> Plane:
+        """Return the map from the pixels of this film to the world; ``file`` names the setup in messages."""
+        return plane_of(setup, self.width, self.height, pixel_aspect=self.pixel_aspect, file=file)
 
 
 def reduced(frame: Frame, width: int) -> Frame:

@@ -26,6 +26,7 @@ from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import SLACK, Array, ColourModel, Frame, RawTrack, Video, marker_mask
 from swimid.tracking.options import Pick
 from swimid.tracking.setup import HsvRange, Marker, Setup
+from swimid.tracking.tracker import Run
 
 #: Number of frames of a film that are searched for colours, and width to which they are reduced, px.
 N_SAMPLES, SAMPLE_WIDTH = 48, 960
@@ -446,7 +447,7 @@ def marker_fault(
     return "", ""
 
 
-def distance_change(track: RawTrack, one: str, other: str, pixel_aspect: float = 1.0) -> float | None:
+def distance_change(run: Run, one: str, other: str) -> float | None:
     """Return the relative change of the distance between two markers, without the effect of perspective.
 
     The result is the larger of two values: the robust standard deviation of the distance after rectification,
@@ -463,12 +464,13 @@ def distance_change(track: RawTrack, one: str, other: str, pixel_aspect: float =
     the body may bend. The same homography changes the areas of the markers. A change of the distance without
     the corresponding change of the areas is not due to perspective.
     """
+    track = run.track
     i, j = track.row(one), track.row(other)
     both = track.found[i] & track.found[j]
     if both.sum() < frames.MIN_DETECTIONS:
         return None
     # The axes of the array are: x and y, marker, frame.
-    points = np.stack([pixel_aspect * track.x[[i, j]][:, both], track.y[[i, j]][:, both]])
+    points = np.stack([run.video.pixel_aspect * track.x[[i, j]][:, both], track.y[[i, j]][:, both]])
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))

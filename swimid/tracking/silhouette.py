@@ -124,9 +124,10 @@ class Silhouette:
         table = np.array(self._rows).reshape(len(self._times), 2, -1).transpose(1, 0, 2)
         others, name = {}, self._setup.markers[0].name
         if self._twice > max(2, 0.5 * len(table[0])):
-            text = f"a second body of at least half the size moves in {self._twice} frames, "
-            text += "and the larger one is followed: leave the other out by ignore_px: [[left, top, right, "
-            others[name] = f"{text}bottom]], or by area_px of '{name}'"
+            text = f"a second body moves in {self._twice} frames, and the larger one is followed: leave the"
+            others[name] = (
+                f"{text} other out by ignore_px: [[left, top, right, bottom]] or area_px of '{name}'"
+            )
         track = RawTrack.of_table(self._times, self._setup.marker_names, table, {}, {}, others)
         if not track.found.any():
             return track

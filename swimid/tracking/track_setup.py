@@ -190,7 +190,7 @@ def _draft(video: Path, run: Run, rejected: list[Candidate], output: Path | None
     ahead = None
     if setup.tail is not None:
         ahead = run.track.head_first(*setup.roles)
-        change = distance_change(run.track, setup.roles[0], setup.tail, run.video.pixel_aspect) or 0.0
+        change = distance_change(run, *setup.roles) or 0.0
         if change > frames.MAX_DISTANCE_SD[0] and setup.markers[0].method == "colour":
             text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * change:.1f} %"
             warn(
@@ -262,8 +262,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
             f"{frames.describe_colours(samples.frames[::6])}",
             hint="pick the markers by hand: --marker name@x,y with --frame",
         )
-    aspect, names = run.video.pixel_aspect, good[:1]
-    changes = {pair: distance_change(track, *pair, aspect) for pair in combinations(good, 2)}
+    names, changes = good[:1], {pair: distance_change(run, *pair) for pair in combinations(good, 2)}
     strong = [name for name in good if tried[name].score >= SECOND_SHARE * tried[good[0]].score]
     limits, rigid = frames.MAX_DISTANCE_SD, {}
     for pair in combinations(strong, 2):
@@ -313,8 +312,7 @@ def _follow_chosen(video: Path, markers: list[Marker], common: dict[str, Any], p
     if markers[0].number > 1 and run.setup.tail is not None:
         # Use the second marker as tail only if its distance from the first is constant. Markers that look
         # alike may belong to different bodies.
-        roles, aspect = run.setup.roles, run.video.pixel_aspect
-        separation = distance_change(run.track, roles[0], roles[1], aspect)
+        separation = distance_change(run, *run.setup.roles)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
     return run

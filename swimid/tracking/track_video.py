@@ -18,7 +18,7 @@ from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
 from swimid.logs import kinematics, log, point_evidence, point_files, points
 from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
-from swimid.logs.plane import Plane, plane_of
+from swimid.logs.plane import Plane
 from swimid.logs.points import Posed
 from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, recorded, silent, warn
@@ -190,8 +190,7 @@ def _evaluate(
     The painter draws the track into the frames of the film.
     """
     track, video, rules = run.track, run.video, run.setup
-    file, aspect = str(provenance.path_of(source)), video.pixel_aspect
-    plane = plane_of(rules, video.width, video.height, pixel_aspect=aspect, file=file)
+    plane = video.plane(rules, str(provenance.path_of(source)))
     _demand_markers(run)
     faults = [notice.text for notice in notices if notice.code in ("SWM043", "SWM044")]
     plane = pose.facing(track, rules, plane)
@@ -248,10 +247,7 @@ def _evaluate(
     data = (
         _data(made, rows, swum)
         | findings
-        | {
-            "verdict": verdict.model_dump(),
-            "checks": [check.model_dump() for check in checks],
-        }
+        | {"verdict": verdict.model_dump(), "checks": [check.model_dump() for check in checks]}
     )
     document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
     return Track("track video", "", data, (), evidence, document, columns, made, rules), painter
@@ -858,8 +854,7 @@ class Painter:
         """Return the stored frames of the film for the report, with the track drawn into them."""
         images = []
         for i, frame in self.run.kept.items():
-            drawn = frames.squared(self.draw(i, frame.copy()), self.run.video.pixel_aspect)
-            drawn = frames.reduced(drawn, IMAGE_WIDTH)
+            drawn = frames.reduced(self.run.video.squared(self.draw(i, frame.copy())), IMAGE_WIDTH)
             data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
             title = f"Frame {i}, t = {self.track.times[i]:.2f} s"
             image = {"media_type": "image/jpeg", "base64": base64.b64encode(data).decode()}
@@ -874,15 +869,14 @@ class Painter:
         overlay.
         """
         times, source = self.track.times, self.run.video
-        aspect, height = source.pixel_aspect, source.height // 2 * 2
-        width = round(aspect * source.width) // 2 * 2
+        width, height = round(source.pixel_aspect * source.width) // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
         again = Video(source.path).frames()
         with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
             writer = open_writer(temporary, rate, width, height)
             try:
                 for i, (time, (_, frame)) in enumerate(zip(times, again, strict=False)):
-                    drawn = frames.squared(self.draw(i, frame), aspect)
+                    drawn = source.squared(self.draw(i, frame))
                     writer.write(float(time), drawn[:height, :width])
                     step()
             finally:

@@ -154,10 +154,6 @@ LVM = Format("lvm", "LabVIEW measurement file", _read_lvm, _is_lvm)
 # ---------------------------------------------------------------- TDMS
 
 
-def _is_tdms(peek: Peek) -> bool:
-    return peek.head.startswith(b"TDSm")
-
-
 def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     from nptdms import TdmsFile
     from nptdms.log import log_manager
@@ -191,4 +187,4 @@ def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     return _timed(columns, clocks, metadata | origin, path)
 
 
-TDMS = Format("tdms", "TDMS file", _read_tdms, _is_tdms, extra="tdms")
+TDMS = Format("tdms", "TDMS file", _read_tdms, lambda peek: peek.head.startswith(b"TDSm"), extra="tdms")

@@ -30,10 +30,9 @@ def _is_trackpy(peek: Peek) -> bool:
     names = set(peek.header)
     if peek.head.startswith(b"PAR1"):
         # Ignore a missing pyarrow here. The reader of Parquet then names the extra to install.
-        with contextlib.suppress(Exception):
-            import pyarrow.parquet
+        import pyarrow.parquet
 
-            names = set(pyarrow.parquet.read_schema(peek.path).names)
+        names = set(pyarrow.parquet.read_schema(peek.path).names)
     return names >= _TRACK and bool(names & _FEATURES)
 
 

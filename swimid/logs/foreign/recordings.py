@@ -8,7 +8,6 @@ not those of the recorder.
 
 from __future__ import annotations
 
-import contextlib
 import json
 from dataclasses import is_dataclass, replace
 from pathlib import Path
@@ -153,9 +152,7 @@ def _topics(path: Path) -> dict[str, str]:
 
 
 def _recognises(peek: Peek) -> bool:
-    with contextlib.suppress(Exception):  # let the reader refuse a damaged file
-        return bool(_topics(peek.path))
-    return False
+    return bool(_topics(peek.path))
 
 
 def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
