@@ -153,6 +153,11 @@ def interpolated(record: Record, bad: Flags, name: str, text: str) -> tuple[Reco
     return fixed, Finding(name, "handled", said, count)
 
 
+def is_empty(record: Record, _: Array) -> Flags:
+    """Return flags of samples that hold one value in every channel."""
+    return np.asarray(np.ptp(record.channels, axis=1) == 0)
+
+
 def is_wild(_: Record, values: Array) -> Flags:
     """Return flags of readings that no motion can cause: glitches, and codes for a missing sample."""
     flags = np.abs(np.nan_to_num(values)) > MAX_READING
@@ -245,7 +250,7 @@ def find_glitches(record: Record) -> tuple[Record, Finding | None]:
     return interpolated(record, np.hstack([np.zeros_like(far), far]), name, text)
 
 
-def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: str) -> Test:
+def find_dead(column: str, fault: str, combine: Callable[[Flags], Any], text: str) -> Test:
     """Return a test that removes a column of the record if it holds no measurements.
 
     A column with a lower sample rate than the log is interpolated instead.
@@ -256,8 +261,8 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
         Attribute of the record, an array of shape (n, k) or None.
     fault, text : str
         Name of the fault, and sentence about it for the user.
-    is_dead : callable
-        Returns whether the known rows of the column, shape (m, k), cannot be measurements.
+    combine : callable
+        Returns whether the column is dead, from the flags of its k constant components.
     """
 
     def test(record: Record) -> tuple[Record, Finding | None]:
@@ -271,8 +276,9 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
             if long.any():
                 finding = _corrupt_quaternions(int(long.sum()), "are not of length 1")
         rows = np.flatnonzero(there)
+        is_dead = len(rows) < 2 or combine(np.ptp(values[rows], axis=0) == 0)
         gap_s = np.max(np.diff(np.concatenate([t[:1], t[rows], t[-1:]])))
-        if len(rows) < 2 or gap_s > max(STUCK_S, 2 * record.step_s) or is_dead(values[rows]):
+        if is_dead or gap_s > max(STUCK_S, 2 * record.step_s):
             return replace(record, **{column: None}), Finding(fault, "handled", text)  # type: ignore[arg-type]
         known = values[rows]
         if column == "quaternion":
@@ -432,9 +438,7 @@ def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
     for residuals in (_gravity_residuals, _quaternion_residuals):
         radians, degrees = (min(residuals(record, unit).values(), default=1.0) for unit in (1.0, DEG))
         if degrees < CLEAR_UNIT * min(radians, 1.0):
-            text = (
-                "turn rates are in deg/s, as the turning of gravity or quaternions shows; converted to rad/s"
-            )
+            text = "turn rates are in deg/s, as the rotation of gravity or quaternions shows; converted"
             return replace(record, rate=record.rate * DEG), Finding("turn-rate unit", "handled", text)
         if radians < CLEAR_UNIT * min(degrees, 1.0):
             return record, None
@@ -568,44 +572,22 @@ def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
     return replace(record, quaternion=None), Finding("quaternions", "refuted", text)
 
 
+#: Texts on faults of an inertial recording, for messages.
+WIRING_HINT = "repair the sensor or its wiring: three accelerations and three turn rates are needed"
+NO_QUATERNIONS = "the quaternions are constant, have gaps or are not of length 1, not used"
+CLIPPED = "are clipped at the end of the range, {largest:.4g}"
+CLIPPED_HINT = "use a sensor, or a setting, with a larger range"
 #: Tests for faults of an inertial recording, in the order in which they run.
 TESTS: tuple[Test, ...] = (
     find_stamps,
-    find_samples(
-        "empty samples",
-        lambda record, _: np.ptp(record.channels, axis=1) == 0,
-        MAX_MISSING,
-        "hold one value in every channel, {largest:.4g}",
-    ),
+    find_samples("empty samples", is_empty, MAX_MISSING, "hold one value in every channel, {largest:.4g}"),
     find_samples("wild readings", is_wild, MAX_MISSING, "exceed any motion (up to {largest:.4g})"),
     find_samples("missing cells", lambda _, values: ~np.isfinite(values), MAX_MISSING, "are missing"),
-    find_samples(
-        "dead channel",
-        is_stuck,
-        MAX_STUCK,
-        "are stuck at one value",
-        "repair the sensor or its wiring: three accelerations and three turn rates are needed",
-    ),
-    find_dead(
-        "magnetic",
-        "dead magnetometer",
-        lambda field: np.any(np.ptp(field, axis=0) == 0),
-        "the magnetometer is constant or has gaps, not used",
-    ),
-    find_dead(
-        "quaternion",
-        "dead quaternions",
-        lambda attitude: np.ptp(attitude, axis=0).max() == 0,
-        "the quaternions are constant, have gaps or are not of length 1, not used",
-    ),
+    find_samples("dead channel", is_stuck, MAX_STUCK, "are stuck at one value", WIRING_HINT),
+    find_dead("magnetic", "dead magnetometer", np.any, "the magnetometer is constant or has gaps, not used"),
+    find_dead("quaternion", "dead quaternions", np.all, NO_QUATERNIONS),
     find_samples("repeated samples", is_repeated, MAX_REPEATED, "repeat the ones before in every channel"),
-    find_samples(
-        "saturated channel",
-        is_clipped,
-        MAX_CLIPPED,
-        "are clipped at the end of the range, {largest:.4g}",
-        "use a sensor, or a setting, with a larger range",
-    ),
+    find_samples("saturated channel", is_clipped, MAX_CLIPPED, CLIPPED, CLIPPED_HINT),
     find_glitches,
     find_acceleration_unit,
     find_dropped,

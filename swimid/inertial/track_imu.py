@@ -248,9 +248,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
     readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
-    stated_hz = record.metadata.get("frequency_hz")
-    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
-        stated_hz = None
+    stated_hz = beat.stated_frequency(record.metadata)
     stroke, cutoff = beat.find_stroke(t, readings), LOWEST_HZ
     if stroke is not None:
         cutoff = STROKE_SHARE * stroke.beat.frequency_hz
@@ -668,12 +666,9 @@ def _tables(run: Run) -> list[Table]:
         rows.append([f"stroke in {run.stroke.channel} (Hz)", beat.frequency_hz, BAND * beat.stderr_hz])
     columns = ["quantity", "value", "95 % band ±"]
     details = {name: value for name, value in _data(run).items() if name not in ("faults", "stroke")}
-    return [
-        Table(id="motion", title="Motion", columns=columns, rows=rows),
-        leaf_table(
-            "details", "Details", details, "Biases along the axes of the sensor equal a tilt at rest."
-        ),
-    ]
+    caption = "Biases along the axes of the sensor equal a tilt at rest."
+    motion = Table(id="motion", title="Motion", columns=columns, rows=rows)
+    return [motion, leaf_table("details", "Details", details, caption)]
 
 
 def _methods(run: Run) -> list[str]:

@@ -103,6 +103,12 @@ class Channel:
         """Largest value."""
         return self.largest.value
 
+    @property
+    def data(self) -> dict[str, float]:
+        """Statistics as plain data, by name."""
+        names = ("samples", "missing", "mean", "sd", "low", "high", "longest_hold")
+        return {name: getattr(self, name) for name in names}
+
     def take(self, values: Array) -> None:
         """Add the samples of a batch, shape (n,), NaN where missing."""
         known = values[np.isfinite(values)]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,13 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
     if abs(ratio - round(ratio)) < 0.05 and ratio > 1.5:
         text += f", {ratio:.2f} times as fast"
     return text
+
+
+def stated_frequency(metadata: Mapping[str, Any]) -> float | None:
+    """Return the stroke frequency that the metadata of a log state, Hz; None without a positive number."""
+    value = metadata.get("frequency_hz")
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return value if is_number and value > 0 else None
 
 
 def stated_against_found(
@@ -589,17 +597,9 @@ ALONG = ("surge", "long_axis", "short_axis")
 MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
 #: Patterns of the channels, one for each kind of motion (heading, sway, ...). Several channels of the same
 #: kind of motion count once.
-MOTIONS = tuple(
-    re.compile(part)
-    for part in (
-        DRIVEN.pattern,
-        MOVED.pattern,
-        r"yaw_\w+|wz_rad_s",
-        r"roll_rad|wx_rad_s",
-        r"pitch_\w+|wy_rad_s",
-        rf"{PUSHED.pattern}|surge|\w+_axis",
-    )
-)
+_TURNED = (r"yaw_\w+|wz_rad_s", r"roll_rad|wx_rad_s", r"pitch_\w+|wy_rad_s")
+_AHEAD = rf"{PUSHED.pattern}|surge|\w+_axis"
+MOTIONS = tuple(map(re.compile, (DRIVEN.pattern, MOVED.pattern, *_TURNED, _AHEAD)))
 #: Pattern of the columns that are not searched for a stroke: positions (see :func:`swing`), standard
 #: deviations, likelihoods and states.
 NO_MOTION = re.compile(
@@ -662,9 +662,8 @@ class Rhythm:
                 "it: one of them is not the stroke but another vibration or sway"
             )
         if self.beat.frequency_hz > MAX_STROKE_HZ:
-            said.append(
-                f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but very small fish beat"
-            )
+            hz = self.beat.frequency_hz
+            said.append(f"{hz:.4g} Hz is faster than robots and all but very small fish beat")
         return "; ".join(said)
 
 
@@ -793,15 +792,12 @@ def find_stroke(
             slow = find_slowest(time_s, columns)
             if slow is not None and slow[1].may_cause(chosen.frequency_hz):
                 return None
-        is_stated = (
-            stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
-        )
         # Take the channel with the smallest standard error among those that beat with the stroke frequency.
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
         best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
         channel = min(best, key=lambda name: best[name].stderr_hz)
         rivals = {}
-        if not is_stated:
+        if stated_hz is None or abs(chosen.frequency_hz - stated_hz) > FREQUENCY_RTOL * stated_hz:
             rivals = _rivals(chosen, beats | pushed)
         return Rhythm(
             best[channel],
@@ -837,11 +833,10 @@ def _motions(
     for name in seen:
         turns = _turns(channels[name]) if name.endswith("_rad") else 0.0
         if turns >= 1.0:
-            turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
-            resolution = 1.0 / float(np.ptp(time_s))
-            seen[name] = [
-                b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= MAX_COMPASS_HARMONIC
-            ]
+            near_hz = 1.0 / float(np.ptp(time_s))
+            turning = Beat(turns * near_hz, 0.0, 0.0, 0.0, turns)
+            beats = seen[name]
+            seen[name] = [b for b in beats if not 1 <= multiple(b, turning, near_hz) <= MAX_COMPASS_HARMONIC]
         # Leave out beats that are not larger than the rounding error, because they cannot be distinguished
         # from it. A rounding error is at most half of the rounding step, and it is periodic in a steady
         # motion.
@@ -1052,9 +1047,8 @@ class Course:
         """Return a message if the heading, column ``name``, stands at a constant angle to the course."""
         if self.spread_rad >= LARGEST_SLIP or abs(self.slip_rad) <= MIN_ANGLE:
             return ""
-        text = (
-            f"stands at {abs(math.degrees(self.slip_rad)):.0f} degrees to the course of the track on average"
-        )
+        angle = abs(math.degrees(self.slip_rad))
+        text = f"stands at {angle:.0f} degrees to the course of the track on average"
         hint = f"unless the robot swims that way by intent, write offset: {self.slip_rad:.4f} for {name}"
         return f"{text}: {hint}; a compass heading needs factor: -1 and offset: 1.5708"
 

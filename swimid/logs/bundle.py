@@ -227,9 +227,8 @@ class _Estimate:
             if film.there[:, k].any():
                 usual[k] = np.median(column[film.there[:, k]])
         #: Logarithm of the likelihood relative to the median of its point.
-        self.log_likelihood = np.where(
-            film.there, np.log(np.maximum(film.likelihood, 1e-6) / np.maximum(usual, 1e-6)), 0.0
-        )
+        relative = np.maximum(film.likelihood, 1e-6) / np.maximum(usual, 1e-6)
+        self.log_likelihood = np.where(film.there, np.log(relative), 0.0)
         if "places" in linkage.free:
             self.place_sd_m = PLACE_SD_M
 

@@ -239,9 +239,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
         if (np.diff(measured_s) > 0).all():  # equal times occur if other channels have rows between pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
-    stated_hz = metadata.get("frequency_hz")
-    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
-        stated_hz = None
+    stated_hz = beat.stated_frequency(metadata)
     stroke = beat.find_stroke(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
     unknown, against, periodic_hz, period_s = "", "", None, None
     if stroke is None:
@@ -281,9 +279,8 @@ def _in_order(source: MappedLog) -> Order:
     order = mapping.in_order(source.time_s, channels)
     if len(order.index) < 2:
         text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
-        raise InputError(
-            text, file=source.path, column=TIME, hint="is the time complete, with enough digits?"
-        )
+        hint = "is the time complete, with enough digits?"
+        raise InputError(text, file=source.path, column=TIME, hint=hint)
     if order.reset_row is not None:
         last = np.nanmax(source.time_s[: order.reset_row])
         text = f"the clock starts again: {source.time_s[order.reset_row]:g} s after {last:g} s"
@@ -368,14 +365,10 @@ def _describe(one: Jumped, source: MappedLog, lines: NDArray[np.int64], cleaned:
     ]
     more, told = ", ..." * (len(ends) > 5), []
     if len(ends):
-        left = ("kept", "left out")[int(cleaned)]
-        told.append(
-            f"{int(one.out.sum())} samples in {len(ends)} jumps {left} (lines {', '.join(places)}{more})"
-        )
+        left, count = ("kept", "left out")[int(cleaned)], int(one.out.sum())
+        told.append(f"{count} samples in {len(ends)} jumps {left} (lines {', '.join(places)}{more})")
     if one.elsewhere:
-        told.append(
-            f"goes on at another value in line {', '.join(str(lines[row]) for row in one.elsewhere[:5])}"
-        )
+        told.append(f"goes on at another value in line {', '.join(map(str, lines[one.elsewhere[:5]]))}")
     codes = {find_code(source.columns[column][one.out]) for column in one.columns if len(ends)}
     if len(codes) == 1 and (code := codes.pop()) is not None:
         _, factor, offset = source.sources.get(one.columns[0], ("", 1.0, 0.0))
@@ -719,10 +712,7 @@ def _tables(found: Examined) -> list[Table]:
 def _all_rows_table(all_rows: RowStatistics) -> Table:
     """Return the table of the statistics of all rows of a recording, before they were averaged."""
     columns = ["channel", "samples", "missing", "mean", "standard deviation", "minimum", "maximum", "hold"]
-    rows = [
-        [name, one.samples, one.missing, one.mean, one.sd, one.low, one.high, one.longest_hold]
-        for name, one in all_rows.channels.items()
-    ]
+    rows = [[name, *one.data.values()] for name, one in all_rows.channels.items()]
     caption = (
         f"Of all {all_rows.rows} rows. The time steps are {all_rows.shortest_s:.6g} to "
         f"{all_rows.longest_s:.6g} s, {all_rows.pauses} of them pauses. A hold is the maximum number of "
@@ -737,10 +727,7 @@ def _frequency(stroke: Rhythm) -> str:
 
 def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:
     """Return the statistics of all rows of a recording as plain data."""
-    names = ("samples", "missing", "mean", "sd", "low", "high", "longest_hold")
-    channels = {
-        channel: {name: getattr(one, name) for name in names} for channel, one in all_rows.channels.items()
-    }
+    channels = {name: one.data for name, one in all_rows.channels.items()}
     counts = ("every", "rows", "untimed", "backwards", "repeated", "pauses", "shortest_s", "longest_s")
     return {name: getattr(all_rows, name) for name in counts} | {"channels": channels}
 

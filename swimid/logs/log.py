@@ -715,11 +715,9 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
         text = "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
         found.append(Doubt(TIME, text))
     elif len(time_s) > 20 and (np.nanmedian(np.diff(time_s)) < SHORT_S or np.ptp(time_s) < MIN_DURATION_S):
-        rate_hz = (len(time_s) - 1) / np.ptp(time_s)
-        text = (
-            f"lasts {np.ptp(time_s):.3g} s at {rate_hz:.3g} Hz, which is unusual: state the unit of the time"
-        )
-        found.append(Doubt(TIME, text))
+        span_s = np.ptp(time_s)
+        text = f"lasts {span_s:.3g} s at {(len(time_s) - 1) / span_s:.3g} Hz, which is unusual"
+        found.append(Doubt(TIME, f"{text}: state the unit of the time"))
     for name, values in columns.items():
         doubt = None if name == TIME else _doubt(name, time_s, values)
         if doubt is not None:

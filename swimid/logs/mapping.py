@@ -205,17 +205,30 @@ class Align(yamlio.Document):
     within_s: PositiveFloat | None = None
 
 
-class Joined(yamlio.Document):
+class TableSource(yamlio.Document):
+    """Table that is read from a file: format, selection, layout, times and rows."""
+
+    #: Name of the file format, such as ``deeplabcut``. A format that is a profile names the columns itself.
+    profile: str | None = Field(default=None, alias="as")
+    #: Track, individual, topic, message type, struct or group to read, if the file holds several.
+    select: str | int | None = None
+    reader: Options = Options()
+    time: Time | None = None
+    #: Condition for the rows that are read: they have one of the given values in each named column.
+    where: dict[str, str | float | int | list[str | float | int]] = {}
+
+    def table(self, given: str | Path | Log) -> Table:
+        """Return the table in a file or in a log in memory."""
+        select = None if self.select is None else str(self.select)
+        return open_table(given, self.reader, select, self.profile)
+
+
+class Joined(TableSource):
     """Columns of another topic, struct or file, which are interpolated at the times of the log."""
 
     #: Path of another file, relative to the folder of the foreign log, or else of the mapping; by default the
     #: same file. ``{stem}`` is the name of the recording without its ending.
     file: str | None = None
-    profile: str | None = Field(default=None, alias="as")
-    select: str | int | None = None
-    reader: Options = Options()
-    time: Time | None = None
-    where: dict[str, str | float | int | list[str | float | int]] = {}
     columns: Annotated[list[Column], Field(min_length=1)]
     #: Value between two samples: on the line through them, or that of the first, as of a command.
     between: Literal["line", "hold"] = "line"
@@ -223,24 +236,16 @@ class Joined(yamlio.Document):
     align: Align | None = None
 
 
-class Mapping(yamlio.Document):
+class Mapping(TableSource):
     """Content of a mapping file, which assigns the columns of a foreign file to those of a log."""
 
     #: Folder of the mapping file.
     _folder: Path = PrivateAttr(default=Path())
 
     format: Literal["swimid-mapping/1"]
-    #: Name of the file format, such as ``deeplabcut``. A format that is a profile names the columns itself.
-    profile: str | None = Field(default=None, alias="as")
-    #: Track, individual, topic, message type, struct or group to read, if the file holds several.
-    select: str | int | None = None
     #: Minimum likelihood of a tracked point. The coordinates of a point with a lower likelihood are left
     #: empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
-    reader: Options = Options()
-    time: Time | None = None
-    #: Condition for the rows that are read: they have one of the given values in each named column.
-    where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
     #: Further topics, structs or files whose columns are added to the log.
@@ -259,9 +264,7 @@ class Mapping(yamlio.Document):
         if self.profile is not None:
             return self
         if not self.columns:
-            raise ValueError(
-                "'columns' is missing: it says which column of the file becomes which of the log"
-            )
+            raise ValueError("'columns' is missing: it assigns columns of the file to those of the log")
         if (self.time is None) == (TIME not in targets):
             raise ValueError(f"give the time once: as 'time:', or as a column with the target {TIME}")
         if targets == [TIME]:
@@ -383,8 +386,7 @@ def apply(
     stated["reader"] = rules.reader.model_copy(update={"length_unit": unit})
     rules = rules.model_copy(update=stated)
     with progress(f"reading {path.name}", total=1) as step:
-        select = None if rules.select is None else str(rules.select)
-        found = _read(rules, open_table(given, rules.reader, select, rules.profile), path, every)
+        found = _read(rules, rules.table(given), path, every)
         for joined in rules.join:
             _join(found, joined, given, path, rules._folder)
         step(1)
@@ -411,8 +413,7 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
         given = place = next((one for one in places if one.exists()), places[0])
     fields = joined.model_dump(by_alias=True, exclude={"file", "between", "align"}, exclude_unset=True)
     rules = yamlio.validate({"format": FORMAT, **fields}, Mapping, "join")
-    select = None if rules.select is None else str(rules.select)
-    other = _read(rules, open_table(given, rules.reader, select, rules.profile), place)
+    other = _read(rules, rules.table(given), place)
     begins = [float(one.metadata.get("first_stamp_s", 0.0)) for one in (log, other)]
     order = in_order(other.time_s, {})
     time_s = other.time_s[order.index] + (begins[1] - begins[0])
@@ -422,7 +423,7 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
     if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
         text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
         hint = "give its offset as 'offset_s' under 'time:', or two columns that move together under 'align:'"
-        raise InputError(text, file=place, column=f"join: {select or joined.file}", hint=hint)
+        raise InputError(text, file=place, column=f"join: {joined.select or joined.file}", hint=hint)
     outside = ~((log.time_s >= time_s[0]) & (log.time_s <= time_s[-1]))
     before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 1)
     if joined.between == "line":
@@ -620,9 +621,8 @@ def _mapped(
     for name in infinite:
         found[name][np.abs(found[name]) > LARGEST] = np.nan
     if infinite:
-        notes.append(
-            f"infinite values and values beyond ±{LARGEST:g} taken as missing in {', '.join(infinite)}"
-        )
+        text = f"infinite values and values beyond ±{LARGEST:g} taken as missing"
+        notes.append(f"{text} in {', '.join(infinite)}")
     unlikely = empty_unlikely(found, sources, mapping.min_likelihood)
     lacking = [axis for axis in AXES if axis not in found]
     if 0 < len(lacking) < len(AXES):
@@ -1332,9 +1332,8 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
     todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
-    return Draft("import", f"{path.name}: mapping drafted; {todo} of {output}", data, document=text).save(
-        output
-    )
+    said = f"{path.name}: mapping drafted; {todo} of {output}"
+    return Draft("import", said, data, document=text).save(output)
 
 
 def _of_profile(table: Table) -> list[str]:

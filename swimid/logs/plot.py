@@ -199,9 +199,7 @@ def channels(logs: Sequence[Log]) -> Figure:
     title, caption = "Channels over time", "Samples are missing where it is shaded."
     if several:
         title = "Channels of several logs"
-        caption += (
-            " Each log is on its own clock: a constant shift along the axis is an offset of the clocks."
-        )
+        caption += " Each log is on its own clock: a constant shift along the axis is their offset."
     for record in logs:
         if len(record) > MAX_POINTS:
             text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
@@ -286,14 +284,10 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         drawn = _spectrum(record.time_s, signals[name], stroke)
         if drawn is None:
             continue
-        marks = []
-        for label, beat_hz in beats:
-            if label == "stroke" or beat_hz <= drawn[0][-1]:
-                marks.append(Mark(at=beat_hz, axis="x", label=label))
-        trace, y_label = Trace(x=drawn[0], y=drawn[1]), f"amplitude of {numbers.column_title(name)}"
-        panels.append(
-            Panel(x_label="frequency (Hz)", y_label=y_label, traces=[trace], y_scale="log", marks=marks)
-        )
+        shown = [beat for beat in beats if beat[0] == "stroke" or beat[1] <= drawn[0][-1]]
+        marks = [Mark(at=beat_hz, axis="x", label=label) for label, beat_hz in shown]
+        traces, label = [Trace(x=drawn[0], y=drawn[1])], f"amplitude of {numbers.column_title(name)}"
+        panels.append(ev.panel("frequency (Hz)", label, traces, y_scale="log", marks=marks))
     return Figure(
         id=f"spectra-{record.path.stem}",
         title=f"Spectra of {record.path.name}",

@@ -262,9 +262,8 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     known_scale, source = None, "the file of the points is in metres"
     if spec.scale is not None:
         if unit == "m":
-            raise InputError(
-                "the points are in metres already: leave the scale out", file=where, column="scale"
-            )
+            text = "the points are in metres already: leave the scale out"
+            raise InputError(text, file=where, column="scale")
         view = files.View(spec.scale, spec.camera, plane)
         seen, known_scale = files.in_metres(seen, shown, view, where, path)
         source = "stated"

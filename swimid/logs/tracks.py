@@ -205,12 +205,10 @@ def find_jumps(
     elsewhere = [int(starts[b]) for a, b in pairwise(chain) if not goes_on(a, b)]
     if not brief:
         return stays, elsewhere
-    back = np.array(
-        [(ends[a], starts[b]) for a, b in pairwise(chain) if goes_on(a, b) and b > a + 1], dtype=int
-    )
+    back = [(ends[a], starts[b]) for a, b in pairwise(chain) if goes_on(a, b) and b > a + 1]
     stays[:] = True
     usual = max(float(np.percentile((off / local)[~outlying], 99)), OUTLYING)
-    for first, end in _spikes(back.reshape(-1, 2), off / local, usual):
+    for first, end in _spikes(np.array(back, dtype=int).reshape(-1, 2), off / local, usual):
         stays[first:end] = False
     return stays, []
 
@@ -546,9 +544,7 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
     if len(rows) < MIN_SAMPLES:
         return []
     ends = {end for _, end in cleaning.gaps} | {float(time_s[row]) for row in cleaning.offset_rows}
-    cuts = [
-        k for k in range(1, len(rows)) if any(time_s[rows[k - 1]] < end <= time_s[rows[k]] for end in ends)
-    ]
+    cuts = np.unique(np.searchsorted(time_s[rows], sorted(ends)))
     found = []
     for stretch in np.split(rows, cuts):
         pieces = max(int(np.ceil(len(stretch) / MAX_STRETCH)), 1)

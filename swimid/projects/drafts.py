@@ -420,7 +420,7 @@ def _add_companions(project: Project, group: Group, progress: Progress) -> None:
         joined.append(f"  - file: {_flow(place)}   # {{stem}}: the name of the recording without its ending")
         if aligned and "yaw_rad" in group.columns:
             joined.append(
-                f"    align: {{this: yaw_rad, that: {aligned}}}   # or offset_s under 'time:', if it is known"
+                f"    align: {{this: yaw_rad, that: {aligned}}}   # or offset_s under 'time:', if known"
             )
         lines = text.splitlines()
         joined += [f"    {line}" for line in lines if not line.startswith(("#", "format:", "metadata:"))]
@@ -520,9 +520,7 @@ def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Rec
         table = project.relative(group.first.path)
         lines += [f"table: {_flow(table)}", f"drag: {ASK}   # result of fit-drag for this robot"]
     else:
-        lines.append(
-            "# Hold out at least one trial with 'role: validate'. Without one no fit is called good."
-        )
+        lines.append("# Hold out one trial or more with 'role: validate'. Without one no fit is called good.")
         asked = EXPERIMENTS[experiment].asked if experiment != ASK else {}
         commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
         if experiment == ASK:

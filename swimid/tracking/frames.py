@@ -58,6 +58,9 @@ SCENE_WIDTH = 480
 #: Maximum shift of the scene relative to the first frame for a camera at rest, px of a picture that is
 #: reduced to SCENE_WIDTH.
 MAX_SHIFT_PX = 2.0
+#: Minimum difference between a moving pixel and the empty scene: in grey levels, and relative to the
+#: median difference in the frame.
+MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
 #: Pattern of the placeholder for a whole number in a file name, as in the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
 #: Type of a frame that was read: position in the film, time stamp (s; NaN for pictures), and picture.
@@ -130,10 +133,8 @@ def _warn_of_densities(file: Path) -> None:
         about = picture.info
         across, down = about.get("dpi") or about.get("aspect") or about.get("jfif_density") or (1, 1)
         if min(across, down) > 0 and abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
-            text = (
-                f"{file.name} states {across:.3g} : {down:.3g} for the pixels across and down: they may not "
-            )
-            text += "be square. They are taken as square: give scale as four points_px with points_m"
+            text = f"{file.name} states {across:.3g} : {down:.3g} for the pixels across and down: they may "
+            text += "not be square. They are taken as square: give scale as four points_px with points_m"
             warn("SWM173", text)
 
 
@@ -253,6 +254,16 @@ def largest_channel(picture: Frame) -> Frame:
     """Return the value of the largest colour channel of each pixel, shape (rows, columns)."""
     blue, green, red = cv2.split(picture)
     return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+
+
+def find_difference(frame: Frame, scene: Frame) -> tuple[Frame, float, NDArray[np.bool_]]:
+    """Return the difference of a frame from the empty scene, its noise, and the flags of all moving pixels.
+
+    The scene was smoothed by a filter of 3 x 3 pixels, as the frame is here.
+    """
+    difference = largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), scene))
+    noise = float(np.median(difference))
+    return difference, noise, difference > max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
 
 
 def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:

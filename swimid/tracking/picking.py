@@ -244,9 +244,8 @@ class Session:
                 try:
                     body = setup_format.of({"markers": [BODY], key: value})
                     if key == "scale":
-                        answer["scale"] = self._scale(
-                            body.model_copy(update={"plane": choice.plane or body.plane})
-                        )
+                        plane = choice.plane or body.plane
+                        answer["scale"] = self._scale(body.model_copy(update={"plane": plane}))
                 except SwimidError as error:
                     errors[key] = told(error)
             try:

@@ -30,9 +30,6 @@ from swimid.tracking.tracker import Run
 
 #: Number of frames of a film that are searched for colours, and width to which they are reduced, px.
 N_SAMPLES, SAMPLE_WIDTH = 48, 960
-#: Minimum difference between a moving pixel and the background: in grey levels, and relative to the median
-#: difference in the frame.
-MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
 #: Minimum fraction of the pixels of a moving patch that differ from the empty scene. In at least this
 #: fraction of the pixels, the empty scene must also have another colour than the patch.
 MOVING = 0.3
@@ -106,11 +103,8 @@ def sample(path: Path, *, step: Step) -> Samples:
         raise NoTrustworthyResult(f"{path.name} has only {len(kept)} frames: too few to see what moves")
     background = np.median(np.stack(kept[:: max(len(kept) // 25, 1)]), axis=0).astype(np.uint8)
     still = cv2.blur(background, (3, 3))
-    moving = []
-    for frame in kept:
-        change = frames.largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
-        limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * float(np.median(change)))
-        moving.append(np.where(change > limit, 255, 0).astype(np.uint8))
+    differing = [frames.find_difference(frame, still)[2] for frame in kept]
+    moving = [np.where(differs, 255, 0).astype(np.uint8) for differs in differing]
     factor = max(video.width / SAMPLE_WIDTH, 1.0)
     return Samples(video, np.array(list(keeper.kept)), kept, factor, background, moving)
 

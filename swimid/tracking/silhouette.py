@@ -20,7 +20,7 @@ from swimid.tracking.frames import (
     RawTrack,
     Row,
     Video,
-    largest_channel,
+    find_difference,
     reduced,
 )
 from swimid.tracking.setup import Setup
@@ -28,9 +28,6 @@ from swimid.tracking.setup import Setup
 #: Number of frames whose median is the picture of the empty scene, and width in px to which each frame is
 #: reduced before the body is searched for.
 SCENE_FRAMES, WIDTH = 41, 960
-#: Minimum difference between a pixel of the body and the empty scene: in grey levels, and relative to the
-#: median difference in the frame.
-MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
 #: Default limits of the area of the body, minimum and maximum, as fractions of the picture.
 AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
@@ -76,15 +73,13 @@ class Silhouette:
     def step(self, time: float, frame: Frame) -> None:
         """Find the body in the next frame of the film, and store the detection."""
         self._times.append(time)
-        for row in self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))):
+        for row in self._measure(reduced(frame, WIDTH)):
             self._rows.extend(row)
 
     def _measure(self, small: Frame) -> tuple[Row, Row]:
         """Return centre and rear point of the body as two detections, in px at full resolution."""
-        difference = largest_channel(cv2.absdiff(small, self._scene))
-        noise = float(np.median(difference))
-        limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
-        mask = np.where(difference > limit, self._allowed, 0).astype(np.uint8)
+        difference, noise, differs = find_difference(small, self._scene)
+        mask = np.where(differs, self._allowed, 0).astype(np.uint8)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         sizes = np.where((stats[:, 4] >= self._low) & (stats[:, 4] <= self._high), stats[:, 4], 0)
         sizes[0] = 0
@@ -124,10 +119,9 @@ class Silhouette:
         table = np.array(self._rows).reshape(len(self._times), 2, -1).transpose(1, 0, 2)
         others, name = {}, self._setup.markers[0].name
         if self._twice > max(2, 0.5 * len(table[0])):
-            text = f"a second body moves in {self._twice} frames, and the larger one is followed: leave the"
-            others[name] = (
-                f"{text} other out by ignore_px: [[left, top, right, bottom]] or area_px of '{name}'"
-            )
+            text = f"a second body moves in {self._twice} frames, and the larger one is followed: leave the "
+            text += f"other out by ignore_px: [[left, top, right, bottom]], or by area_px of '{name}'"
+            others[name] = text
         track = RawTrack.of_table(self._times, self._setup.marker_names, table, {}, {}, others)
         if not track.found.any():
             return track

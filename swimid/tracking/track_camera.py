@@ -200,11 +200,8 @@ def _corners(
 def _checks(count: int, tilt: float, parts: int, rms: float, each: list[float]) -> list[ev.Check]:
     """Return the checks of the pictures of a calibration."""
     error = f"{rms:.2g} px, pictures {min(each):.2g} to {max(each):.2g} px"
-    flat = (
-        f"the boards are tilted against each other by {tilt:.0f} degrees at most: pictures in one plane do "
-    )
-    flat += "not determine the focal length"
-    name = "Tilt between pictures"
+    flat = f"the boards are tilted against each other by {tilt:.0f} degrees at most: pictures in one plane"
+    name, flat = "Tilt between pictures", f"{flat} do not determine the focal length"
     rows: list[tuple[str, str, bool, str, Any, str]] = [
         (name, f"{tilt:.0f}°", tilt >= MIN_TILT_DEG, f">= {MIN_TILT_DEG:g}°", "fail", flat),
         ("Pictures", f"{count}", count >= GOOD_PICTURES, f">= {GOOD_PICTURES}", "warn",

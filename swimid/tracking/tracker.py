@@ -272,12 +272,10 @@ class Group:
         """
         moving, count = [], 0
         for frame, here, places in self.looks:
-            others = [(place, found) for index, place, found in self.looks if index != frame]
-            apart = 2.0 * self.targets[0].radius
-            new = [
-                one for one in places if all(math.dist(one, p) > apart for _, found in others for p in found)
-            ]
-            count += bool(new) or all(math.dist(here, place) > apart for place, _ in others)
+            apart, elsewhere = 2.0 * self.targets[0].radius, [look for look in self.looks if look[0] != frame]
+            known = [place for *_, found in elsewhere for place in found]
+            new = [one for one in places if all(math.dist(one, place) > apart for place in known)]
+            count += bool(new) or all(math.dist(here, place) > apart for _, place, _ in elsewhere)
             moving += [(frame, here, new)] * bool(new)
         if len(moving) < max(2, 0.5 * count):
             return ""

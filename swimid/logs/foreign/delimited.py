@@ -268,9 +268,8 @@ def _first_sample(table: list[list[str]], width: int, decimal: str, options: Opt
     sampled = [count > 0 and len(cells) == width for count, cells in zip(counts, table, strict=True)]
     for at in np.flatnonzero(sampled).tolist():
         later = [k for k in headers if k > at and len(filled[k]) >= len(filled[at])]
-        is_setting = counts[at] < len({*filled[at]} - {*MISSING}) and any(
-            sum(sampled[at:k]) < sum(sampled[k:]) for k in later
-        )
+        has_text = counts[at] < len({*filled[at]} - {*MISSING})
+        is_setting = has_text and any(sum(sampled[at:k]) < sum(sampled[k:]) for k in later)
         if not is_setting and (at > 0 or not options.header):
             return at
     return None

@@ -103,9 +103,7 @@ def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
     table = open_table(path)
     names = [name.removesuffix("_ncams") for name in table.columns if name.endswith("_ncams")]
     if not names or "fnum" not in table.columns:
-        hint = (
-            "a table of Anipose has columns such as nose_x, nose_y, nose_z, nose_score, nose_ncams, and fnum"
-        )
+        hint = "a table of Anipose has the columns fnum, nose_x, nose_y, nose_z, nose_score and nose_ncams"
         raise InputError("is no table of Anipose", file=path, hint=hint)
     factor, unit = length(options.length_unit, path)
     found: dict[str, Array] = {}

@@ -52,9 +52,8 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     elif _is_table(peek):
         time, found = _of_csv(path)
     else:
-        raise InputError(
-            "is no export of tracks", file=path, hint="export the tracks as CSV, or save a KVA file"
-        )
+        hint = "export the tracks as CSV, or save a KVA file"
+        raise InputError("is no export of tracks", file=path, hint=hint)
     factor, unit = length(options.length_unit, path)
     scaled = {name: values * factor for name, values in found.items()}
     frames = _frame_numbers(time)

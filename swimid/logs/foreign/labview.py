@@ -68,9 +68,8 @@ def _timed(
     counts = np.array([len(columns[name]) for name in clocks])
     at = np.arange(np.ceil(first.max() - 1e-6), np.floor((first + counts).min() + 1e-6))
     if len(at) < 2:
-        text = (
-            f"channels have no time in common: they start at {', '.join(f'{start:g} s' for start in starts)}"
-        )
+        begins = ", ".join(f"{start:g} s" for start in starts)
+        text = f"channels have no time in common: they start at {begins}"
         raise InputError(text, file=path, hint="record them at the same time")
     for name, lead, count in zip(clocks, first, counts, strict=True):
         if lead or count != len(at):
