@@ -13,25 +13,16 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import beat, log, mapping, point_evidence, point_files, points, sampling, tracks, wave
+from swimid.logs import beat, consistency, log, mapping, point_evidence, point_files, sampling, tracks, wave
 from swimid.logs.averaging import RowStatistics
 from swimid.logs.beat import Rhythm, contradiction
-from swimid.logs.consistency import (
-    ANGLES,
-    MAX_JUMPED,
-    Comparison,
-    Jumped,
-    compare_columns,
-    find_code,
-    find_jumped,
-    find_unmeasured,
-)
+from swimid.logs.consistency import ANGLES, MAX_JUMPED, Comparison, Jumped, find_jumped, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike, runs
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
 from swimid.logs.point_files import Request
-from swimid.logs.points import Posed
+from swimid.logs.points import Posed, pose_of
 from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, may_freeze
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
 from swimid.notices import Notice, Progress, recorded, silent, warn
@@ -303,7 +294,7 @@ def _posed(
     if log.written_by(metadata, "swimid track"):
         metadata["tracked_by"] = metadata.pop("made_by")
         point_files.keep_markers(columns)
-    found = points.pose_of(columns, request, source.path)
+    found = pose_of(columns, request, source.path)
     metadata |= found.metadata
     source.sources.update(dict.fromkeys(found.columns, ("tracked points", 1.0, 0.0)))
     rest = {name: columns.pop(name) for name in list(columns) if name not in (TIME, *found.columns)}
@@ -332,7 +323,7 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
 
 def _compared(columns: dict[str, Array], period_s: float | None, name: str) -> list[Comparison]:
     """Return the comparisons of columns that show the same motion; warn of those that contradict."""
-    comparisons = compare_columns(columns, period_s)
+    comparisons = consistency.compare_columns(columns, period_s)
     for one in comparisons:
         if one.doubtful:
             warn("SWM063", f"{name}, '{one.column}': {one.text}")
@@ -369,7 +360,7 @@ def _describe(one: Jumped, source: MappedLog, lines: NDArray[np.int64], cleaned:
         told.append(f"{count} samples in {len(ends)} jumps {left} (lines {', '.join(places)}{more})")
     if one.elsewhere:
         told.append(f"goes on at another value in line {', '.join(map(str, lines[one.elsewhere[:5]]))}")
-    codes = {find_code(source.columns[column][one.out]) for column in one.columns if len(ends)}
+    codes = {consistency.find_code(source.columns[column][one.out]) for column in one.columns if len(ends)}
     if len(codes) == 1 and (code := codes.pop()) is not None:
         _, factor, offset = source.sources.get(one.columns[0], ("", 1.0, 0.0))
         value = f"{(code - offset) / factor + 0.0:.6g}"

@@ -25,37 +25,11 @@ from swimid.files import isolated, memory, yamlio
 from swimid.files.provenance import path_of
 from swimid.files.tabular import repeated
 from swimid.files.yamlio import ASK
-from swimid.logs import log
+from swimid.logs import foreign, log
 from swimid.logs.averaging import Averager, RowStatistics
-from swimid.logs.foreign import (
-    COMPOUND,
-    GROUPED,
-    KNOWN,
-    MAX_ODD,
-    UNITS,
-    Options,
-    Table,
-    canonical,
-    in_words,
-    is_text,
-    numbers_in,
-    open_table,
-    quantity_of,
-    signed,
-    states_quantity,
-    unit_factor,
-)
+from swimid.logs.foreign import UNITS, Options, Table, canonical, is_text, open_table, quantity_of
 from swimid.logs.kinematics import AXES, rearranged
-from swimid.logs.log import (
-    TIME,
-    Log,
-    LogLike,
-    cells_to_numbers,
-    check_not_tiny,
-    longest_run,
-    metadata_of,
-    written_by,
-)
+from swimid.logs.log import TIME, Log, LogLike, metadata_of, written_by
 from swimid.logs.options import ImportOptions
 from swimid.logs.sampling import PAUSE, SET, UNIFORM_SHARE, usual_step
 from swimid.notices import Progress, silent, warn
@@ -134,7 +108,7 @@ class Time(yamlio.Document):
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
             raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
         for unit in self.units_of_sources or [str(self.unit)]:
-            unit_factor(unit, TIME)
+            foreign.unit_factor(unit, TIME)
         return self
 
     @property
@@ -184,7 +158,7 @@ class Column(yamlio.Document):
         """Factor from the values of the source column to those of the target column."""
         if self.unit in (None, NO_UNIT):
             return self.factor
-        return self.factor * unit_factor(str(self.unit), self.target)
+        return self.factor * foreign.unit_factor(str(self.unit), self.target)
 
 
 class Quaternion(yamlio.Document):
@@ -563,7 +537,7 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
         pieces[0] = replace(pieces[0], all_rows=averager.statistics)
     whole = _concatenate(pieces)
     for name, values in whole.columns.items():
-        check_not_tiny(values, path, name)
+        log.check_not_tiny(values, path, name)
     return whole
 
 
@@ -646,7 +620,7 @@ def _mapped(
         metadata,
         notes,
         {column.target: (str(column.source), column.scale, column.offset) for column in columns},
-        [c.target for c in columns if not (known or c.unit == NO_UNIT or states_quantity(c.target))],
+        [c.target for c in columns if not (known or c.unit == NO_UNIT or foreign.states_quantity(c.target))],
         table.profile,
         unlikely,
     )
@@ -710,7 +684,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     kept, out = [], []
     own = written_by(metadata, "swimid")
     for name in table.columns:
-        known = (own or states_quantity(name)) and _NAME.fullmatch(name)
+        known = (own or foreign.states_quantity(name)) and _NAME.fullmatch(name)
         if known and _numbers(table, name, [], path) is not None:
             kept.append(Column(source=name, target=name))
         elif name != "frame":
@@ -773,7 +747,7 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
     if values.dtype.kind == "M":
         return None
     if is_text(values):
-        found = cells_to_numbers(values, False, table.place, path, name, MISSING_HINT)
+        found = log.cells_to_numbers(values, False, table.place, path, name, MISSING_HINT)
         if found is None:
             return None
         values = found
@@ -791,7 +765,7 @@ def _values(
         kind = "text" if is_text(table.columns[name]) else "dates"
         raise InputError(f"holds {kind}, not numbers", file=path, column=name)
     if column.target != TIME:
-        values = signed(values, name, notes)
+        values = foreign.signed(values, name, notes)
     return values * column.scale + column.offset
 
 
@@ -958,7 +932,7 @@ def seconds(
     period = time.wraps_at
     names = [table.column(key, path) for key in time.sources]
     parts = [table.columns[name] for name in names]
-    factors = [unit_factor(unit, TIME) for unit in time.units_of_sources]
+    factors = [foreign.unit_factor(unit, TIME) for unit in time.units_of_sources]
     if time.rate_hz is not None:
         parts = [_frames(table, name, path) for name in names]
         if not parts:
@@ -1035,9 +1009,9 @@ def _parsed(
     stamps = _dates(cells, time.format)
     bad = (cells.notna() & stamps.isna()).to_numpy(dtype=bool)
     row = int(np.argmax(bad))
-    if 0 < bad.mean() <= MAX_ODD and time.format is None:
+    if 0 < bad.mean() <= foreign.MAX_ODD and time.format is None:
         text = f"cells that are no dates are left empty, {bad.sum()} of {len(bad)} in {' and '.join(names)}"
-        table.notes.append(f"{text}: '{cells.iloc[row][:40]}' in {in_words(table.place(row))}")
+        table.notes.append(f"{text}: '{cells.iloc[row][:40]}' in {foreign.in_words(table.place(row))}")
     elif bad.any():
         text = f"'{cells.iloc[row][:40]}' is neither a number nor a date or time that is known"
         formats = " or ".join(map(repr, date_formats(cells))) or EXAMPLE
@@ -1097,7 +1071,7 @@ def date_formats(cells: Any) -> list[str]:
     orders = [("%d", "%b")] if hit["month"] else [("%d", "%m"), ("%m", "%d")]
     year = "%Y" if len(hit["year"]) == 4 else "%y"
     formats = [hit["mark"].join([*order, year]) + clock for order in orders]
-    return [form for form in formats if _dates(cells, form).notna().mean() > 1 - MAX_ODD]
+    return [form for form in formats if _dates(cells, form).notna().mean() > 1 - foreign.MAX_ODD]
 
 
 # ---------------------------------------------------------------- rows in order
@@ -1185,7 +1159,7 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     beside = np.minimum(np.diff(ranked, prepend=-np.inf), np.diff(ranked, append=np.inf))
     far = beside[np.searchsorted(ranked, times[behind])] > MIN_DISTANCE * np.median(np.abs(np.diff(times)))
     most = max(1, LATE_SHARE * len(times))
-    if (late > most and far.mean() < UNIFORM_SHARE) or longest_run(behind) > LATE_RUN:
+    if (late > most and far.mean() < UNIFORM_SHARE) or log.longest_run(behind) > LATE_RUN:
         return Order(index, counts, int(index[np.argmax(behind)]))
     import pandas as pd
 
@@ -1205,7 +1179,7 @@ def _find_wrong_times(times: Array) -> NDArray[np.bool_]:
         return none
     margin = LATE_RUN * np.median(np.abs(np.diff(times)))
     wrong = (times < times[[0, -1]].min() - margin) | (times > times[[0, -1]].max() + margin)
-    if longest_run(wrong) > 1 or wrong.sum() > max(1, LATE_SHARE * len(times)):
+    if log.longest_run(wrong) > 1 or wrong.sum() > max(1, LATE_SHARE * len(times)):
         return none
     return wrong
 
@@ -1354,11 +1328,11 @@ def _of_names(table: Table) -> list[str]:
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
     asked = dict(table.asked)
     for name in [name for name, values in columns.items() if is_text(values)]:
-        found, odd = numbers_in(columns[name])
+        found, odd = foreign.numbers_in(columns[name])
         texts = columns[name][odd].astype(str)
-        if any(re.fullmatch(GROUPED, text) for text in texts):
+        if any(re.fullmatch(foreign.GROUPED, text) for text in texts):
             asked.setdefault("decimal", f"the decimal mark, for cells such as '{texts[0]}' in '{name}'")
-            found = numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
+            found = foreign.numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
         elif odd.sum() < np.isfinite(found).sum():
             asked.setdefault("missing", f"the texts of missing samples, as in ['{texts[0]}'] in '{name}'")
         else:
@@ -1420,11 +1394,11 @@ def named(source: str, written: str | None = None) -> tuple[str, str | None]:
     (('yaw_rad', 'deg'), ('ax_m_s2', 'ASK'), ('x_m', None), ('level_m', 'mm'))
     """
     name = source.strip()
-    if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and states_quantity(name) and not written:
+    if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and foreign.states_quantity(name) and not written:
         return name, None
     bare, unit = _split(name)
     unit = canonical(written or unit or "")
-    if unit not in KNOWN:
+    if unit not in foreign.KNOWN:
         unit = None
     target = _target(bare.strip(" _.").lower(), unit)
     if target is not None and quantity_of(target) is None:
@@ -1436,9 +1410,9 @@ def _split(name: str) -> tuple[str, str | None]:
     """Return the name of a column without its unit, and the unit, or None if the name states no unit."""
     if hit := _UNIT.fullmatch(name):
         return hit["bare"], hit["inside"] or hit["over"]
-    if (hit := _ENDING.fullmatch(name)) and not COMPOUND.fullmatch(hit["bare"]):
+    if (hit := _ENDING.fullmatch(name)) and not foreign.COMPOUND.fullmatch(hit["bare"]):
         unit = canonical(re.sub(r"(?<=.)_(s2?)$", r"/\1", hit["unit"]))
-        if unit in KNOWN:
+        if unit in foreign.KNOWN:
             return hit["bare"], unit
     return name, None
 
@@ -1478,7 +1452,7 @@ def _guess_time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] |
         texts = [name for name in stamps if is_text(columns[name])]
         time: dict[str, Any] = {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
         cells = _joined([columns[name] for name in texts])
-        if _dates(cells, None).notna().mean() < (1 - MAX_ODD) * cells.notna().mean():
+        if _dates(cells, None).notna().mean() < (1 - foreign.MAX_ODD) * cells.notna().mean():
             formats = date_formats(cells)
             time["format"] = formats[0] if len(formats) == 1 else ASK
             comment = f"as in format: {' or '.join(map(repr, formats)) or EXAMPLE}"

@@ -12,17 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from swimid.tracking.frames import (
-    NOT_SEEN,
-    WINDOW,
-    Frame,
-    FrameKeeper,
-    RawTrack,
-    Row,
-    Video,
-    find_difference,
-    reduced,
-)
+from swimid.tracking import frames
+from swimid.tracking.frames import Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Setup
 
 #: Number of frames whose median is the picture of the empty scene, and width in px to which each frame is
@@ -36,7 +27,7 @@ _KERNEL = np.ones((5, 5), np.uint8)
 def empty_scene(path: Path) -> Frame:
     """Return the empty scene of a film: the median of frames spread over the film, without moving objects."""
     video = Video(path)
-    keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
+    keeper = frames.FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         keeper.take(index, frame)
     middle = len(keeper.kept) // 2
@@ -73,19 +64,19 @@ class Silhouette:
     def step(self, time: float, frame: Frame) -> None:
         """Find the body in the next frame of the film, and store the detection."""
         self._times.append(time)
-        for row in self._measure(reduced(frame, WIDTH)):
+        for row in self._measure(frames.reduced(frame, WIDTH)):
             self._rows.extend(row)
 
     def _measure(self, small: Frame) -> tuple[Row, Row]:
         """Return centre and rear point of the body as two detections, in px at full resolution."""
-        difference, noise, differs = find_difference(small, self._scene)
+        difference, noise, differs = frames.find_difference(small, self._scene)
         mask = np.where(differs, self._allowed, 0).astype(np.uint8)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         sizes = np.where((stats[:, 4] >= self._low) & (stats[:, 4] <= self._high), stats[:, 4], 0)
         sizes[0] = 0
         label = int(np.argmax(sizes))
         if not sizes[label]:
-            return NOT_SEEN[:6], NOT_SEEN[:6]
+            return frames.NOT_SEEN[:6], frames.NOT_SEEN[:6]
         self._twice += int(np.sum(sizes > 0.5 * sizes[label]) > 1)
         left, top, width, height = stats[label, :4]
         right, bottom = left + width, top + height
@@ -108,7 +99,7 @@ class Silhouette:
         centre = self._factor * (middle + 0.5) - 0.5
         rear = centre - self._factor * 2 * math.sqrt(variances[1]) * self._axis / self._shape
         confidence = contrast / (contrast + 2 * noise + 6.0)
-        rest = (self._factor**2 * m["m00"], confidence, WINDOW, at_edge)
+        rest = (self._factor**2 * m["m00"], confidence, frames.WINDOW, at_edge)
         return (*centre, *rest), (*rear, *rest)
 
     def track(self) -> RawTrack:

@@ -18,22 +18,11 @@ from swimid.logs.scale import Camera
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
 from swimid.results.result import Text
-from swimid.tracking import frames, picking
+from swimid.tracking import frames, picking, proposals
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Video
 from swimid.tracking.options import TrackSetupOptions
-from swimid.tracking.proposals import (
-    Candidate,
-    distance_change,
-    find_candidates,
-    interpolate_shifts,
-    kinds_of,
-    listed,
-    marker_fault,
-    pick_markers,
-    sample,
-    setup_of,
-)
+from swimid.tracking.proposals import Candidate, distance_change, marker_fault, setup_of
 from swimid.tracking.setup import Marker, Setup
 from swimid.tracking.tracker import Run, follow
 
@@ -238,8 +227,8 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     highest scores is returned, or else the pair whose distance changes least.
     """
     with progress(f"looking at {video.name}") as step:
-        samples = sample(video, step=step)
-    found, rejected = find_candidates(samples)
+        samples = proposals.sample(video, step=step)
+    found, rejected = proposals.find_candidates(samples)
     shift = samples.factor * frames.scene_shifts(samples.frames)
     consequence = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
     frames.check_camera(shift, samples.video.width, consequence)
@@ -250,7 +239,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     markers = [Marker(name=name, hsv=c.colours, area_px=c.area_px) for name, c in tried.items()]
     run = _try(video, setup_of(markers, common), progress)
     track, reasons = run.track, {}
-    scene = interpolate_shifts(shift, samples.indices, len(track.times))
+    scene = proposals.interpolate_shifts(shift, samples.indices, len(track.times))
     for name, candidate in tried.items():
         min_share = max(frames.MIN_SHARE, 0.3 * candidate.presence)
         reasons[name] = marker_fault(track, name, min_share, scene)[1]
@@ -258,7 +247,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     if not good:
         rejected = [replace(c, reason=reasons[name]) for name, c in tried.items()] + rejected
         raise NoTrustworthyResult(
-            f"no marker of {video.name} can be followed and moves. {listed(rejected)}"
+            f"no marker of {video.name} can be followed and moves. {proposals.listed(rejected)}"
             f"{frames.describe_colours(samples.frames[::6])}",
             hint="pick the markers by hand: --marker name@x,y with --frame",
         )
@@ -295,7 +284,7 @@ def _picked(video: Path, options: TrackSetupOptions) -> list[Marker]:
     frame = next((frame for _, frame in islice(Video(video).frames(), options.frame, None)), None)
     if frame is None:
         raise InputError(f"has no frame {options.frame}", file=video)
-    return pick_markers(frame, kinds_of(options.picks), path=video, index=options.frame)
+    return proposals.pick_markers(frame, proposals.kinds_of(options.picks), path=video, index=options.frame)
 
 
 def _follow_chosen(video: Path, markers: list[Marker], common: dict[str, Any], progress: Progress) -> Run:
