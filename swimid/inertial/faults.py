@@ -469,10 +469,8 @@ def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
     count = len(record) // (BLOCKS * size)
     if count < MIN_WINDOWS:
         return {}
-    force, rate = (
-        values[: count * BLOCKS * size].reshape(count, -1, 3)[:: max(count // MAX_WINDOWS, 1)]
-        for values in (record.acceleration, record.rate)
-    )
+    windows = record.channels[: count * BLOCKS * size].reshape(count, -1, 6)
+    force, rate = np.split(windows[:: max(count // MAX_WINDOWS, 1)], 2, axis=2)
 
     def changes(turned: Array) -> float:
         blocks = turned.reshape(len(force), BLOCKS, size, 3).mean(axis=2)

@@ -284,10 +284,8 @@ def _checked(run: Run) -> Run:
     band = BAND * np.sqrt(squares) / np.maximum(speed, 1e-9)
     fast, impossible = (speed - band > top_m_s) | (speed > GATE * 0.5 * top_m_s), run.impossible
     if fast.any():
-        impossible = [
-            f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be, "
-            f"{top_m_s:g} m/s (up to {speed.max():.1f} m/s)"
-        ]
+        text = f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be"
+        impossible = [f"{text}, {top_m_s:g} m/s (up to {speed.max():.1f} m/s)"]
         hidden = np.where(fast[:, None], np.nan, 0.0)
         moved = moved | {name: moved[name] + hidden for name in smoother.EMPTIED}
     until_s = find_trust(run.setup.record.time_s, moved["position"], moved["position_sd"])

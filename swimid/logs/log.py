@@ -499,10 +499,8 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
         raise InputError(f"is no readable Parquet file: {first_line(error)}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")
     metadata = metadata_of(stored.decode("utf-8", "replace").splitlines(), path)
-    cells, strict = (
-        arrays(table.to_pandas(ignore_metadata=True), str(path)),
-        {TIME, *required, *(optional or ())},
-    )
+    cells = arrays(table.to_pandas(ignore_metadata=True), str(path))
+    strict = {TIME, *required, *(optional or ())}
     return Log(path, metadata, _columns(cells, strict, lambda row: {"row": row + 1}, path))
 
 

@@ -1140,11 +1140,9 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     """
     length = len(time_s)
     if length and not time_s[-1] >= np.fmax.reduce(time_s):
-        last = [
-            (values == values[-1]) | (np.isnan(values) & np.isnan(values[-1]))
-            for values in (time_s, *columns.values())
-        ]
-        length = int(np.max(np.flatnonzero(~np.all(last, axis=0)), initial=-1)) + 1
+        rows = np.column_stack([time_s, *columns.values()])
+        is_last = np.isclose(rows, rows[-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
+        length = int(np.max(np.flatnonzero(~is_last), initial=-1)) + 1
         length += length == len(time_s) - 1  # a single row is no unfilled part
     index = np.flatnonzero(np.isfinite(time_s[:length]))
     wrong = _find_wrong_times(time_s[index])

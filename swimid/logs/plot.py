@@ -288,12 +288,9 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         marks = [Mark(at=beat_hz, axis="x", label=label) for label, beat_hz in shown]
         traces, label = [Trace(x=drawn[0], y=drawn[1])], f"amplitude of {numbers.column_title(name)}"
         panels.append(ev.panel("frequency (Hz)", label, traces, y_scale="log", marks=marks))
-    return Figure(
-        id=f"spectra-{record.path.stem}",
-        title=f"Spectra of {record.path.name}",
-        caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
-        panels=panels,
-    )
+    caption += " Amplitudes (Hann window) of the longest stretch without a gap."
+    path = record.path
+    return ev.panels(f"spectra-{path.stem}", f"Spectra of {path.name}", caption, panels)
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:

@@ -161,10 +161,8 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where
         else:
             frames[joint.child] = (up, way * np.exp(1j * turn), at)
     placed = [frames[place.link] for place in points.values()]
-    spots = [
-        front + way * complex(*place.at_m)
-        for (_, way, front), place in zip(placed, points.values(), strict=True)
-    ]
+    pairs = zip(placed, points.values(), strict=True)
+    spots = [front + way * complex(*place.at_m) for (_, way, front), place in pairs]
     reference = complex(-body.reference.station_m, body.reference.offset_m)
     rear = [complex(-known[name].length_m, 0.0) for name in order]
     return Linkage(

@@ -275,12 +275,8 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     there = np.isfinite(seen)
     if not (there.sum(axis=1) >= 2).any():
         raise InputError("no frame has two of the points", file=path, hint="--min-likelihood may be too high")
-    film = Film(
-        columns[TIME],
-        np.where(there, seen, 0.0),
-        there,
-        np.column_stack([files.likelihood(columns, name) for name in names]),
-    )
+    likelihood = np.column_stack([files.likelihood(columns, name) for name in names])
+    film = Film(columns[TIME], np.where(there, seen, 0.0), there, likelihood)
     linkage, estimated = _linkage(film, body, names, placed, where, unit, request.calibrate)
     fit = bundle.fit(film, linkage)
     if estimated:

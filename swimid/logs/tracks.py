@@ -411,10 +411,8 @@ def net_speed(
     if 2.0 * end_s > duration:
         if frequency_hz is not None:
             near_hz = [frequency_hz + part / duration for part in np.linspace(-0.1, 0.1, 9)]
-        fits = [
-            _fit_path(time_s, place, (first, last), order, near, changes=True)
-            for order, near in product(range(1, MAX_ORDER + 1), near_hz)
-        ]
+        tried = product(range(1, MAX_ORDER + 1), near_hz)
+        fits = [_fit_path(time_s, place, (first, last), *one, changes=True) for one in tried]
         criteria = np.array([criterion for criterion, *_ in fits])
         weights = np.exp(-0.5 * (criteria - criteria.min()))
         weights /= weights.sum()
@@ -526,12 +524,8 @@ def speed(
     along = np.linalg.norm(velocity[used], axis=1)
     line = net_speed(time_s[cleaning.good], place[cleaning.good], frequency_hz, stamp_sd_s)
     assert line is not None  # each segment has at least MIN_SAMPLES samples
-    return TrackSpeed(
-        mean_of_blocks(along, weights[used], -excess / covered),
-        line,
-        float(np.sqrt(squares / max(count, 1))),
-        covered,
-    )
+    path = mean_of_blocks(along, weights[used], -excess / covered)
+    return TrackSpeed(path, line, float(np.sqrt(squares / max(count, 1))), covered)
 
 
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:

@@ -544,10 +544,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         # Add the position error that results from the error of the heading. It is perpendicular to the line
         # from the mid-point of the markers to the reference point.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
-        path = replace(
-            _widened(path, across * angle.position_sd),
-            velocity_sd=np.hypot(path.velocity_sd, across * angle.velocity_sd),
-        )
+        velocity_sd = np.hypot(path.velocity_sd, across * angle.velocity_sd)
+        path = replace(_widened(path, across * angle.position_sd), velocity_sd=velocity_sd)
     if held.repeated.any():
         path = _at_stamps(path, clock, times, segments, clock_sd)
         if angle is not None:

@@ -182,10 +182,8 @@ def _draft(video: Path, run: Run, rejected: list[Candidate], output: Path | None
         change = distance_change(run, *setup.roles) or 0.0
         if change > frames.MAX_DISTANCE_SD[0] and setup.markers[0].method == "colour":
             text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * change:.1f} %"
-            warn(
-                "SWM042",
-                f"{text}: they may not be on one rigid part. Pick two that are: --marker NAME@X,Y for each",
-            )
+            hint = "they may not be on one rigid part. Pick two that are: --marker NAME@X,Y for each"
+            warn("SWM042", f"{text}: {hint}")
     notes = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     notes += [f"passed over: {one}" for one in rejected]
     lines = [*notes, f"head {setup.head}, tail {setup.tail}"]

@@ -244,11 +244,8 @@ def _evaluate(
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
-    data = (
-        _data(made, rows, swum)
-        | findings
-        | {"verdict": verdict.model_dump(), "checks": [check.model_dump() for check in checks]}
-    )
+    data = _data(made, rows, swum) | findings | {"verdict": verdict.model_dump()}
+    data["checks"] = [check.model_dump() for check in checks]
     document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
     return Track("track video", "", data, (), evidence, document, columns, made, rules), painter
 
@@ -756,9 +753,8 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     ) -> ev.Panel:
         smooth, sd = factor * values.position[row, every], factor * values.position_sd[row, every]
         marks = ev.apart(t[every], raw)
-        measured = ev.Trace(
-            x=t[every][marks], y=factor * raw[marks], label="measured", style="points", group=0
-        )
+        seen_t, seen = t[every][marks], factor * raw[marks]
+        measured = ev.Trace(x=seen_t, y=seen, label="measured", style="points", group=0)
         return over_time(label, [measured, ev.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0)])
 
     coordinates = [
@@ -774,10 +770,8 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         names = (f"surge speed ({unit}/s)", f"{sideways} ({unit}/s)")
         speeds = dict(zip(names, pose.body_velocity, strict=True))
         speeds[f"{turn} rate (°/s)"] = degrees * pose.angle.velocity[0]
-    window = [
-        ev.Mark(at=found.begin_s, axis="x", label="averaging window"),
-        ev.Mark(at=found.end_s, axis="x"),
-    ]
+    begin = ev.Mark(at=found.begin_s, axis="x", label="averaging window")
+    window = [begin, ev.Mark(at=found.end_s, axis="x")]
     first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
     path = [
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),

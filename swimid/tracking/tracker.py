@@ -598,12 +598,9 @@ class Follower:
             Blob of the object, if the object replaces the target.
         """
         gone_s = time - target.time
-        blobs = [
-            blob
-            for blob in blobs
-            if not (blob.at_edge or is_among(blob, group.rivals))
-            and not (target.whole and group.is_alike(target, blob, gone_s))
-        ]
+        blobs = [blob for blob in blobs if not (blob.at_edge or is_among(blob, group.rivals))]
+        if target.whole:
+            blobs = [blob for blob in blobs if not group.is_alike(target, blob, gone_s)]
         rival = target.challenger
         if rival is not None and time - rival.time > self.setup.max_gap_s:
             rival = target.challenger = None

@@ -107,11 +107,8 @@ def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
 
 def _is_sleap(peek: Peek) -> bool:
     cells = {hit[1] for name in peek.header if (hit := _CELL.fullmatch(name))}
-    return (
-        ("frame_idx" in peek.header and {"x", "y"} <= cells)
-        or peek.holds("tracks", "node_names")
-        or peek.holds(*_PROJECT)
-    )
+    is_table = "frame_idx" in peek.header and {"x", "y"} <= cells
+    return is_table or peek.holds("tracks", "node_names") or peek.holds(*_PROJECT)
 
 
 def _read_sleap(path: Path, options: Options, select: str | None) -> Table:

@@ -62,10 +62,8 @@ def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
         found = make_reader(stream).iter_messages(topics=[topic], log_time_order=False)
         for schema, channel, message in found:
             decode = decoders.decoder_for(channel.message_encoding, schema) or json.loads
-            record = {
-                "log_time": np.datetime64(message.log_time, "ns"),
-                "publish_time": np.datetime64(message.publish_time, "ns"),
-            }
+            times = {"log_time": message.log_time, "publish_time": message.publish_time}
+            record = {name: np.datetime64(time_ns, "ns") for name, time_ns in times.items()}
             records.append(record | dict(foreign.flat(decode(message.data), _parts)))
     return Table(foreign.of_records(records), metadata={"topic": topic, "type": known[topic]})
 
