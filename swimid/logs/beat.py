@@ -125,8 +125,9 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
 def stated_frequency(metadata: Mapping[str, Any]) -> float | None:
     """Return the stroke frequency that the metadata of a log state, Hz; None without a positive number."""
     value = metadata.get("frequency_hz")
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return value if is_number and value > 0 else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        return None
+    return value
 
 
 def stated_against_found(

@@ -194,21 +194,10 @@ def fit(film: Film, linkage: Linkage) -> Fit:
     estimate.remove_bias()
     found = estimate.residuals()
     faults = _faults(estimate, found)
-    return Fit(
-        estimate.linkage,
-        estimate.state,
-        found,
-        estimate.used,
-        estimate.noise,
-        estimate.exponent,
-        estimate.place_sd_m,
-        estimate.undetermined(),
-        faults,
-        estimate.level,
-        estimate.order,
-        ambiguous,
-        estimate.is_mirrored(),
-    )
+    errors = (estimate.noise, estimate.exponent, estimate.place_sd_m, estimate.undetermined())
+    removed = (faults, estimate.level, estimate.order)
+    fitted = (estimate.linkage, estimate.state, found, estimate.used)
+    return Fit(*fitted, *errors, *removed, ambiguous, estimate.is_mirrored())
 
 
 class _Estimate:

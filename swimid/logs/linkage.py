@@ -222,19 +222,11 @@ def chain(names: tuple[str, ...], lengths: Array) -> Linkage:
     """
     rear = -np.asarray(lengths, dtype=complex)
     count = len(rear)
-    return Linkage(
-        names,
-        np.maximum(np.arange(count + 1) - 1, 0),
-        np.concatenate([[0j], rear]),
-        np.arange(count) - 1,
-        np.concatenate([[0j], rear[:-1]]),
-        np.zeros(count),
-        tuple(f"joint{k}_rad" for k in range(1, count)),
-        tuple(f"{a} to {b}" for a, b in pairwise(names)),
-        0j,
-        rear,
-        free=frozenset({"lengths"}),
-    )
+    link, place = np.maximum(np.arange(count + 1) - 1, 0), np.concatenate([[0j], rear])
+    tree = (np.arange(count) - 1, place[:-1], np.zeros(count))
+    columns = tuple(f"joint{k}_rad" for k in range(1, count))
+    links = tuple(f"{a} to {b}" for a, b in pairwise(names))
+    return Linkage(names, link, place, *tree, columns, links, 0j, rear, free=frozenset({"lengths"}))
 
 
 @dataclass

@@ -452,14 +452,9 @@ def _offset(
     slow_s = max(MIN_SLOW_S, MIN_SLOW_PERIODS * 2 * np.pi * float(spread / max(turning, 1e-300)))
     # A held value is on average half a step older than one on the line through the samples.
     delay_s = 0.5 * usual_step(time_s[there]) * (joined.between == "hold")
-    found = clocks.clock_offset(
-        time_s[there] + delay_s,
-        that[there, None],
-        log.time_s[order],
-        log.columns[align.this][order, None],
-        slow_s=slow_s,
-        near_s=(-near_s, near_s),
-    )
+    this_s, this = log.time_s[order], log.columns[align.this][order, None]
+    pair = (time_s[there] + delay_s, that[there, None], this_s, this)
+    found = clocks.clock_offset(*pair, slow_s=slow_s, near_s=(-near_s, near_s))
     explained = 0.0 if found is None else found.explained
     if found is None or explained < clocks.MIN_EXPLAINED:
         text = f"'{align.that}' explains {100 * explained:.0f} % of '{align.this}': they do not move together"
@@ -612,17 +607,12 @@ def _mapped(
     lines = table.before + np.arange(1, rows + 1, dtype=np.int64)
     if table.lines is not None:
         lines = table.lines
-    known = written_by(metadata, "swimid")
+    scales = {column.target: (str(column.source), column.scale, column.offset) for column in columns}
+    unknown = [
+        c.target for c in columns if not (known or c.unit == NO_UNIT or foreign.states_quantity(c.target))
+    ]
     return MappedLog(
-        path,
-        found,
-        lines[:rows][chosen],
-        metadata,
-        notes,
-        {column.target: (str(column.source), column.scale, column.offset) for column in columns},
-        [c.target for c in columns if not (known or c.unit == NO_UNIT or foreign.states_quantity(c.target))],
-        table.profile,
-        unlikely,
+        path, found, lines[:rows][chosen], metadata, notes, scales, unknown, table.profile, unlikely
     )
 
 

@@ -165,18 +165,11 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where
     spots = [front + way * complex(*place.at_m) for (_, way, front), place in pairs]
     reference = complex(-body.reference.station_m, body.reference.offset_m)
     rear = [complex(-known[name].length_m, 0.0) for name in order]
-    return Linkage(
-        tuple(safe(name) for name in points),
-        np.array([link for link, _, _ in placed], dtype=np.intp),
-        np.array(spots, dtype=complex),
-        np.array(parent, dtype=np.intp),
-        np.array(joints, dtype=complex),
-        np.array(mounts),
-        tuple(names[1:]),
-        tuple(order),
-        reference,
-        np.array(rear, dtype=complex),
-    )
+    link = np.array([link for link, _, _ in placed], dtype=np.intp)
+    of_points = (tuple(safe(name) for name in points), link, np.array(spots, dtype=complex))
+    tree = (np.array(parent, dtype=np.intp), np.array(joints, dtype=complex), np.array(mounts))
+    named = (tuple(names[1:]), tuple(order))
+    return Linkage(*of_points, *tree, *named, reference, np.array(rear, dtype=complex))
 
 
 # ---------------------------------------------------------------- tracked points

@@ -293,18 +293,8 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
         values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
         columns.update(zip(pair, np.where(fit.used, values, np.nan).T, strict=True))
     made, empty = _columns(fit, unit, plane, known_scale)
-    posed = Posed(
-        fit,
-        linkage,
-        made,
-        unit,
-        known_scale,
-        source,
-        robot,
-        *_examined(fit, linkage, bool(robot)),
-        empty,
-        columns[TIME],
-    )
+    examined, time_s = _examined(fit, linkage, bool(robot)), columns[TIME]
+    posed = Posed(fit, linkage, made, unit, known_scale, source, robot, *examined, empty, time_s)
     _warn(posed, path)
     return posed
 

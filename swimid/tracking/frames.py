@@ -717,16 +717,8 @@ def measure(
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     if at_edge:
         confidence *= 0.6
-    return Blob(
-        x=origin[0] + step * x0 + column,
-        y=origin[1] + step * y0 + row,
-        area=patch.area,
-        box=box,
-        contrast=contrast,
-        confidence=confidence,
-        hsv=mean_hsv(colour),
-        at_edge=at_edge,
-    )
+    x, y = origin[0] + step * x0 + column, origin[1] + step * y0 + row
+    return Blob(x, y, patch.area, box, contrast, confidence, mean_hsv(colour), at_edge)
 
 
 #: Type of the values of one detection: x, y, area, confidence, status, whether the edge of the picture cuts

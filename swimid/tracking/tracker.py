@@ -320,15 +320,11 @@ class Follower:
         self.setup = setup
         self._size = (width, height)
         # The default area of a marker is from 12 px to 5 % of the picture.
-        self.groups = [
-            Group(
-                marker=marker,
-                model=ColourModel(marker.hsv or HsvRange()),
-                area_px=marker.area_px or (12.0, 0.05 * width * height),
-                targets=[Target(name) for name in marker.names],
-            )
-            for marker in setup.markers
-        ]
+        self.groups: list[Group] = []
+        for marker in setup.markers:
+            model, targets = ColourModel(marker.hsv or HsvRange()), [Target(name) for name in marker.names]
+            area_px = marker.area_px or (12.0, 0.05 * width * height)
+            self.groups.append(Group(marker, model, area_px, targets))
         #: Statistics of the distance (px) between each two markers of different colours: number of distances,
         #: their sum, and the sum of their squares. They are computed only if several markers have the same
         #: colour.
