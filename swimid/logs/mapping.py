@@ -608,12 +608,11 @@ def _mapped(
     if table.lines is not None:
         lines = table.lines
     scales = {column.target: (str(column.source), column.scale, column.offset) for column in columns}
-    unknown = [
-        c.target for c in columns if not (known or c.unit == NO_UNIT or foreign.states_quantity(c.target))
-    ]
-    return MappedLog(
-        path, found, lines[:rows][chosen], metadata, notes, scales, unknown, table.profile, unlikely
-    )
+    unknown = [c.target for c in columns if c.unit != NO_UNIT and not foreign.states_quantity(c.target)]
+    if written_by(metadata, "swimid"):
+        unknown = []
+    numbers = lines[:rows][chosen]
+    return MappedLog(path, found, numbers, metadata, notes, scales, unknown, table.profile, unlikely)
 
 
 def _with_unit(column: Column, stated: str | None, path: Path) -> Column:
