@@ -195,9 +195,8 @@ def fit(film: Film, linkage: Linkage) -> Fit:
     found = estimate.residuals()
     faults = _faults(estimate, found)
     errors = (estimate.noise, estimate.exponent, estimate.place_sd_m, estimate.undetermined())
-    removed = (faults, estimate.level, estimate.order)
-    fitted = (estimate.linkage, estimate.state, found, estimate.used)
-    return Fit(*fitted, *errors, *removed, ambiguous, estimate.is_mirrored())
+    values = (*errors, faults, estimate.level, estimate.order, ambiguous, estimate.is_mirrored())
+    return Fit(estimate.linkage, estimate.state, found, estimate.used, *values)
 
 
 class _Estimate:

@@ -245,10 +245,9 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
     comparisons = _compared(columns, period_s, name)
-    made, of_track = Log(source.path, metadata, columns, None), (cleaning, cleaned, jumped, speed)
-    of_channels = (stroke, against, unknown, doubts, comparisons)
-    body_wave = point_evidence.wave_of(posed, periodic_hz)
-    return Examined(source, made, order, *of_track, *of_channels, *uneven, posed, body_wave)
+    made, body_wave = Log(source.path, metadata, columns, None), point_evidence.wave_of(posed, periodic_hz)
+    findings = (cleaning, cleaned, jumped, speed, stroke, against, unknown, doubts, comparisons, *uneven)
+    return Examined(source, made, order, *findings, posed, body_wave)
 
 
 def _in_order(source: MappedLog) -> Order:

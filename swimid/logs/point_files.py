@@ -166,10 +166,11 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where
     reference = complex(-body.reference.station_m, body.reference.offset_m)
     rear = [complex(-known[name].length_m, 0.0) for name in order]
     link = np.array([link for link, _, _ in placed], dtype=np.intp)
-    of_points = (tuple(safe(name) for name in points), link, np.array(spots, dtype=complex))
+    labels, at_m = tuple(safe(name) for name in points), np.array(spots, dtype=complex)
     tree = (np.array(parent, dtype=np.intp), np.array(joints, dtype=complex), np.array(mounts))
-    named = (tuple(names[1:]), tuple(order))
-    return Linkage(*of_points, *tree, *named, reference, np.array(rear, dtype=complex))
+    named = (tuple(names[1:]), tuple(order), reference, np.array(rear, dtype=complex))
+    values = (*tree, *named)
+    return Linkage(labels, link, at_m, *values)
 
 
 # ---------------------------------------------------------------- tracked points
