@@ -136,9 +136,10 @@ def clock_unit(steps_s: np.ndarray) -> float:
     (0.001, 0.0)
     """
     mean = float(np.mean(steps_s[steps_s < PAUSE * np.median(steps_s)]))
-    # Steps that differ by less than a millionth of a step are equal apart from rounding errors.
+    # Steps that differ by less than a millionth of a step are equal apart from rounding errors. These errors
+    # must be less than the tolerance of the unit.
     unit = mean * (step_of(np.append(np.round(steps_s / mean, 6), 0.0), 3) or 0.0)
-    if unit == 0.0 or abs(mean / unit - round(mean / unit)) < GRID_TOL:
+    if unit < 1e-6 / GRID_TOL * mean or abs(mean / unit - round(mean / unit)) < GRID_TOL:
         return 0.0
     is_even = unit > 0.99 * np.min(steps_s) and np.mean(steps_s < 1.5 * unit) >= UNIFORM_SHARE
     return 0.0 if is_even else unit  # an even record may have missing samples
