@@ -738,10 +738,8 @@ def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) ->
     follows outliers can recover.
     """
     residual, variance = _residuals(fixes, smoothed)
-    (place_sd, place), (turn_sd, turn) = (
-        _noise_and_weight(residual[:, half], variance[:, half], fixes.noise[half])
-        for half in (slice(3), slice(3, 6))
-    )
+    place_sd, place = _noise_and_weight(residual[:, :3], variance[:, :3], fixes.noise[:3])
+    turn_sd, turn = _noise_and_weight(residual[:, 3:], variance[:, 3:], fixes.noise[3:])
     noise = fixes.noise.copy()
     if fix_sd_m is None:
         known = (noise[:3] == PLANE_SD) | ~np.isfinite(place_sd)

@@ -70,9 +70,9 @@ LONG_STEP, MAX_STEP_S = 1.6, 2.0
 MIN_JITTER = 0.05
 #: Maximum deviation of the norm of a valid quaternion from 1.
 QUATERNION_TOL = 0.05
-#: Deviation of a single reading from the running median, divided by the deviation that four of five readings
-#: in the same second, and the two beside it, do not exceed, above which the reading is corrupt. Noise with
-#: Laplace's heavy tails reaches it once in 10^7 readings.
+#: Ratio of two deviations from the running median, above which a reading is corrupt: that of the reading, and
+#: that of its surroundings. The latter is exceeded by a fifth of the readings in the same second, and by
+#: neither neighbour. Noise with a Laplace distribution reaches the ratio once in 10^7 readings.
 GLITCH = 10.0
 #: Deviation of a single turn rate from the running median, divided by the range of the running median, above
 #: which no motion causes it. In a real recording of a hand-held sensor at 1 kHz it is 2.3 at most.
@@ -129,29 +129,33 @@ def find_samples(
 
     def test(record: Record) -> tuple[Record, Finding | None]:
         bad = np.column_stack([is_bad(record, values) for values in record.channels.T])
-        if not bad.any():
-            return record, None
         share, sizes = bad.mean(axis=0), np.abs(np.nan_to_num(record.channels)) * bad
         worst = int(np.argmax(share))
         if share[worst] > max_share:
             said = f"{100 * share[worst]:.1f} % of the samples {text.format(largest=sizes[:, worst].max())}"
             raise InputError(said, file=record.name, column=CHANNELS[worst], hint=hint)
-        names = ", ".join(np.array(CHANNELS)[bad.any(axis=0)])
-        count = int(bad.any(axis=1).sum())
-        said = f"{count} samples in {names} {text.format(largest=sizes.max())}, interpolated"
-        values = record.channels
-        for column, hole in zip(values.T, bad.T, strict=True):
-            if hole.any() and not hole.all():
-                column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
-        fixed = replace(
-            record,
-            acceleration=values[:, :3],
-            rate=values[:, 3:],
-            filled=record.filled | bad.reshape(-1, 2, 3).any(axis=2),
-        )
-        return fixed, Finding(name, "handled", said, count)
+        return interpolated(record, bad, name, text.format(largest=sizes.max()))
 
     return test
+
+
+def interpolated(record: Record, bad: Flags, name: str, text: str) -> tuple[Record, Finding | None]:
+    """Return a record whose bad samples, flags of shape (n, 6), are interpolated, and a finding on them."""
+    if not bad.any():
+        return record, None
+    values, count = record.channels, int(bad.any(axis=1).sum())
+    for column, hole in zip(values.T, bad.T, strict=True):
+        if hole.any() and not hole.all():
+            column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
+    filled = record.filled | bad.reshape(-1, 2, 3).any(axis=2)
+    fixed = replace(record, acceleration=values[:, :3], rate=values[:, 3:], filled=filled)
+    said = f"{count} samples in {', '.join(np.array(CHANNELS)[bad.any(axis=0)])} {text}, interpolated"
+    return fixed, Finding(name, "handled", said, count)
+
+
+def is_empty(record: Record, _: Array) -> Flags:
+    """Return flags of samples that hold one value in every channel."""
+    return np.asarray(np.ptp(record.channels, axis=1) == 0)
 
 
 def is_wild(_: Record, values: Array) -> Flags:
@@ -237,19 +241,16 @@ def find_glitches(record: Record) -> tuple[Record, Finding | None]:
     rates are interpolated in any case.
     """
     name, text = "corrupt readings", "differ from the readings around them"
-    fixed, found = find_samples(name, is_glitch, 1.0, text)(record)
-    bad = (fixed.channels != record.channels).any(axis=1)
-    if any(bad[rest.rows].any() for rest in recording.find_rests(fixed)):
+    bad = np.column_stack([is_glitch(record, values) for values in record.channels.T])
+    fixed, found = interpolated(record, bad, name, text)
+    if found is None or any(bad[rest.rows].any() for rest in recording.find_rests(fixed)):
         return fixed, found
     ranges = np.ptp(median_filter(record.rate, size=(WINDOW, 1), mode="nearest"), axis=0)
     far = np.abs(fixed.rate - record.rate) > MAX_JERK * ranges
-    if not far.any():
-        return record, None
-    left_out = replace(record, rate=np.where(far, np.nan, record.rate))
-    return find_samples(name, lambda _, values: np.isnan(values), 1.0, text)(left_out)
+    return interpolated(record, np.hstack([np.zeros_like(far), far]), name, text)
 
 
-def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: str) -> Test:
+def find_dead(column: str, fault: str, combine: Callable[[Flags], Any], text: str) -> Test:
     """Return a test that removes a column of the record if it holds no measurements.
 
     A column with a lower sample rate than the log is interpolated instead.
@@ -260,8 +261,8 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
         Attribute of the record, an array of shape (n, k) or None.
     fault, text : str
         Name of the fault, and sentence about it for the user.
-    is_dead : callable
-        Returns whether the known rows of the column, shape (m, k), cannot be measurements.
+    combine : callable
+        Returns whether the column is dead, from the flags of its k constant components.
     """
 
     def test(record: Record) -> tuple[Record, Finding | None]:
@@ -275,8 +276,9 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
             if long.any():
                 finding = _corrupt_quaternions(int(long.sum()), "are not of length 1")
         rows = np.flatnonzero(there)
+        is_dead = len(rows) < 2 or combine(np.ptp(values[rows], axis=0) == 0)
         gap_s = np.max(np.diff(np.concatenate([t[:1], t[rows], t[-1:]])))
-        if len(rows) < 2 or gap_s > max(STUCK_S, 2 * record.step_s) or is_dead(values[rows]):
+        if is_dead or gap_s > max(STUCK_S, 2 * record.step_s):
             return replace(record, **{column: None}), Finding(fault, "handled", text)  # type: ignore[arg-type]
         known = values[rows]
         if column == "quaternion":
@@ -436,9 +438,7 @@ def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
     for residuals in (_gravity_residuals, _quaternion_residuals):
         radians, degrees = (min(residuals(record, unit).values(), default=1.0) for unit in (1.0, DEG))
         if degrees < CLEAR_UNIT * min(radians, 1.0):
-            text = (
-                "turn rates are in deg/s, as the turning of gravity or quaternions shows; converted to rad/s"
-            )
+            text = "turn rates are in deg/s, as the rotation of gravity or quaternions shows; converted"
             return replace(record, rate=record.rate * DEG), Finding("turn-rate unit", "handled", text)
         if radians < CLEAR_UNIT * min(degrees, 1.0):
             return record, None
@@ -469,10 +469,8 @@ def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
     count = len(record) // (BLOCKS * size)
     if count < MIN_WINDOWS:
         return {}
-    force, rate = (
-        values[: count * BLOCKS * size].reshape(count, -1, 3)[:: max(count // MAX_WINDOWS, 1)]
-        for values in (record.acceleration, record.rate)
-    )
+    windows = record.channels[: count * BLOCKS * size].reshape(count, -1, 6)
+    force, rate = np.split(windows[:: max(count // MAX_WINDOWS, 1)], 2, axis=2)
 
     def changes(turned: Array) -> float:
         blocks = turned.reshape(len(force), BLOCKS, size, 3).mean(axis=2)
@@ -572,44 +570,22 @@ def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
     return replace(record, quaternion=None), Finding("quaternions", "refuted", text)
 
 
+#: Texts on faults of an inertial recording, for messages.
+WIRING_HINT = "repair the sensor or its wiring: three accelerations and three turn rates are needed"
+NO_QUATERNIONS = "the quaternions are constant, have gaps or are not of length 1, not used"
+CLIPPED = "are clipped at the end of the range, {largest:.4g}"
+CLIPPED_HINT = "use a sensor, or a setting, with a larger range"
 #: Tests for faults of an inertial recording, in the order in which they run.
 TESTS: tuple[Test, ...] = (
     find_stamps,
-    find_samples(
-        "empty samples",
-        lambda record, _: np.ptp(record.channels, axis=1) == 0,
-        MAX_MISSING,
-        "hold one value in every channel, {largest:.4g}",
-    ),
+    find_samples("empty samples", is_empty, MAX_MISSING, "hold one value in every channel, {largest:.4g}"),
     find_samples("wild readings", is_wild, MAX_MISSING, "exceed any motion (up to {largest:.4g})"),
     find_samples("missing cells", lambda _, values: ~np.isfinite(values), MAX_MISSING, "are missing"),
-    find_samples(
-        "dead channel",
-        is_stuck,
-        MAX_STUCK,
-        "are stuck at one value",
-        "repair the sensor or its wiring: three accelerations and three turn rates are needed",
-    ),
-    find_dead(
-        "magnetic",
-        "dead magnetometer",
-        lambda field: np.any(np.ptp(field, axis=0) == 0),
-        "the magnetometer is constant or has gaps, not used",
-    ),
-    find_dead(
-        "quaternion",
-        "dead quaternions",
-        lambda attitude: np.ptp(attitude, axis=0).max() == 0,
-        "the quaternions are constant, have gaps or are not of length 1, not used",
-    ),
+    find_samples("dead channel", is_stuck, MAX_STUCK, "are stuck at one value", WIRING_HINT),
+    find_dead("magnetic", "dead magnetometer", np.any, "the magnetometer is constant or has gaps, not used"),
+    find_dead("quaternion", "dead quaternions", np.all, NO_QUATERNIONS),
     find_samples("repeated samples", is_repeated, MAX_REPEATED, "repeat the ones before in every channel"),
-    find_samples(
-        "saturated channel",
-        is_clipped,
-        MAX_CLIPPED,
-        "are clipped at the end of the range, {largest:.4g}",
-        "use a sensor, or a setting, with a larger range",
-    ),
+    find_samples("saturated channel", is_clipped, MAX_CLIPPED, CLIPPED, CLIPPED_HINT),
     find_glitches,
     find_acceleration_unit,
     find_dropped,

@@ -232,7 +232,7 @@ def read_poses(read: Log) -> Poses:
         raise InputError(text, file=read.path, hint="tracks in pixels need a scale in their setup")
     _remove_wrong(read, position, turn)
     measured = np.isfinite(turn)
-    turn[measured[:, 2], 2] = np.unwrap(turn[measured[:, 2], 2])
+    turn[:, 2] = log.unwrap(turn[:, 2])
     if not measured.any(axis=0).all():
         single = 2 if measured[:, 2].any() else 1
         turn[:, np.arange(3) != single] = np.nan

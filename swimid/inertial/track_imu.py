@@ -248,9 +248,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
     readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
-    stated_hz = record.metadata.get("frequency_hz")
-    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
-        stated_hz = None
+    stated_hz = beat.stated_frequency(record.metadata)
     stroke, cutoff = beat.find_stroke(t, readings), LOWEST_HZ
     if stroke is not None:
         cutoff = STROKE_SHARE * stroke.beat.frequency_hz
@@ -286,10 +284,8 @@ def _checked(run: Run) -> Run:
     band = BAND * np.sqrt(squares) / np.maximum(speed, 1e-9)
     fast, impossible = (speed - band > top_m_s) | (speed > GATE * 0.5 * top_m_s), run.impossible
     if fast.any():
-        impossible = [
-            f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be, "
-            f"{top_m_s:g} m/s (up to {speed.max():.1f} m/s)"
-        ]
+        text = f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be"
+        impossible = [f"{text}, {top_m_s:g} m/s (up to {speed.max():.1f} m/s)"]
         hidden = np.where(fast[:, None], np.nan, 0.0)
         moved = moved | {name: moved[name] + hidden for name in smoother.EMPTIED}
     until_s = find_trust(run.setup.record.time_s, moved["position"], moved["position_sd"])
@@ -560,9 +556,9 @@ def _motion_tests(run: Run) -> Iterator[Test]:
 
 
 def _gyroscope_scale(fused: Estimate) -> tuple[str, float, float]:
-    """Return the name of the axis whose scale the other log determines best, the reading over the true rate.
+    """Return the gyroscope axis whose scale the other log determines best, its factor, and the factor's sd.
 
-    The last value is the standard deviation of this factor.
+    The factor is the reading of this axis divided by the true turn rate.
     """
     part = smoother.PARTS["rate_scale"]
     variances = np.diag(fused.smoothed.errors.covariance[-1])[part].reshape(3, 3).diagonal()
@@ -668,12 +664,9 @@ def _tables(run: Run) -> list[Table]:
         rows.append([f"stroke in {run.stroke.channel} (Hz)", beat.frequency_hz, BAND * beat.stderr_hz])
     columns = ["quantity", "value", "95 % band ±"]
     details = {name: value for name, value in _data(run).items() if name not in ("faults", "stroke")}
-    return [
-        Table(id="motion", title="Motion", columns=columns, rows=rows),
-        leaf_table(
-            "details", "Details", details, "Biases along the axes of the sensor equal a tilt at rest."
-        ),
-    ]
+    caption = "Biases along the axes of the sensor equal a tilt at rest."
+    motion = Table(id="motion", title="Motion", columns=columns, rows=rows)
+    return [motion, leaf_table("details", "Details", details, caption)]
 
 
 def _methods(run: Run) -> list[str]:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.consistency import CUT_SAMPLES, CUT_TIMES, FAR
 from swimid.logs.foreign import quantity_of
 from swimid.logs.kinematics import AXES
 from swimid.logs.log import TIME, runs
@@ -21,6 +20,12 @@ from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, PAUSE, SET, has_leve
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+#: Minimum distance of an outlying value of a channel (a code for missing samples, or an error) from all other
+#: values, divided by the range of the other values.
+FAR = 10.0
+#: Minimum number of consecutive samples at the largest or smallest value of a channel, and minimum number of
+#: such sequences, for a channel that counts as saturated.
+CUT_SAMPLES, CUT_TIMES = 3, 3
 
 
 @dataclass
@@ -31,12 +36,15 @@ class Extreme:
     ----------
     value, following : float
         Largest and second largest distinct value; -inf if there is none.
+    count : int
+        Number of samples at the largest value.
     cuts : int
-        Number of sequences of at least ``CUT_SAMPLES`` samples at the largest value.
+        Number of sequences of at least :data:`CUT_SAMPLES` of these samples.
     """
 
     value: float = -np.inf
     following: float = -np.inf
+    count: int = 0
     cuts: int = 0
 
     def take(self, known: Array) -> None:
@@ -45,11 +53,12 @@ class Extreme:
         self.following = max(self.following, float(np.max(known, where=known < top, initial=-np.inf)))
         if top > self.value:
             self.following = max(self.following, self.value)
-            self.value, self.cuts = top, 0
+            self.value, self.count, self.cuts = top, 0, 0
         elif top < self.value:
             self.following = max(self.following, top)
         if top == self.value:
             lengths = np.diff(runs(known == top)).ravel()
+            self.count += int(lengths.sum())
             self.cuts += int(np.count_nonzero(lengths >= CUT_SAMPLES))
 
 
@@ -94,6 +103,12 @@ class Channel:
         """Largest value."""
         return self.largest.value
 
+    @property
+    def data(self) -> dict[str, float]:
+        """Statistics as plain data, by name."""
+        names = ("samples", "missing", "mean", "sd", "low", "high", "longest_hold")
+        return {name: getattr(self, name) for name in names}
+
     def take(self, values: Array) -> None:
         """Add the samples of a batch, shape (n,), NaN where missing."""
         known = values[np.isfinite(values)]
@@ -118,14 +133,22 @@ class Channel:
         if self._continuous is None and len(known) >= LONG_ENOUGH:
             self._continuous = not has_levels(known) and rounding_ratio(known) <= NEAR_ROUNDED
 
-    def fault(self) -> str:
-        """Return a message on a value far from all others, or on saturation; empty without a fault."""
-        for extreme, other, sign in ((self.smallest, self.largest, -1.0), (self.largest, self.smallest, 1.0)):
-            if extreme.value - extreme.following > FAR * (extreme.following + other.value) > 0:
-                return f"holds {sign * extreme.value:.6g}, far from all others: missing samples?"
-            if self._continuous and extreme.cuts >= CUT_TIMES:
-                return f"is cut off at {sign * extreme.value:.6g}"
+    def far(self) -> str:
+        """Return a message on an extreme value of the channel far from all others; empty without one."""
+        for end, other, value in self._ends:
+            if end.value - end.following > FAR * (end.following + other.value) > 0:
+                return f"holds {value:.6g} in {end.count} samples, far from all others: missing samples?"
         return ""
+
+    def cut(self) -> str:
+        """Return a message on the value at which the channel is saturated; empty if it is not saturated."""
+        values = [value for end, _, value in self._ends if self._continuous and end.cuts >= CUT_TIMES]
+        return f"is cut off at {values[0]:.6g}" if values else ""
+
+    @property
+    def _ends(self) -> list[tuple[Extreme, Extreme, float]]:
+        """Smallest and largest value, each with the opposite one and with its value."""
+        return [(self.smallest, self.largest, self.low), (self.largest, self.smallest, self.high)]
 
 
 @dataclass
@@ -161,7 +184,7 @@ class RowStatistics:
     def faults(self) -> dict[str, str]:
         """Return the measured channels with values that no working sensor gives, with a message for each."""
         names = [n for n in self.channels if not SET.fullmatch(n) and quantity_of(n) is not None]
-        found = {name: self.channels[name].fault() for name in names}
+        found = {name: self.channels[name].far() or self.channels[name].cut() for name in names}
         return {name: text for name, text in found.items() if text}
 
 

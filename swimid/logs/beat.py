@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +122,14 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
     return text
 
 
+def stated_frequency(metadata: Mapping[str, Any]) -> float | None:
+    """Return the stroke frequency that the metadata of a log state, Hz; None without a positive number."""
+    value = metadata.get("frequency_hz")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        return None
+    return value
+
+
 def stated_against_found(
     trial: str, stated_hz: float, beat: Beat | None, consequence: str
 ) -> dict[str, float | str | None]:
@@ -220,7 +229,7 @@ def find_beats(
         and beat.share > MIN_MAIN_SHARE
         and beat.cycles > 1.5 * MIN_CYCLES
     ]
-    slow = find_slow_motion(t, x) if lowest_hz is None else None
+    slow = _slow_motion(t, x) if lowest_hz is None else None
     if has_levels(x):
         # Remove beats that are harmonics of jumps between levels. A signal with jumps has harmonics of any
         # order, but at most half as many cycles as jumps.
@@ -267,7 +276,7 @@ def _active_part(values: Array) -> tuple[int, int]:
     return int(moves[0]), int(moves[-1]) + lag + 1
 
 
-def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
+def _slow_motion(time_s: Array, values: Array) -> Beat | None:
     """Return a channel's strongest motion if it is periodic but has too few cycles for a beat; else None.
 
     Parameters
@@ -589,17 +598,9 @@ ALONG = ("surge", "long_axis", "short_axis")
 MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
 #: Patterns of the channels, one for each kind of motion (heading, sway, ...). Several channels of the same
 #: kind of motion count once.
-MOTIONS = tuple(
-    re.compile(part)
-    for part in (
-        DRIVEN.pattern,
-        MOVED.pattern,
-        r"yaw_\w+|wz_rad_s",
-        r"roll_rad|wx_rad_s",
-        r"pitch_\w+|wy_rad_s",
-        rf"{PUSHED.pattern}|surge|\w+_axis",
-    )
-)
+_TURNED = (r"yaw_\w+|wz_rad_s", r"roll_rad|wx_rad_s", r"pitch_\w+|wy_rad_s")
+_AHEAD = rf"{PUSHED.pattern}|surge|\w+_axis"
+MOTIONS = tuple(map(re.compile, (DRIVEN.pattern, MOVED.pattern, *_TURNED, _AHEAD)))
 #: Pattern of the columns that are not searched for a stroke: positions (see :func:`swing`), standard
 #: deviations, likelihoods and states.
 NO_MOTION = re.compile(
@@ -662,9 +663,8 @@ class Rhythm:
                 "it: one of them is not the stroke but another vibration or sway"
             )
         if self.beat.frequency_hz > MAX_STROKE_HZ:
-            said.append(
-                f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but very small fish beat"
-            )
+            hz = self.beat.frequency_hz
+            said.append(f"{hz:.4g} Hz is faster than robots and all but very small fish beat")
         return "; ".join(said)
 
 
@@ -793,15 +793,12 @@ def find_stroke(
             slow = find_slowest(time_s, columns)
             if slow is not None and slow[1].may_cause(chosen.frequency_hz):
                 return None
-        is_stated = (
-            stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
-        )
         # Take the channel with the smallest standard error among those that beat with the stroke frequency.
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
         best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
         channel = min(best, key=lambda name: best[name].stderr_hz)
         rivals = {}
-        if not is_stated:
+        if stated_hz is None or abs(chosen.frequency_hz - stated_hz) > FREQUENCY_RTOL * stated_hz:
             rivals = _rivals(chosen, beats | pushed)
         return Rhythm(
             best[channel],
@@ -837,11 +834,10 @@ def _motions(
     for name in seen:
         turns = _turns(channels[name]) if name.endswith("_rad") else 0.0
         if turns >= 1.0:
-            turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
-            resolution = 1.0 / float(np.ptp(time_s))
-            seen[name] = [
-                b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= MAX_COMPASS_HARMONIC
-            ]
+            near_hz = 1.0 / float(np.ptp(time_s))
+            turning = Beat(turns * near_hz, 0.0, 0.0, 0.0, turns)
+            beats = seen[name]
+            seen[name] = [b for b in beats if not 1 <= multiple(b, turning, near_hz) <= MAX_COMPASS_HARMONIC]
         # Leave out beats that are not larger than the rounding error, because they cannot be distinguished
         # from it. A rounding error is at most half of the rounding step, and it is periodic in a steady
         # motion.
@@ -901,7 +897,7 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
             about = place - np.polynomial.polynomial.polyval(time_s, line).T
             axis = np.linalg.svd(about[there], full_matrices=False)[2][0]
             signals["the track"] = about @ axis
-    found = {name: find_slow_motion(time_s, values) for name, values in signals.items()}
+    found = {name: _slow_motion(time_s, values) for name, values in signals.items()}
     slow = {name: motion for name, motion in found.items() if motion is not None}
     return max(slow.items(), key=lambda item: item[1].frequency_hz, default=None)
 
@@ -1024,6 +1020,9 @@ VERY_STRONG = math.log(150.0)
 #: (Fossen 2011, *Handbook of Marine Craft Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle is
 #: taken for an error of the columns.
 LARGEST_SLIP = math.radians(30.0)
+#: Minimum mean angle between heading and course, rad, that is reported. It is half of the angle that swapped
+#: axes cause.
+MIN_ANGLE = math.radians(45.0)
 
 
 @dataclass(frozen=True)
@@ -1039,14 +1038,23 @@ class Course:
     mirrored : bool
         Whether the course follows the negative of the heading, as in a mirrored image.
     opposed : bool
-        Whether it does, but by less than a hull may slip in a turn, and by more than the heading swings in a
-        window.
+        Whether the course seems to follow the negative of the heading, but the difference is small. It is
+        less than a hull may slip in a turn, and more than the heading swings in a window.
     """
 
     slip_rad: float
     spread_rad: float
     mirrored: bool
     opposed: bool
+
+    def turned(self, name: str) -> str:
+        """Return a message if the heading, column ``name``, stands at a constant angle to the course."""
+        if self.spread_rad >= LARGEST_SLIP or abs(self.slip_rad) <= MIN_ANGLE:
+            return ""
+        angle = abs(math.degrees(self.slip_rad))
+        text = f"stands at {angle:.0f} degrees to the course of the track on average"
+        hint = f"unless the robot swims that way by intent, write offset: {self.slip_rad:.4f} for {name}"
+        return f"{text}: {hint}; a compass heading needs factor: -1 and offset: 1.5708"
 
 
 def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
@@ -1137,15 +1145,9 @@ def _likelihood(length: float, count: int) -> float:
 
     ``length`` is the mean resultant length of the angles.
     """
-    from scipy.special import i0e
+    from scipy.optimize import brentq
+    from scipy.special import i0e, i1e
 
     length = min(length, 1.0 - 1e-6)
-    # Estimate the concentration by maximum likelihood: Fisher 1993, *Statistical Analysis of Circular Data*,
-    # 4.5.5.
-    if length < 0.53:
-        kappa = 2 * length + length**3 + 5 * length**5 / 6
-    elif length < 0.85:
-        kappa = -0.4 + 1.39 * length + 0.43 / (1 - length)
-    else:
-        kappa = 1 / (length**3 - 4 * length**2 + 3 * length)
+    kappa = brentq(lambda kappa: i1e(kappa) / i0e(kappa) - length, 0.0, 1e6)
     return count * (kappa * length - kappa - math.log(i0e(kappa)))

@@ -209,6 +209,7 @@ def fit(film: Film, linkage: Linkage) -> Fit:
         ambiguous,
         estimate.is_mirrored(),
     )
+    return Fit(estimate.linkage, estimate.state, found, estimate.used, *values)
 
 
 class _Estimate:
@@ -227,9 +228,8 @@ class _Estimate:
             if film.there[:, k].any():
                 usual[k] = np.median(column[film.there[:, k]])
         #: Logarithm of the likelihood relative to the median of its point.
-        self.log_likelihood = np.where(
-            film.there, np.log(np.maximum(film.likelihood, 1e-6) / np.maximum(usual, 1e-6)), 0.0
-        )
+        relative = np.maximum(film.likelihood, 1e-6) / np.maximum(usual, 1e-6)
+        self.log_likelihood = np.where(film.there, np.log(relative), 0.0)
         if "places" in linkage.free:
             self.place_sd_m = PLACE_SD_M
 
@@ -341,12 +341,9 @@ class _Estimate:
             order = list(points)
             order[i], order[j] = j, i
             orders.append(order)
-        tried = [_Estimate.of(some.ordered(order), stated) for order in orders]
-        levels = [trial.noise_level() for trial in tried]
-        best = int(np.argmin(levels))
-        if levels[0] - levels[best] < np.log(MIN_GAIN):
+        best, found = _least_noise([some.ordered(order) for order in orders], stated)
+        if best == 0:
             return False
-        found = tried[best]
         whole = _Estimate.of(self.film.ordered(orders[best]), found.linkage)
         whole.noise = self.noise = found.noise
         whole._solve()
@@ -362,11 +359,6 @@ class _Estimate:
         rows[:: max(len(rows) // SAMPLE, 1)] = True
         return rows
 
-    def noise_level(self) -> float:
-        """Fit the film robustly, and return the mean logarithm of the noise of its points."""
-        self.begin()
-        return float(np.log(self.noise).mean())
-
     def is_mirrored(self) -> bool:
         """Return whether some frames fit the stated places better if the picture is mirrored."""
         if "lengths" in self.linkage.free or len(self.noise) < 3:
@@ -374,11 +366,7 @@ class _Estimate:
         free, unknown = self.linkage.free - {"places"}, np.zeros((0, 0))
         stated = replace(self.linkage, place=self.stated, free=free, covariance=unknown)
         some = self.film.part(self._some)
-        levels = [
-            _Estimate.of(replace(some, seen=seen), stated).noise_level()
-            for seen in (some.seen, some.seen.conj())
-        ]
-        return bool(levels[0] - levels[1] > np.log(MIN_GAIN))
+        return _least_noise([some, replace(some, seen=some.seen.conj())], stated)[0] == 1
 
     def exchange_back(self) -> bool:
         """Exchange two labels back in frames that then agree with the linkage; return whether any was.
@@ -701,6 +689,21 @@ class _Estimate:
         if value * np.sqrt(curvature) < float(special.ndtri(1 - FALSE_ALARM / 2)):
             return 0.0
         return value
+
+
+def _least_noise(films: list[Film], linkage: Linkage) -> tuple[int, _Estimate]:
+    """Fit variants of a film robustly; return index and estimate of the variant with the least noise.
+
+    The result is the first variant, unless another one reduces the noise by the factor :data:`MIN_GAIN`.
+    """
+    tried = [_Estimate.of(film, linkage) for film in films]
+    for trial in tried:
+        trial.begin()
+    levels = [float(np.log(trial.noise).mean()) for trial in tried]
+    best = int(np.argmin(levels))
+    if levels[0] - levels[best] < np.log(MIN_GAIN):
+        best = 0
+    return best, tried[best]
 
 
 def _faults(estimate: _Estimate, found: Residuals) -> list[Fault]:

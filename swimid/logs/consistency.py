@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.beat import LARGEST_SLIP, NO_MOTION, compare_course, coordinates
+from swimid.logs.averaging import Channel
+from swimid.logs.beat import NO_MOTION, compare_course, coordinates
 from swimid.logs.foreign import quantity_of
 from swimid.logs.kinematics import AXES, from_angles, with_angles
 from swimid.logs.log import TIME, runs, unwrapped
-from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, find_held, has_levels, rounding_ratio
+from swimid.logs.sampling import LONG_ENOUGH, SET, find_held, has_levels
 from swimid.logs.tracks import WINDOW, find_jumps
 
 Array = NDArray[np.float64]
@@ -35,9 +36,9 @@ MIN_STDERRS = 4.0
 MIN_WINDOWS = 8
 #: Number of windows of a log without a stroke in which the course is compared with the heading.
 N_WINDOWS = 12
-#: Minimum mean angle between heading and course that is named: it is nearer to a quarter turn than to none;
-#: and minimum speed of a track, m/s. Slower robots hover, and drift with the water.
-MIN_ANGLE, MIN_SPEED_M_S = math.radians(45.0), 0.01
+#: Minimum speed of a track, m/s, whose mean angle to the heading is judged. Slower robots hover, and drift
+#: with the water.
+MIN_SPEED_M_S = 0.01
 #: Columns of a track in a plane and of its heading.
 PLANES = (("x_m", "y_m", "yaw_rad"), ("x_px", "y_px", "yaw_rad"), ("x_m", "z_m", "pitch_rad"))
 #: Gain of a column that is in degrees instead of radians, and gain of a column that is in radians instead of
@@ -134,21 +135,15 @@ def _of_course(
         return []
     if not seen.mirrored and period_s:
         seen = compare_course([(time, x, y, yaw)], period_s * math.ceil(long_s / period_s)) or seen
-    gain, text, doubtful, against = 1.0, "", False, "the course of the track"
-    advances = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) > MIN_SPEED_M_S * np.ptp(
-        time
-    )
-    if seen.mirrored or seen.opposed:
-        gain, doubtful = -1.0, seen.opposed
+    text, against = "", "the course of the track"
+    extent = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y))
+    is_mirrored = seen.mirrored or seen.opposed
+    if is_mirrored:
         text = f"turns opposite to {against}: one of both is mirrored (factor: -1 for {name} or y)"
-    elif seen.spread_rad < LARGEST_SLIP and abs(seen.slip_rad) > MIN_ANGLE and advances:
-        doubtful, turn = True, math.degrees(seen.slip_rad)
-        text = (
-            f"stands at {abs(turn):.0f} degrees to {against} on average: unless the robot swims that way by "
-            f"intent, write offset: {seen.slip_rad:.4f} for {name}; a compass heading needs factor: -1 and "
-            "offset: 1.5708"
-        )
-    return [Comparison(name, against, gain, math.nan, text, doubtful)]
+    elif extent > MIN_SPEED_M_S * np.ptp(time):
+        text = seen.turned(name)
+    doubtful = bool(text) and not seen.mirrored
+    return [Comparison(name, against, 1.0 - 2.0 * is_mirrored, math.nan, text, doubtful)]
 
 
 def _of_quaternion(
@@ -342,16 +337,13 @@ def _channels(columns: Mapping[str, Array]) -> Iterator[tuple[tuple[str, ...], A
     if len(track) == 1:
         yield (track[0],), columns[track[0]][:, None], {}
     for name in names:
+        if name not in ANGLES and has_levels(columns[name]):
+            continue
         place = columns[name][:, None]
         rules: dict[str, Any] = {"brief": True}
         if name.endswith("_rad") and not SET.fullmatch(name):
             place = np.column_stack((np.cos(place), np.sin(place)))
-        if name in ANGLES:
-            rules = {}
-        elif has_levels(columns[name]):
-            continue
-        elif name.endswith("_rad") and not SET.fullmatch(name):
-            rules = {"least_rate": MAX_JOINT_RATE}
+            rules = {} if name in ANGLES else {"least_rate": MAX_JOINT_RATE}
         yield (name,), place, rules
 
 
@@ -369,12 +361,6 @@ def find_code(values: Sequence[float] | Array) -> float | None:
 
 # ---------------------------------------------------------------- channels that are no measurement
 
-#: Minimum distance of an outlying value of a channel (a code for missing samples, or an error) from all other
-#: values, divided by the range of the other values.
-FAR = 10.0
-#: Minimum number of consecutive samples at the largest or smallest value of a channel, and minimum number of
-#: such sequences, for a channel that counts as saturated.
-CUT_SAMPLES, CUT_TIMES = 3, 3
 #: Relative tolerance for an increment of 1 between successive samples of a column that counts the rows.
 COUNT_RTOL = 1e-6
 #: Two names of the yaw rate. Columns with these names may be equal.
@@ -407,8 +393,10 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
         known = values[np.isfinite(values)]
         if len(known) < LONG_ENOUGH or quantity_of(name) is None:
             continue
+        channel = Channel()
+        channel.take(known)
         if SET.fullmatch(name):
-            if text := _find_far(known):
+            if text := channel.far():
                 found[name] = text
             continue
         content = np.where(np.isnan(values), np.nan, values + 0.0).tobytes()  # one pattern for NaN and for 0
@@ -424,30 +412,9 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
         elif np.allclose(steps, 1.0, rtol=COUNT_RTOL):
             text = "counts the rows"
         else:
-            text = _find_far(known) or _find_cut(known)
+            text = channel.far() or channel.cut()
         if text:
             found[name] = text
         if "_raw_" not in name:
             equal.append(name)
     return found
-
-
-def _find_far(known: Array) -> str:
-    """Return a message on an extreme value of a channel far from all other values; empty without one."""
-    for extreme in (known.min(), known.max()):
-        others = known[known != extreme]
-        if len(others) and float(np.min(np.abs(others - extreme))) > FAR * np.ptp(others) > 0:
-            count = len(known) - len(others)
-            return f"holds {extreme:.6g} in {count} samples, far from all others: missing samples?"
-    return ""
-
-
-def _find_cut(known: Array) -> str:
-    """Return a message on the value at which a channel is saturated; empty if it is not saturated."""
-    if has_levels(known) or rounding_ratio(known) > NEAR_ROUNDED:
-        return ""
-    for extreme in (known.min(), known.max()):
-        held = np.diff(runs(known == extreme)).ravel()
-        if np.count_nonzero(held >= CUT_SAMPLES) >= CUT_TIMES:
-            return f"is cut off at {extreme:.6g}"
-    return ""

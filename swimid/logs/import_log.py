@@ -13,31 +13,17 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import beat, log, mapping, point_evidence, point_files, points, sampling, tracks, wave
+from swimid.logs import beat, consistency, log, mapping, point_evidence, point_files, sampling, tracks, wave
 from swimid.logs.averaging import RowStatistics
 from swimid.logs.beat import Rhythm, contradiction
-from swimid.logs.consistency import (
-    ANGLES,
-    MAX_JUMPED,
-    Comparison,
-    Jumped,
-    compare_columns,
-    find_code,
-    find_jumped,
-    find_unmeasured,
-)
+from swimid.logs.consistency import ANGLES, MAX_JUMPED, Comparison, Jumped, find_jumped, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike, runs
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
 from swimid.logs.point_files import Request
-from swimid.logs.points import Posed
-from swimid.logs.sampling import (
-    LONG_ENOUGH,
-    SET,
-    find_frozen,
-    may_freeze,
-)
+from swimid.logs.points import Posed, pose_of
+from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, may_freeze
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
@@ -50,11 +36,7 @@ Array = NDArray[np.float64]
 
 @takes(ImportOptions)
 def import_log(
-    source: LogLike,
-    *,
-    options: ImportOptions,
-    output: str | Path | None = None,
-    progress: Progress = silent,
+    source: LogLike, *, options: ImportOptions, output: str | Path | None = None, progress: Progress = silent
 ) -> Logged:
     """Convert a foreign recording to a log in SI units, with rows in order and jumps removed.
 
@@ -248,9 +230,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
         if (np.diff(measured_s) > 0).all():  # equal times occur if other channels have rows between pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
-    stated_hz = metadata.get("frequency_hz")
-    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
-        stated_hz = None
+    stated_hz = beat.stated_frequency(metadata)
     stroke = beat.find_stroke(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
     unknown, against, periodic_hz, period_s = "", "", None, None
     if stroke is None:
@@ -265,23 +245,9 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
     comparisons = _compared(columns, period_s, name)
-    return Examined(
-        source,
-        Log(source.path, metadata, columns, None),
-        order,
-        cleaning,
-        cleaned,
-        jumped,
-        speed,
-        stroke,
-        against,
-        unknown,
-        doubts,
-        comparisons,
-        *uneven,
-        posed,
-        point_evidence.wave_of(posed, periodic_hz),
-    )
+    made, body_wave = Log(source.path, metadata, columns, None), point_evidence.wave_of(posed, periodic_hz)
+    findings = (cleaning, cleaned, jumped, speed, stroke, against, unknown, doubts, comparisons, *uneven)
+    return Examined(source, made, order, *findings, posed, body_wave)
 
 
 def _in_order(source: MappedLog) -> Order:
@@ -290,9 +256,8 @@ def _in_order(source: MappedLog) -> Order:
     order = mapping.in_order(source.time_s, channels)
     if len(order.index) < 2:
         text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
-        raise InputError(
-            text, file=source.path, column=TIME, hint="is the time complete, with enough digits?"
-        )
+        hint = "is the time complete, with enough digits?"
+        raise InputError(text, file=source.path, column=TIME, hint=hint)
     if order.reset_row is not None:
         last = np.nanmax(source.time_s[: order.reset_row])
         text = f"the clock starts again: {source.time_s[order.reset_row]:g} s after {last:g} s"
@@ -315,7 +280,7 @@ def _posed(
     if log.written_by(metadata, "swimid track"):
         metadata["tracked_by"] = metadata.pop("made_by")
         point_files.keep_markers(columns)
-    found = points.pose_of(columns, request, source.path)
+    found = pose_of(columns, request, source.path)
     metadata |= found.metadata
     source.sources.update(dict.fromkeys(found.columns, ("tracked points", 1.0, 0.0)))
     rest = {name: columns.pop(name) for name in list(columns) if name not in (TIME, *found.columns)}
@@ -344,7 +309,7 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
 
 def _compared(columns: dict[str, Array], period_s: float | None, name: str) -> list[Comparison]:
     """Return the comparisons of columns that show the same motion; warn of those that contradict."""
-    comparisons = compare_columns(columns, period_s)
+    comparisons = consistency.compare_columns(columns, period_s)
     for one in comparisons:
         if one.doubtful:
             warn("SWM063", f"{name}, '{one.column}': {one.text}")
@@ -377,15 +342,11 @@ def _describe(one: Jumped, source: MappedLog, lines: NDArray[np.int64], cleaned:
     ]
     more, told = ", ..." * (len(ends) > 5), []
     if len(ends):
-        left = ("kept", "left out")[int(cleaned)]
-        told.append(
-            f"{int(one.out.sum())} samples in {len(ends)} jumps {left} (lines {', '.join(places)}{more})"
-        )
+        left, count = ("kept", "left out")[int(cleaned)], int(one.out.sum())
+        told.append(f"{count} samples in {len(ends)} jumps {left} (lines {', '.join(places)}{more})")
     if one.elsewhere:
-        told.append(
-            f"goes on at another value in line {', '.join(str(lines[row]) for row in one.elsewhere[:5])}"
-        )
-    codes = {find_code(source.columns[column][one.out]) for column in one.columns if len(ends)}
+        told.append(f"goes on at another value in line {', '.join(map(str, lines[one.elsewhere[:5]]))}")
+    codes = {consistency.find_code(source.columns[column][one.out]) for column in one.columns if len(ends)}
     if len(codes) == 1 and (code := codes.pop()) is not None:
         _, factor, offset = source.sources.get(one.columns[0], ("", 1.0, 0.0))
         value = f"{(code - offset) / factor + 0.0:.6g}"
@@ -730,10 +691,7 @@ def _tables(found: Examined) -> list[Table]:
 def _all_rows_table(all_rows: RowStatistics) -> Table:
     """Return the table of the statistics of all rows of a recording, before they were averaged."""
     columns = ["channel", "samples", "missing", "mean", "standard deviation", "minimum", "maximum", "hold"]
-    rows = [
-        [name, one.samples, one.missing, one.mean, one.sd, one.low, one.high, one.longest_hold]
-        for name, one in all_rows.channels.items()
-    ]
+    rows = [[name, *one.data.values()] for name, one in all_rows.channels.items()]
     caption = (
         f"Of all {all_rows.rows} rows. The time steps are {all_rows.shortest_s:.6g} to "
         f"{all_rows.longest_s:.6g} s, {all_rows.pauses} of them pauses. A hold is the maximum number of "
@@ -748,10 +706,7 @@ def _frequency(stroke: Rhythm) -> str:
 
 def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:
     """Return the statistics of all rows of a recording as plain data."""
-    names = ("samples", "missing", "mean", "sd", "low", "high", "longest_hold")
-    channels = {
-        channel: {name: getattr(one, name) for name in names} for channel, one in all_rows.channels.items()
-    }
+    channels = {name: one.data for name, one in all_rows.channels.items()}
     counts = ("every", "rows", "untimed", "backwards", "repeated", "pauses", "shortest_s", "longest_s")
     return {name: getattr(all_rows, name) for name in counts} | {"channels": channels}
 

@@ -1018,10 +1018,7 @@ def _slope(time: Array, values: Array) -> Estimate:
     freedom = max(len(time) - 2, 1)
     squares = float(residual @ residual)
     stderr = math.sqrt(squares / freedom / float(design[:, 1] @ design[:, 1]))
-    correlation = float(residual[1:] @ residual[:-1] / max(squares, 1e-300))
-    correlation = min(max(correlation, 0.0), 0.8)
-    widening = math.sqrt((1 + correlation) / (1 - correlation))
     from scipy import special
 
-    half = float(special.stdtrit(freedom, 0.975)) * stderr * widening
+    half = float(special.stdtrit(freedom, 0.975)) * stderr * tracks.widening(residual)
     return Estimate(float(weights[1]), float(weights[1]) - half, float(weights[1]) + half)

@@ -96,9 +96,8 @@ class Linkage:
     def redundancy(self) -> int:
         """Number of coordinates of the points in a frame beyond those that determine a bent linkage."""
         angles = np.random.default_rng(0).uniform(-1.0, 1.0, (1, len(self.parent)))
-        slopes = _derivatives(replace(self, free=frozenset()), State(np.zeros(1, dtype=complex), angles))[1][
-            0
-        ]
+        bent = State(np.zeros(1, dtype=complex), angles)
+        slopes = _derivatives(replace(self, free=frozenset()), bent)[1][0]
         real = np.concatenate([slopes.real, slopes.imag])
         return len(real) - int(np.linalg.matrix_rank(real))
 
@@ -223,19 +222,11 @@ def chain(names: tuple[str, ...], lengths: Array) -> Linkage:
     """
     rear = -np.asarray(lengths, dtype=complex)
     count = len(rear)
-    return Linkage(
-        names,
-        np.maximum(np.arange(count + 1) - 1, 0),
-        np.concatenate([[0j], rear]),
-        np.arange(count) - 1,
-        np.concatenate([[0j], rear[:-1]]),
-        np.zeros(count),
-        tuple(f"joint{k}_rad" for k in range(1, count)),
-        tuple(f"{a} to {b}" for a, b in pairwise(names)),
-        0j,
-        rear,
-        free=frozenset({"lengths"}),
-    )
+    link, place = np.maximum(np.arange(count + 1) - 1, 0), np.concatenate([[0j], rear])
+    tree = (np.arange(count) - 1, place[:-1], np.zeros(count))
+    columns = tuple(f"joint{k}_rad" for k in range(1, count))
+    links = tuple(f"{a} to {b}" for a, b in pairwise(names))
+    return Linkage(names, link, place, *tree, columns, links, 0j, rear, free=frozenset({"lengths"}))
 
 
 @dataclass
@@ -517,9 +508,8 @@ def scores(linkage: Linkage, seen: Complex, weight: Array, state: State) -> Scor
 def inverted(normal: Array) -> Array:
     """Return the pseudo-inverse of a normal matrix of global quantities, whose units differ."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(
-        np.linalg.pinv(normal / np.outer(size, size), rcond=SINGULAR, hermitian=True)
-    ) / np.outer(size, size)
+    sizes = np.outer(size, size)
+    return np.asarray(np.linalg.pinv(normal / sizes, rcond=SINGULAR, hermitian=True)) / sizes
 
 
 #: Minimum number of blocks of frames from which the variance of their scores is estimated.

@@ -314,12 +314,7 @@ def written_by(metadata: Mapping[str, Any], program: str) -> bool:
     return str(metadata.get("made_by", "")).startswith(program)
 
 
-def read(
-    path: str | Path,
-    *,
-    required: Sequence[str] = (),
-    optional: Sequence[str] | None = None,
-) -> Log:
+def read(path: str | Path, *, required: Sequence[str] = (), optional: Sequence[str] | None = None) -> Log:
     """Read a log from a CSV or Parquet file, and check it.
 
     Parameters
@@ -504,10 +499,8 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
         raise InputError(f"is no readable Parquet file: {first_line(error)}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")
     metadata = metadata_of(stored.decode("utf-8", "replace").splitlines(), path)
-    cells, strict = (
-        arrays(table.to_pandas(ignore_metadata=True), str(path)),
-        {TIME, *required, *(optional or ())},
-    )
+    cells = arrays(table.to_pandas(ignore_metadata=True), str(path))
+    strict = {TIME, *required, *(optional or ())}
     return Log(path, metadata, _columns(cells, strict, lambda row: {"row": row + 1}, path))
 
 
@@ -621,11 +614,7 @@ def warn_units(log: Log) -> None:
 # ---------------------------------------------------------------- writing
 
 
-def write(
-    path: str | Path,
-    columns: Mapping[str, Any],
-    metadata: Mapping[str, Any] | None = None,
-) -> None:
+def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
     """Write a log to a CSV or Parquet file. If writing fails, an existing file is not changed.
 
     Parameters
@@ -724,11 +713,9 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
         text = "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
         found.append(Doubt(TIME, text))
     elif len(time_s) > 20 and (np.nanmedian(np.diff(time_s)) < SHORT_S or np.ptp(time_s) < MIN_DURATION_S):
-        rate_hz = (len(time_s) - 1) / np.ptp(time_s)
-        text = (
-            f"lasts {np.ptp(time_s):.3g} s at {rate_hz:.3g} Hz, which is unusual: state the unit of the time"
-        )
-        found.append(Doubt(TIME, text))
+        span_s = np.ptp(time_s)
+        text = f"lasts {span_s:.3g} s at {(len(time_s) - 1) / span_s:.3g} Hz, which is unusual"
+        found.append(Doubt(TIME, f"{text}: state the unit of the time"))
     for name, values in columns.items():
         doubt = None if name == TIME else _doubt(name, time_s, values)
         if doubt is not None:

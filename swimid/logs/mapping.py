@@ -13,6 +13,7 @@ from collections import Counter, abc
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import filterfalse
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,37 +26,11 @@ from swimid.files import isolated, memory, yamlio
 from swimid.files.provenance import path_of
 from swimid.files.tabular import repeated
 from swimid.files.yamlio import ASK
-from swimid.logs import log
+from swimid.logs import foreign, log
 from swimid.logs.averaging import Averager, RowStatistics
-from swimid.logs.foreign import (
-    COMPOUND,
-    GROUPED,
-    KNOWN,
-    MAX_ODD,
-    UNITS,
-    Options,
-    Table,
-    canonical,
-    in_words,
-    is_text,
-    numbers_in,
-    open_table,
-    quantity_of,
-    signed,
-    states_quantity,
-    unit_factor,
-)
+from swimid.logs.foreign import UNITS, Options, Table, canonical, is_text, open_table, quantity_of
 from swimid.logs.kinematics import AXES, rearranged
-from swimid.logs.log import (
-    TIME,
-    Log,
-    LogLike,
-    cells_to_numbers,
-    check_not_tiny,
-    longest_run,
-    metadata_of,
-    written_by,
-)
+from swimid.logs.log import TIME, Log, LogLike, metadata_of, written_by
 from swimid.logs.options import ImportOptions
 from swimid.logs.sampling import PAUSE, SET, UNIFORM_SHARE, usual_step
 from swimid.notices import Progress, silent, warn
@@ -134,7 +109,7 @@ class Time(yamlio.Document):
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
             raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
         for unit in self.units_of_sources or [str(self.unit)]:
-            unit_factor(unit, TIME)
+            foreign.unit_factor(unit, TIME)
         return self
 
     @property
@@ -184,7 +159,7 @@ class Column(yamlio.Document):
         """Factor from the values of the source column to those of the target column."""
         if self.unit in (None, NO_UNIT):
             return self.factor
-        return self.factor * unit_factor(str(self.unit), self.target)
+        return self.factor * foreign.unit_factor(str(self.unit), self.target)
 
 
 class Quaternion(yamlio.Document):
@@ -205,17 +180,30 @@ class Align(yamlio.Document):
     within_s: PositiveFloat | None = None
 
 
-class Joined(yamlio.Document):
+class TableSource(yamlio.Document):
+    """Table that is read from a file: format, selection, layout, times and rows."""
+
+    #: Name of the file format, such as ``deeplabcut``. A format that is a profile names the columns itself.
+    profile: str | None = Field(default=None, alias="as")
+    #: Track, individual, topic, message type, struct or group to read, if the file holds several.
+    select: str | int | None = None
+    reader: Options = Options()
+    time: Time | None = None
+    #: Condition for the rows that are read: they have one of the given values in each named column.
+    where: dict[str, str | float | int | list[str | float | int]] = {}
+
+    def table(self, given: str | Path | Log) -> Table:
+        """Return the table in a file or in a log in memory."""
+        select = None if self.select is None else str(self.select)
+        return open_table(given, self.reader, select, self.profile)
+
+
+class Joined(TableSource):
     """Columns of another topic, struct or file, which are interpolated at the times of the log."""
 
     #: Path of another file, relative to the folder of the foreign log, or else of the mapping; by default the
     #: same file. ``{stem}`` is the name of the recording without its ending.
     file: str | None = None
-    profile: str | None = Field(default=None, alias="as")
-    select: str | int | None = None
-    reader: Options = Options()
-    time: Time | None = None
-    where: dict[str, str | float | int | list[str | float | int]] = {}
     columns: Annotated[list[Column], Field(min_length=1)]
     #: Value between two samples: on the line through them, or that of the first, as of a command.
     between: Literal["line", "hold"] = "line"
@@ -223,24 +211,16 @@ class Joined(yamlio.Document):
     align: Align | None = None
 
 
-class Mapping(yamlio.Document):
+class Mapping(TableSource):
     """Content of a mapping file, which assigns the columns of a foreign file to those of a log."""
 
     #: Folder of the mapping file.
     _folder: Path = PrivateAttr(default=Path())
 
     format: Literal["swimid-mapping/1"]
-    #: Name of the file format, such as ``deeplabcut``. A format that is a profile names the columns itself.
-    profile: str | None = Field(default=None, alias="as")
-    #: Track, individual, topic, message type, struct or group to read, if the file holds several.
-    select: str | int | None = None
     #: Minimum likelihood of a tracked point. The coordinates of a point with a lower likelihood are left
     #: empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
-    reader: Options = Options()
-    time: Time | None = None
-    #: Condition for the rows that are read: they have one of the given values in each named column.
-    where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
     #: Further topics, structs or files whose columns are added to the log.
@@ -259,9 +239,7 @@ class Mapping(yamlio.Document):
         if self.profile is not None:
             return self
         if not self.columns:
-            raise ValueError(
-                "'columns' is missing: it says which column of the file becomes which of the log"
-            )
+            raise ValueError("'columns' is missing: it assigns columns of the file to those of the log")
         if (self.time is None) == (TIME not in targets):
             raise ValueError(f"give the time once: as 'time:', or as a column with the target {TIME}")
         if targets == [TIME]:
@@ -383,8 +361,7 @@ def apply(
     stated["reader"] = rules.reader.model_copy(update={"length_unit": unit})
     rules = rules.model_copy(update=stated)
     with progress(f"reading {path.name}", total=1) as step:
-        select = None if rules.select is None else str(rules.select)
-        found = _read(rules, open_table(given, rules.reader, select, rules.profile), path, every)
+        found = _read(rules, rules.table(given), path, every)
         for joined in rules.join:
             _join(found, joined, given, path, rules._folder)
         step(1)
@@ -411,18 +388,17 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
         given = place = next((one for one in places if one.exists()), places[0])
     fields = joined.model_dump(by_alias=True, exclude={"file", "between", "align"}, exclude_unset=True)
     rules = yamlio.validate({"format": FORMAT, **fields}, Mapping, "join")
-    select = None if rules.select is None else str(rules.select)
-    other = _read(rules, open_table(given, rules.reader, select, rules.profile), place)
+    other = _read(rules, rules.table(given), place)
     begins = [float(one.metadata.get("first_stamp_s", 0.0)) for one in (log, other)]
     order = in_order(other.time_s, {})
     time_s = other.time_s[order.index] + (begins[1] - begins[0])
     if joined.align is not None:
-        time_s = time_s + _offset(log, joined, time_s, other, order.index, place)
+        time_s = time_s + _offset(log, joined, joined.align, time_s, other, order.index, place)
     ends = np.nanmin(log.time_s), np.nanmax(log.time_s)
     if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
         text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
         hint = "give its offset as 'offset_s' under 'time:', or two columns that move together under 'align:'"
-        raise InputError(text, file=place, column=f"join: {select or joined.file}", hint=hint)
+        raise InputError(text, file=place, column=f"join: {joined.select or joined.file}", hint=hint)
     outside = ~((log.time_s >= time_s[0]) & (log.time_s <= time_s[-1]))
     before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 1)
     if joined.between == "line":
@@ -446,7 +422,13 @@ MIN_SLOW_S, MIN_SLOW_PERIODS = 5.0, 3.0
 
 
 def _offset(
-    log: MappedLog, joined: Joined, time_s: Array, other: MappedLog, rows: NDArray[np.int64], place: Path
+    log: MappedLog,
+    joined: Joined,
+    align: Align,
+    time_s: Array,
+    other: MappedLog,
+    rows: NDArray[np.int64],
+    place: Path,
 ) -> float:
     """Return the time to add to the times of a joined table, s; state it in the metadata of the log.
 
@@ -459,7 +441,7 @@ def _offset(
     """
     from swimid.logs import clocks
 
-    align, order = joined.align or Align(this="", that=""), in_order(log.time_s, {}).index
+    order = in_order(log.time_s, {}).index
     targets = {key: column.target for column in joined.columns for key in (str(column.source), column.target)}
     for name, known in ((align.this, list(log.columns)), (align.that, list(targets))):
         if name not in known:
@@ -471,14 +453,9 @@ def _offset(
     slow_s = max(MIN_SLOW_S, MIN_SLOW_PERIODS * 2 * np.pi * float(spread / max(turning, 1e-300)))
     # A held value is on average half a step older than one on the line through the samples.
     delay_s = 0.5 * usual_step(time_s[there]) * (joined.between == "hold")
-    found = clocks.clock_offset(
-        time_s[there] + delay_s,
-        that[there, None],
-        log.time_s[order],
-        log.columns[align.this][order, None],
-        slow_s=slow_s,
-        near_s=(-near_s, near_s),
-    )
+    this_s, this = log.time_s[order], log.columns[align.this][order, None]
+    pair = (time_s[there] + delay_s, that[there, None], this_s, this)
+    found = clocks.clock_offset(*pair, slow_s=slow_s, near_s=(-near_s, near_s))
     explained = 0.0 if found is None else found.explained
     if found is None or explained < clocks.MIN_EXPLAINED:
         text = f"'{align.that}' explains {100 * explained:.0f} % of '{align.this}': they do not move together"
@@ -556,7 +533,7 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
         pieces[0] = replace(pieces[0], all_rows=averager.statistics)
     whole = _concatenate(pieces)
     for name, values in whole.columns.items():
-        check_not_tiny(values, path, name)
+        log.check_not_tiny(values, path, name)
     return whole
 
 
@@ -580,12 +557,7 @@ def _concatenate(pieces: list[MappedLog]) -> MappedLog:
 
 
 def _mapped(
-    mapping: Mapping,
-    columns: list[Column],
-    table: Table,
-    path: Path,
-    metadata: dict[str, Any],
-    clock: Clock,
+    mapping: Mapping, columns: list[Column], table: Table, path: Path, metadata: dict[str, Any], clock: Clock
 ) -> MappedLog:
     notes = table.notes
     sources = {column.target: table.column(column.source, path) for column in columns}
@@ -619,9 +591,8 @@ def _mapped(
     for name in infinite:
         found[name][np.abs(found[name]) > LARGEST] = np.nan
     if infinite:
-        notes.append(
-            f"infinite values and values beyond ±{LARGEST:g} taken as missing in {', '.join(infinite)}"
-        )
+        text = f"infinite values and values beyond ±{LARGEST:g} taken as missing"
+        notes.append(f"{text} in {', '.join(infinite)}")
     unlikely = empty_unlikely(found, sources, mapping.min_likelihood)
     lacking = [axis for axis in AXES if axis not in found]
     if 0 < len(lacking) < len(AXES):
@@ -637,18 +608,12 @@ def _mapped(
     lines = table.before + np.arange(1, rows + 1, dtype=np.int64)
     if table.lines is not None:
         lines = table.lines
+    scales = {column.target: (str(column.source), column.scale, column.offset) for column in columns}
     known = written_by(metadata, "swimid")
-    return MappedLog(
-        path,
-        found,
-        lines[:rows][chosen],
-        metadata,
-        notes,
-        {column.target: (str(column.source), column.scale, column.offset) for column in columns},
-        [c.target for c in columns if not (known or c.unit == NO_UNIT or states_quantity(c.target))],
-        table.profile,
-        unlikely,
-    )
+    open_ = [column.target for column in columns if not (known or column.unit == NO_UNIT)]
+    unknown = list(filterfalse(foreign.states_quantity, open_))
+    numbers = lines[:rows][chosen]
+    return MappedLog(path, found, numbers, metadata, notes, scales, unknown, table.profile, unlikely)
 
 
 def _with_unit(column: Column, stated: str | None, path: Path) -> Column:
@@ -709,7 +674,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     kept, out = [], []
     own = written_by(metadata, "swimid")
     for name in table.columns:
-        known = (own or states_quantity(name)) and _NAME.fullmatch(name)
+        known = (own or foreign.states_quantity(name)) and _NAME.fullmatch(name)
         if known and _numbers(table, name, [], path) is not None:
             kept.append(Column(source=name, target=name))
         elif name != "frame":
@@ -772,7 +737,7 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
     if values.dtype.kind == "M":
         return None
     if is_text(values):
-        found = cells_to_numbers(values, False, table.place, path, name, MISSING_HINT)
+        found = log.cells_to_numbers(values, False, table.place, path, name, MISSING_HINT)
         if found is None:
             return None
         values = found
@@ -790,7 +755,7 @@ def _values(
         kind = "text" if is_text(table.columns[name]) else "dates"
         raise InputError(f"holds {kind}, not numbers", file=path, column=name)
     if column.target != TIME:
-        values = signed(values, name, notes)
+        values = foreign.signed(values, name, notes)
     return values * column.scale + column.offset
 
 
@@ -957,7 +922,7 @@ def seconds(
     period = time.wraps_at
     names = [table.column(key, path) for key in time.sources]
     parts = [table.columns[name] for name in names]
-    factors = [unit_factor(unit, TIME) for unit in time.units_of_sources]
+    factors = [foreign.unit_factor(unit, TIME) for unit in time.units_of_sources]
     if time.rate_hz is not None:
         parts = [_frames(table, name, path) for name in names]
         if not parts:
@@ -1034,9 +999,9 @@ def _parsed(
     stamps = _dates(cells, time.format)
     bad = (cells.notna() & stamps.isna()).to_numpy(dtype=bool)
     row = int(np.argmax(bad))
-    if 0 < bad.mean() <= MAX_ODD and time.format is None:
+    if 0 < bad.mean() <= foreign.MAX_ODD and time.format is None:
         text = f"cells that are no dates are left empty, {bad.sum()} of {len(bad)} in {' and '.join(names)}"
-        table.notes.append(f"{text}: '{cells.iloc[row][:40]}' in {in_words(table.place(row))}")
+        table.notes.append(f"{text}: '{cells.iloc[row][:40]}' in {foreign.in_words(table.place(row))}")
     elif bad.any():
         text = f"'{cells.iloc[row][:40]}' is neither a number nor a date or time that is known"
         formats = " or ".join(map(repr, date_formats(cells))) or EXAMPLE
@@ -1096,7 +1061,7 @@ def date_formats(cells: Any) -> list[str]:
     orders = [("%d", "%b")] if hit["month"] else [("%d", "%m"), ("%m", "%d")]
     year = "%Y" if len(hit["year"]) == 4 else "%y"
     formats = [hit["mark"].join([*order, year]) + clock for order in orders]
-    return [form for form in formats if _dates(cells, form).notna().mean() > 1 - MAX_ODD]
+    return [form for form in formats if _dates(cells, form).notna().mean() > 1 - foreign.MAX_ODD]
 
 
 # ---------------------------------------------------------------- rows in order
@@ -1165,11 +1130,9 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     """
     length = len(time_s)
     if length and not time_s[-1] >= np.fmax.reduce(time_s):
-        last = [
-            (values == values[-1]) | (np.isnan(values) & np.isnan(values[-1]))
-            for values in (time_s, *columns.values())
-        ]
-        length = int(np.max(np.flatnonzero(~np.all(last, axis=0)), initial=-1)) + 1
+        rows = np.column_stack([time_s, *columns.values()])
+        is_last = np.isclose(rows, rows[-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
+        length = int(np.max(np.flatnonzero(~is_last), initial=-1)) + 1
         length += length == len(time_s) - 1  # a single row is no unfilled part
     index = np.flatnonzero(np.isfinite(time_s[:length]))
     wrong = _find_wrong_times(time_s[index])
@@ -1184,7 +1147,7 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     beside = np.minimum(np.diff(ranked, prepend=-np.inf), np.diff(ranked, append=np.inf))
     far = beside[np.searchsorted(ranked, times[behind])] > MIN_DISTANCE * np.median(np.abs(np.diff(times)))
     most = max(1, LATE_SHARE * len(times))
-    if (late > most and far.mean() < UNIFORM_SHARE) or longest_run(behind) > LATE_RUN:
+    if (late > most and far.mean() < UNIFORM_SHARE) or log.longest_run(behind) > LATE_RUN:
         return Order(index, counts, int(index[np.argmax(behind)]))
     import pandas as pd
 
@@ -1204,7 +1167,7 @@ def _find_wrong_times(times: Array) -> NDArray[np.bool_]:
         return none
     margin = LATE_RUN * np.median(np.abs(np.diff(times)))
     wrong = (times < times[[0, -1]].min() - margin) | (times > times[[0, -1]].max() + margin)
-    if longest_run(wrong) > 1 or wrong.sum() > max(1, LATE_SHARE * len(times)):
+    if log.longest_run(wrong) > 1 or wrong.sum() > max(1, LATE_SHARE * len(times)):
         return none
     return wrong
 
@@ -1331,9 +1294,8 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
     todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
-    return Draft("import", f"{path.name}: mapping drafted; {todo} of {output}", data, document=text).save(
-        output
-    )
+    said = f"{path.name}: mapping drafted; {todo} of {output}"
+    return Draft("import", said, data, document=text).save(output)
 
 
 def _of_profile(table: Table) -> list[str]:
@@ -1354,11 +1316,11 @@ def _of_names(table: Table) -> list[str]:
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
     asked = dict(table.asked)
     for name in [name for name, values in columns.items() if is_text(values)]:
-        found, odd = numbers_in(columns[name])
+        found, odd = foreign.numbers_in(columns[name])
         texts = columns[name][odd].astype(str)
-        if any(re.fullmatch(GROUPED, text) for text in texts):
+        if any(re.fullmatch(foreign.GROUPED, text) for text in texts):
             asked.setdefault("decimal", f"the decimal mark, for cells such as '{texts[0]}' in '{name}'")
-            found = numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
+            found = foreign.numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
         elif odd.sum() < np.isfinite(found).sum():
             asked.setdefault("missing", f"the texts of missing samples, as in ['{texts[0]}'] in '{name}'")
         else:
@@ -1420,11 +1382,11 @@ def named(source: str, written: str | None = None) -> tuple[str, str | None]:
     (('yaw_rad', 'deg'), ('ax_m_s2', 'ASK'), ('x_m', None), ('level_m', 'mm'))
     """
     name = source.strip()
-    if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and states_quantity(name) and not written:
+    if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and foreign.states_quantity(name) and not written:
         return name, None
     bare, unit = _split(name)
     unit = canonical(written or unit or "")
-    if unit not in KNOWN:
+    if unit not in foreign.KNOWN:
         unit = None
     target = _target(bare.strip(" _.").lower(), unit)
     if target is not None and quantity_of(target) is None:
@@ -1436,9 +1398,9 @@ def _split(name: str) -> tuple[str, str | None]:
     """Return the name of a column without its unit, and the unit, or None if the name states no unit."""
     if hit := _UNIT.fullmatch(name):
         return hit["bare"], hit["inside"] or hit["over"]
-    if (hit := _ENDING.fullmatch(name)) and not COMPOUND.fullmatch(hit["bare"]):
+    if (hit := _ENDING.fullmatch(name)) and not foreign.COMPOUND.fullmatch(hit["bare"]):
         unit = canonical(re.sub(r"(?<=.)_(s2?)$", r"/\1", hit["unit"]))
-        if unit in KNOWN:
+        if unit in foreign.KNOWN:
             return hit["bare"], unit
     return name, None
 
@@ -1478,7 +1440,7 @@ def _guess_time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] |
         texts = [name for name in stamps if is_text(columns[name])]
         time: dict[str, Any] = {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
         cells = _joined([columns[name] for name in texts])
-        if _dates(cells, None).notna().mean() < (1 - MAX_ODD) * cells.notna().mean():
+        if _dates(cells, None).notna().mean() < (1 - foreign.MAX_ODD) * cells.notna().mean():
             formats = date_formats(cells)
             time["format"] = formats[0] if len(formats) == 1 else ASK
             comment = f"as in format: {' or '.join(map(repr, formats)) or EXAMPLE}"

@@ -31,9 +31,7 @@ class ImportOptions(Options):
         "if the file holds several.",
     )
     rate_hz: float | None = option(
-        None,
-        gt=0,
-        help="Frames per second, for a file of a known format that states no times.",
+        None, gt=0, help="Frames per second, for a file of a known format that states no times."
     )
     length_unit: str | None = option(
         None, metavar="UNIT", help="Unit of lengths (mm, cm, m, px), for a file that states none."

@@ -55,10 +55,7 @@ class Drawn(Result):
 
 @takes(PlotOptions)
 def plot(
-    logs: LogLike | Sequence[LogLike],
-    *,
-    options: PlotOptions,
-    output: str | Path | None = None,
+    logs: LogLike | Sequence[LogLike], *, options: PlotOptions, output: str | Path | None = None
 ) -> Drawn:
     """Draw logs: channels over time, the track from above, and spectra of the channels.
 
@@ -202,9 +199,7 @@ def channels(logs: Sequence[Log]) -> Figure:
     title, caption = "Channels over time", "Samples are missing where it is shaded."
     if several:
         title = "Channels of several logs"
-        caption += (
-            " Each log is on its own clock: a constant shift along the axis is an offset of the clocks."
-        )
+        caption += " Each log is on its own clock: a constant shift along the axis is their offset."
     for record in logs:
         if len(record) > MAX_POINTS:
             text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
@@ -289,20 +284,13 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         drawn = _spectrum(record.time_s, signals[name], stroke)
         if drawn is None:
             continue
-        marks = []
-        for label, beat_hz in beats:
-            if label == "stroke" or beat_hz <= drawn[0][-1]:
-                marks.append(Mark(at=beat_hz, axis="x", label=label))
-        trace, y_label = Trace(x=drawn[0], y=drawn[1]), f"amplitude of {numbers.column_title(name)}"
-        panels.append(
-            Panel(x_label="frequency (Hz)", y_label=y_label, traces=[trace], y_scale="log", marks=marks)
-        )
-    return Figure(
-        id=f"spectra-{record.path.stem}",
-        title=f"Spectra of {record.path.name}",
-        caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
-        panels=panels,
-    )
+        shown = [beat for beat in beats if beat[0] == "stroke" or beat[1] <= drawn[0][-1]]
+        marks = [Mark(at=beat_hz, axis="x", label=label) for label, beat_hz in shown]
+        traces, label = [Trace(x=drawn[0], y=drawn[1])], f"amplitude of {numbers.column_title(name)}"
+        panels.append(ev.panel("frequency (Hz)", label, traces, y_scale="log", marks=marks))
+    caption += " Amplitudes (Hann window) of the longest stretch without a gap."
+    path = record.path
+    return ev.panels(f"spectra-{path.stem}", f"Spectra of {path.name}", caption, panels)
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:

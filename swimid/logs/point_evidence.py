@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,11 @@ METHODS = [
     "Pose and joint angles are weighted least-squares estimates from all tracked points of a frame. The "
     "noise of each point is estimated by restricted maximum likelihood. A point is left out if its residual "
     "exceeds the quantile of the chi-square distribution at which a film without faults loses a point with "
-    f"{FALSE_ALARM:.0%} probability (Bonferroni).",
+    f"{FALSE_ALARM:.0%} probability (Bonferroni)."
 ]
 REFERENCES = [
     "Triggs, B., McLauchlan, P. F., Hartley, R. I., Fitzgibbon, A. W. (2000). Bundle adjustment - a modern "
-    "synthesis. Lecture Notes in Computer Science 1883, 298-372. doi:10.1007/3-540-44480-7_21",
+    "synthesis. Lecture Notes in Computer Science 1883, 298-372. doi:10.1007/3-540-44480-7_21"
 ]
 
 
@@ -47,28 +48,18 @@ def facts(posed: Posed) -> dict[str, str]:
     return found
 
 
-def checks(posed: Posed) -> list[Check]:
-    """Return the checks for faults, undetermined samples, distances and places."""
-    rows = len(posed.fit.used)
-    lost = sum(count for _, _, count, _ in posed.faults)
-    kinds = dict.fromkeys(("exchanged", "merged", "stray", "lost"), 0)
+def checks(posed: Posed) -> Iterator[Check]:
+    """Yield the checks for faults, undetermined samples, distances and places."""
+    rows, kinds = len(posed.fit.used), dict.fromkeys(("exchanged", "merged", "stray", "lost"), 0)
     for kind, _, count, _ in posed.faults:
         kinds[kind] += count
     named = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
-    made = [
-        ev.check("Points at fault", named or "0", not lost, "0", reason=f"points at fault in frames: {named}")
-    ]
-    empty = {name: count for name, count in posed.empty.items() if count}
-    text = ", ".join(f"{name} in {count}" for name, count in empty.items())
-    made.append(
-        ev.check(
-            "Frames that the points determine",
-            f"{rows - max(posed.empty.values())} of {rows}",
-            not empty,
-            "all",
-            reason=f"the points leave frames empty: {text} of {rows} frames",
-        )
-    )
+    reason = f"points at fault in frames: {named}"
+    yield ev.check("Points at fault", named or "0", not named, "0", reason=reason)
+    text = ", ".join(f"{name} in {count}" for name, count in posed.empty.items() if count)
+    value, reason = f"{rows - max(posed.empty.values())} of {rows}", f"the points leave frames empty: {text}"
+    name, reason = "Frames that the points determine", f"{reason} of {rows} frames"
+    yield ev.check(name, value, not text, "all", reason=reason)
     if posed.distances:
         wrong = [
             f"{' and '.join(one.names)} {one.measured:.4g} {posed.unit} for {one.stated:.4g} {posed.unit}"
@@ -80,24 +71,21 @@ def checks(posed: Posed) -> list[Check]:
         if not posed.robot:
             reason = f"distances on the chain change within the film: {', '.join(wrong)}"
         value = f"{len(wrong)} of {len(posed.distances)} wrong"
-        made.append(ev.check("Distances of points", value, not wrong, limit, reason=reason))
+        yield ev.check("Distances of points", value, not wrong, limit, reason=reason)
     value, passed = f"{100 * posed.perspective:.2g} %", posed.perspective <= MAX_PERSPECTIVE
     limit, reason = f"<= {100 * MAX_PERSPECTIVE:g} %", posed.perspective_text
-    made.append(ev.check("Distances along the path", value, passed, limit, reason=reason))
+    yield ev.check("Distances along the path", value, passed, limit, reason=reason)
     if posed.robot:
         reason = "the picture is mirrored: its mirror image fits the places of the points better"
-        value = ("no", "yes")[int(posed.fit.mirrored)]
-        made.append(
-            ev.check("Mirrored picture", value, not posed.fit.mirrored, "no", otherwise="fail", reason=reason)
-        )
+        value, passed = ("no", "yes")[int(posed.fit.mirrored)], not posed.fit.mirrored
+        yield ev.check("Mirrored picture", value, passed, "no", otherwise="fail", reason=reason)
         names = ", ".join(posed.misplaced)
         reason = f"points do not sit at their places: {names}"
-        made.append(ev.check("Places of points", names or "as stated", not names, "as stated", reason=reason))
+        yield ev.check("Places of points", names or "as stated", not names, "as stated", reason=reason)
     if "places" in posed.fit.linkage.free:
         names = posed.undetermined_text
         reason = f"the film does not determine the places of {names}"
-        made.append(ev.check("Places not determined", names or "none", not names, "none", reason=reason))
-    return made
+        yield ev.check("Places not determined", names or "none", not names, "none", reason=reason)
 
 
 def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:

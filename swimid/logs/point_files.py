@@ -161,24 +161,16 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where
         else:
             frames[joint.child] = (up, way * np.exp(1j * turn), at)
     placed = [frames[place.link] for place in points.values()]
-    spots = [
-        front + way * complex(*place.at_m)
-        for (_, way, front), place in zip(placed, points.values(), strict=True)
-    ]
+    pairs = zip(placed, points.values(), strict=True)
+    spots = [front + way * complex(*place.at_m) for (_, way, front), place in pairs]
     reference = complex(-body.reference.station_m, body.reference.offset_m)
     rear = [complex(-known[name].length_m, 0.0) for name in order]
-    return Linkage(
-        tuple(safe(name) for name in points),
-        np.array([link for link, _, _ in placed], dtype=np.intp),
-        np.array(spots, dtype=complex),
-        np.array(parent, dtype=np.intp),
-        np.array(joints, dtype=complex),
-        np.array(mounts),
-        tuple(names[1:]),
-        tuple(order),
-        reference,
-        np.array(rear, dtype=complex),
-    )
+    link = np.array([link for link, _, _ in placed], dtype=np.intp)
+    labels, at_m = tuple(safe(name) for name in points), np.array(spots, dtype=complex)
+    tree = (np.array(parent, dtype=np.intp), np.array(joints, dtype=complex), np.array(mounts))
+    named = (tuple(names[1:]), tuple(order), reference, np.array(rear, dtype=complex))
+    values = (*tree, *named)
+    return Linkage(labels, link, at_m, *values)
 
 
 # ---------------------------------------------------------------- tracked points

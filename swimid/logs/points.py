@@ -262,9 +262,8 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     known_scale, source = None, "the file of the points is in metres"
     if spec.scale is not None:
         if unit == "m":
-            raise InputError(
-                "the points are in metres already: leave the scale out", file=where, column="scale"
-            )
+            text = "the points are in metres already: leave the scale out"
+            raise InputError(text, file=where, column="scale")
         view = files.View(spec.scale, spec.camera, plane)
         seen, known_scale = files.in_metres(seen, shown, view, where, path)
         source = "stated"
@@ -276,12 +275,8 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     there = np.isfinite(seen)
     if not (there.sum(axis=1) >= 2).any():
         raise InputError("no frame has two of the points", file=path, hint="--min-likelihood may be too high")
-    film = Film(
-        columns[TIME],
-        np.where(there, seen, 0.0),
-        there,
-        np.column_stack([files.likelihood(columns, name) for name in names]),
-    )
+    likelihood = np.column_stack([files.likelihood(columns, name) for name in names])
+    film = Film(columns[TIME], np.where(there, seen, 0.0), there, likelihood)
     linkage, estimated = _linkage(film, body, names, placed, where, unit, request.calibrate)
     fit = bundle.fit(film, linkage)
     if estimated:
@@ -298,18 +293,8 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
         values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
         columns.update(zip(pair, np.where(fit.used, values, np.nan).T, strict=True))
     made, empty = _columns(fit, unit, plane, known_scale)
-    posed = Posed(
-        fit,
-        linkage,
-        made,
-        unit,
-        known_scale,
-        source,
-        robot,
-        *_examined(fit, linkage, bool(robot)),
-        empty,
-        columns[TIME],
-    )
+    examined, time_s = _examined(fit, linkage, bool(robot)), columns[TIME]
+    posed = Posed(fit, linkage, made, unit, known_scale, source, robot, *examined, empty, time_s)
     _warn(posed, path)
     return posed
 

@@ -61,11 +61,14 @@ class Rate:
         jitter is 0 if all time stamps are those of a uniform grid, rounded.
     on_grid : float
         Fraction of the time steps that are a whole number of sampling intervals within :data:`ON_GRID`.
+    unit_s : float
+        Unit to which the time stamps were rounded, s, as found by :func:`clock_unit`.
     """
 
     step_s: float
     jitter: float
     on_grid: float
+    unit_s: float
 
     @property
     def uniform(self) -> bool:
@@ -112,9 +115,12 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
         return "", False
     ratio = np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])
     bursts = bool(np.mean(ratio > BURST) > FEW_CHANGES)
-    usual, unit = rate(time_s), clock_unit(steps)
-    if not bursts and unit / np.sqrt(6.0) > NOTABLE_JITTER * usual.step_s:
-        return f"the clock counts in {1e3 * unit:.4g} ms, the steps are {1e3 * usual.step_s:.4g} ms", False
+    usual = rate(time_s)
+    if not bursts and usual.unit_s / np.sqrt(6.0) > NOTABLE_JITTER * usual.step_s:
+        return (
+            f"the clock counts in {1e3 * usual.unit_s:.4g} ms, the steps are {1e3 * usual.step_s:.4g} ms",
+            False,
+        )
     if not bursts and (usual.uniform or np.mean(ratio > UNEVEN) <= FEW_CHANGES):
         return "", False
     low, middle, high = (f"{1e3 * step:.4g}" for step in np.percentile(steps, [5, 50, 95]))
@@ -130,15 +136,13 @@ def clock_unit(steps_s: np.ndarray) -> float:
     (0.001, 0.0)
     """
     mean = float(np.mean(steps_s[steps_s < PAUSE * np.median(steps_s)]))
-    # Steps that differ by less than a millionth of a step are equal apart from rounding errors.
-    distinct = np.unique(np.round(steps_s / mean, 6)) * mean
-    unit = min(float(distinct[0]), float(np.min(np.diff(distinct), initial=np.inf)))
-    if unit <= 0.0 or abs(mean / unit - round(mean / unit)) < GRID_TOL or len(distinct) < 2:
+    # Steps that differ by less than a millionth of a step are equal apart from rounding errors. These errors
+    # must be less than the tolerance of the unit.
+    unit = mean * (step_of(np.append(np.round(steps_s / mean, 6), 0.0), 3) or 0.0)
+    if unit < 1e-6 / GRID_TOL * mean or abs(mean / unit - round(mean / unit)) < GRID_TOL:
         return 0.0
-    if unit > 0.99 * distinct[0] and np.mean(steps_s < 1.5 * unit) >= UNIFORM_SHARE:
-        return 0.0  # an even record with missing samples
-    off = np.abs(distinct / unit - np.round(distinct / unit))
-    return unit if off.max() < GRID_TOL else 0.0
+    is_even = unit > 0.99 * np.min(steps_s) and np.mean(steps_s < 1.5 * unit) >= UNIFORM_SHARE
+    return 0.0 if is_even else unit  # an even record may have missing samples
 
 
 @dataclass(frozen=True)
@@ -174,22 +178,22 @@ def rate(time_s: np.ndarray) -> Rate:
     0.1
     """
     steps = np.diff(np.asarray(time_s, dtype=float))
-    median = float(np.median(steps))
+    median, unit = float(np.median(steps)), clock_unit(steps)
     if len(steps) >= LONG_ENOUGH:
-        line = _rounded_grid(time_s, (float(np.mean(steps)), median))
+        line = find_grid(time_s, (float(np.mean(steps)), median))
         if line is not None:
-            return Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
+            return Rate(float(f"{line[0]:.10g}"), 0.0, 1.0, unit)
     # Compute the sampling interval as the mean of the time steps near their median. The median itself is
     # biased if the stamps are rounded to milliseconds.
     typical = float(f"{np.mean(steps[np.abs(steps - median) <= 0.5 * median]):.10g}")
-    if clock_unit(steps) > 0.0:
+    if unit > 0.0:
         typical = float(np.ptp(time_s) / np.sum(np.maximum(np.round(steps / typical), 1)))
     relative = steps / typical
     whole = np.maximum(np.round(relative), 1)
     off = np.abs(relative - whole)
     single = off[(whole == 1) & (off < 0.5)]
     jitter = float(np.sqrt(np.sum(single**2) / max(len(single), 1)))
-    return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))))
+    return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))), unit)
 
 
 def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray, float] | None:
@@ -218,7 +222,7 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     from scipy import optimize
 
     first = np.arange(-0.5, 0.6, 0.25) * lateness_s
-    lines = (_rounded_grid(time_s + late, (step_s,), lateness_s, time_s[0]) for late in first)
+    lines = (find_grid(time_s + late, (step_s,), lateness_s, time_s[0]) for late in first)
     fits = [line for line in lines if line is not None]
     if not fits:
         return None
@@ -242,48 +246,62 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     return step, step * number + np.min(time_s - step * number), (high - low) * float(number[-1])
 
 
-def _rounded_grid(
-    time_s: np.ndarray, starts: Sequence[float], unit: float | None = None, first_s: float | None = None
+def find_grid(
+    time_s: np.ndarray,
+    starts: Sequence[float],
+    unit: float | None = None,
+    first_s: float | None = None,
+    min_share: float = UNIFORM_SHARE,
 ) -> tuple[float, np.ndarray] | None:
     """Return step and sample numbers of the uniform time grid whose rounded times equal the time stamps.
 
-    ``starts`` are guesses of the step. ``unit`` is the rounding unit of the stamps (default: their last
-    decimal place). ``first_s`` is a guess of the first grid point (default: the first stamp). A straight line
-    of time over sample number is fitted to a growing part of the record. Therefore the guess of the step need
-    be good only for the first few samples. The result is None if any stamp differs from the grid by more than
-    the rounding.
+    A straight line of time over sample number is fitted to a growing part of the record. Therefore the guess
+    of the step need be good only for the first few samples.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Time stamps, s.
+    starts : sequence of float
+        Guesses of the step, s.
+    unit : float, optional
+        Rounding unit of the stamps, s. By default it is their last decimal place.
+    first_s : float, optional
+        Guess of the first grid point, s. By default it is the first stamp.
+    min_share : float, optional
+        Minimum fraction of the time steps that are single. It rejects a grid with many missing samples, such
+        as that of the rounding unit.
+
+    Returns
+    -------
+    tuple of float and ndarray of int, shape (n,), or None
+        None if any stamp differs from the grid by more than the rounding.
     """
     time_s = np.asarray(time_s, dtype=float)
     n = len(time_s)
     if unit is None:
         unit = quantum(time_s)
-    if n < 3 or unit <= 0:
+    if n < 2 or unit <= 0:
         return None
     if first_s is None:
         first_s = time_s[0]
+    sizes = np.unique(np.minimum(8 * 1.5 ** np.arange(60), n).astype(int))
     for start in starts:
         step, origin = float(start), float(first_s)
-        size = min(n, 8)
-        while True:
+        for size in np.repeat(sizes, 3):
             part = time_s[:size]
-            for _ in range(3):
-                number = np.round((part - origin) / step)
-                if np.any(np.diff(number) < 1):
-                    break
-                centre = number.mean()
-                step = float((number - centre) @ part / np.sum((number - centre) ** 2))
-                origin = float(part.mean() - step * centre)
-            if size == n or np.any(np.diff(number) < 1):
+            number = np.round((part - origin) / step)
+            if np.any(np.diff(number) < 1):
                 break
-            size = min(n, size + size // 2)
-        if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
-            continue
-        if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
-            continue  # reject a grid with many missing samples, such as that of the rounding unit
-        off = time_s - origin - step * number
-        # Allow for the error of the fitted line in addition to the rounding error of the stamps.
-        if np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step:
-            return step, number.astype(int)
+            centred = number - number.mean()
+            step = float(centred @ part / (centred @ centred))
+            origin = float(part.mean() - step * number.mean())
+        else:
+            off = time_s - origin - step * number
+            # Allow for the error of the fitted line in addition to the rounding error of the stamps.
+            is_near = np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step
+            if is_near and unit <= step * (1 + 1e-6) and np.mean(np.diff(number) == 1) >= min_share:
+                return step, number.astype(int)
     return None
 
 
@@ -306,7 +324,7 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
         :data:`LONGEST_FILL` intervals. Shorter gaps become missing samples within a piece.
     """
     time_s = np.asarray(time_s, dtype=float)
-    line = _rounded_grid(time_s, (step_s,))
+    line = find_grid(time_s, (step_s,))
     if line is not None and abs(line[0] / step_s - 1) < SAME_RATE:
         # All stamps agree with one grid within their rounding. Do not divide the record at single time steps,
         # although rounding may shift them far from a whole number of sampling intervals.
@@ -374,17 +392,17 @@ def has_levels(values: np.ndarray) -> bool:
     return bool(levels < 4 or levels < min(LEVELS, LEVEL_SHARE * len(known), 0.5 * visits))
 
 
-def step_of(values: np.ndarray) -> float | None:
+def step_of(values: np.ndarray, least: int = 4) -> float | None:
     """Return the rounding step of a signal: all differences between its values are multiples of this step.
 
-    The tolerance is 2 % of the step. The result is None if there is no such step, or for fewer than four
+    The tolerance is 2 % of the step. The result is None if there is no such step, or for fewer than ``least``
     distinct values.
 
     >>> step_of(np.array([0.0, 0.0, 0.5, 1.0, 1.0, 1.5, 3.0]))
     0.5
     """
     values = np.unique(values[np.isfinite(values)])
-    if len(values) < 4:
+    if len(values) < least:
         return None
     gaps = np.diff(values)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))

@@ -205,12 +205,10 @@ def find_jumps(
     elsewhere = [int(starts[b]) for a, b in pairwise(chain) if not goes_on(a, b)]
     if not brief:
         return stays, elsewhere
-    back = np.array(
-        [(ends[a], starts[b]) for a, b in pairwise(chain) if goes_on(a, b) and b > a + 1], dtype=int
-    )
+    back = [(ends[a], starts[b]) for a, b in pairwise(chain) if goes_on(a, b) and b > a + 1]
     stays[:] = True
     usual = max(float(np.percentile((off / local)[~outlying], 99)), OUTLYING)
-    for first, end in _spikes(back.reshape(-1, 2), off / local, usual):
+    for first, end in _spikes(np.array(back, dtype=int).reshape(-1, 2), off / local, usual):
         stays[first:end] = False
     return stays, []
 
@@ -226,8 +224,7 @@ def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[n
     If the tail of a distribution is that of a Pareto distribution with the index 2, the logarithms of the
     ratios of ``k`` values above a threshold to this threshold have a sum of Gamma distribution with the shape
     ``k`` and the scale 1/2 (Hill 1975, Ann. Statist. 3, 1163). Noise with a heavier tail has no finite
-    variance. Excursions with a sum of probability below :data:`FALSE_ALARM` are
-    spikes.
+    variance. The excursions are spikes if the probability of their sum is below :data:`FALSE_ALARM`.
     """
     from scipy.special import gammaincc
 
@@ -293,6 +290,8 @@ MAX_ORDER, END_ORDER = 3, 2
 #: Number of blocks into which a track is divided. The variation of their mean speeds gives the uncertainty of
 #: the mean speed of the track.
 BLOCKS = 12
+#: Maximum correlation of successive residuals, from which the error of their mean is computed.
+MAX_CORRELATION = 0.8
 
 
 @dataclass(frozen=True)
@@ -326,6 +325,13 @@ class TrackSpeed:
     covered_s: float
 
 
+def widening(residuals: Array) -> float:
+    """Return the factor by which the correlation of successive residuals enlarges the error of a mean."""
+    squares = max(float(residuals @ residuals), 1e-300)
+    together = min(max(float(residuals[1:] @ residuals[:-1]) / squares, 0.0), MAX_CORRELATION)
+    return float(np.sqrt((1.0 + together) / (1.0 - together)))
+
+
 def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
     """Return the weighted mean of values with its 95 % interval from the means of :data:`BLOCKS` blocks.
 
@@ -351,10 +357,8 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     half = 0.0
     if len(means) > 1:
         # Widen the interval, because the means of successive blocks are correlated.
-        off = means - means.mean()
-        together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
-        widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
-        half = float(stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+        error = float(means.std(ddof=1)) / np.sqrt(len(means)) * widening(means - means.mean())
+        half = float(stdtrit(len(means) - 1, 0.975)) * error
     half = float(np.hypot(half, shift))
     return Estimate(value + shift, value + shift - half, value + shift + half)
 
@@ -407,10 +411,8 @@ def net_speed(
     if 2.0 * end_s > duration:
         if frequency_hz is not None:
             near_hz = [frequency_hz + part / duration for part in np.linspace(-0.1, 0.1, 9)]
-        fits = [
-            _fit_path(time_s, place, (first, last), order, near, changes=True)
-            for order, near in product(range(1, MAX_ORDER + 1), near_hz)
-        ]
+        tried = product(range(1, MAX_ORDER + 1), near_hz)
+        fits = [_fit_path(time_s, place, (first, last), *one, changes=True) for one in tried]
         criteria = np.array([criterion for criterion, *_ in fits])
         weights = np.exp(-0.5 * (criteria - criteria.min()))
         weights /= weights.sum()
@@ -522,12 +524,8 @@ def speed(
     along = np.linalg.norm(velocity[used], axis=1)
     line = net_speed(time_s[cleaning.good], place[cleaning.good], frequency_hz, stamp_sd_s)
     assert line is not None  # each segment has at least MIN_SAMPLES samples
-    return TrackSpeed(
-        mean_of_blocks(along, weights[used], -excess / covered),
-        line,
-        float(np.sqrt(squares / max(count, 1))),
-        covered,
-    )
+    path = mean_of_blocks(along, weights[used], -excess / covered)
+    return TrackSpeed(path, line, float(np.sqrt(squares / max(count, 1))), covered)
 
 
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
@@ -540,9 +538,7 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
     if len(rows) < MIN_SAMPLES:
         return []
     ends = {end for _, end in cleaning.gaps} | {float(time_s[row]) for row in cleaning.offset_rows}
-    cuts = [
-        k for k in range(1, len(rows)) if any(time_s[rows[k - 1]] < end <= time_s[rows[k]] for end in ends)
-    ]
+    cuts = np.unique(np.searchsorted(time_s[rows], sorted(ends)))
     found = []
     for stretch in np.split(rows, cuts):
         pieces = max(int(np.ceil(len(stretch) / MAX_STRETCH)), 1)
@@ -649,7 +645,7 @@ class Logged(Result):
         return {
             "Samples": str(len(self.log)),
             "Duration": numbers.number(span, unit="s"),
-            "Median rate": numbers.number(1.0 / rate(self.log.time_s).step_s, unit="Hz"),
+            "Sampling rate": numbers.number(1.0 / rate(self.log.time_s).step_s, unit="Hz"),
         }
 
     def _own_tables(self) -> list[Table]:

@@ -337,9 +337,7 @@ def place(source: str | Path | TrialSet) -> Path:
 
 
 def read(
-    source: str | Path | TrialSet,
-    *experiments: type[T],
-    uses: Mapping[str, Collection[str]] | None = None,
+    source: str | Path | TrialSet, *experiments: type[T], uses: Mapping[str, Collection[str]] | None = None
 ) -> T:
     """Return the content of a trials file or of trials in memory, if it is of one of the given experiments.
 
@@ -374,9 +372,8 @@ def read(
         text, line = f"{what}; here: {', '.join(names)}", yamlio.line_of(data, ["experiment"])
         raise InputError(text, file=path, line=line, column="experiment", hint=hint)
     trials: Any = held or yamlio.validate(data, EXPERIMENTS[experiment], path)
-    robot_format.locate(
-        trials.robot, path.parent, {"file": path, "line": yamlio.line_of(data, ["robot"]), "column": "robot"}
-    )
+    line = yamlio.line_of(data, ["robot"])
+    robot_format.locate(trials.robot, path.parent, {"file": path, "line": line, "column": "robot"})
     if uses is not None:
         _refuse_unused(trials, path, uses[experiment], data)
     listed: list[Trial] = getattr(trials, "trials", [])
@@ -437,9 +434,8 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
     else:
         where, line = "sets", yamlio.line_of(data, [key])
     hint = "leave it out if it does not matter, else this is not the fit for these trials"
-    raise InputError(
-        f"{where} '{key}', which has no effect here", file=path, line=line, column=key, hint=hint
-    )
+    text = f"{where} '{key}', which has no effect here"
+    raise InputError(text, file=path, line=line, column=key, hint=hint)
 
 
 def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:

@@ -163,16 +163,9 @@ def measure(
         ends = (number.value, number.high, number.low)
         length = Estimate(*(2 * np.pi / end for end in ends))
         speed = Estimate(*(2 * np.pi * frequency_hz / end for end in ends))
-    return Wave(
-        behind,
-        [_student(column) for column in (waves * np.exp(-1j * np.angle(mean))).real.T],
-        [_student(column) for column in lags.T],
-        length,
-        speed,
-        len(waves),
-        frequency_hz,
-        most,
-    )
+    amplitude = [_student(column) for column in (waves * np.exp(-1j * np.angle(mean))).real.T]
+    phase = [_student(column) for column in lags.T]
+    return Wave(behind, amplitude, phase, length, speed, len(waves), frequency_hz, most)
 
 
 def _student(values: Array) -> Estimate:

@@ -134,11 +134,10 @@ class Group:
         names = [name for name in EXPERIMENTS if (name == "cruise") == (self.first.kind == "cruise")]
         if not self.columns or ASK in self.columns:
             return names
-        return [
-            name
-            for name in names
-            if all(any(re.fullmatch(p, c) for c in self.columns) for p in EXPERIMENTS[name].columns)
-        ]
+        return [name for name in names if all(map(self._has, EXPERIMENTS[name].columns))]
+
+    def _has(self, pattern: str) -> bool:
+        return any(re.fullmatch(pattern, column) for column in self.columns)
 
 
 @dataclass
@@ -181,12 +180,11 @@ class Project:
 
     def questions(self) -> list[tuple[str, int, str]]:
         """Return file, line number and text of each line with an ``ASK``."""
-        return [
-            (name, number, line.strip())
-            for name, text in self.files.items()
-            for number, line in enumerate(text.splitlines(), 1)
-            if re.search(rf"\b{ASK}\b", line.partition("#")[0])
-        ]
+        found = []
+        for name, text in self.files.items():
+            lines = [(name, number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
+            found += [one for one in lines if re.search(rf"\b{ASK}\b", one[2].partition("#")[0])]
+        return found
 
 
 def groups_of(recordings: Iterable[Recording]) -> list[Group]:
@@ -240,11 +238,8 @@ def pair_groups(groups: list[Group]) -> list[Group]:
     for group in groups:
         others = [one for base in bases if base is not group for one in base.recordings]
         names = [_namesake(one, others) for one in group.recordings]
-        suffixes = {
-            one.path.stem.removeprefix(other.path.stem)
-            for one, other in zip(group.recordings, names, strict=True)
-            if other is not None
-        }
+        pairs = zip(group.recordings, names, strict=True)
+        suffixes = {one.path.stem.removeprefix(other.path.stem) for one, other in pairs if other is not None}
         base = next((one for one in bases if all(name in one.recordings for name in names)), None)
         is_table = group.first.kind in ("table", "log")
         if base is not None and is_table and len(suffixes) == 1 and "" not in suffixes:
@@ -420,7 +415,7 @@ def _add_companions(project: Project, group: Group, progress: Progress) -> None:
         joined.append(f"  - file: {_flow(place)}   # {{stem}}: the name of the recording without its ending")
         if aligned and "yaw_rad" in group.columns:
             joined.append(
-                f"    align: {{this: yaw_rad, that: {aligned}}}   # or offset_s under 'time:', if it is known"
+                f"    align: {{this: yaw_rad, that: {aligned}}}   # or offset_s under 'time:', if known"
             )
         lines = text.splitlines()
         joined += [f"    {line}" for line in lines if not line.startswith(("#", "format:", "metadata:"))]
@@ -474,22 +469,17 @@ def _logs_of(project: Project) -> dict[Path, str]:
     # Names of outputs do not depend on the command that makes a log, and no drafted file exists yet.
     items: list[dict[str, Any]] = []
     for group in (one for one in project.groups if one.steps):
-        named = [
-            {key: options[key] for key in NAMED if key in options}
-            for s in group.steps
-            for options in s.values()
-        ]
-        steps = [{"import": options} for options in named]
+        options = [next(iter(step.values())) for step in group.steps]
+        steps = [{"import": {key: one[key] for key in NAMED if key in one}} for one in options]
         items.append({"name": group.name, "files": _patterns(project, group), "steps": steps})
     if not items:
         return own
     content = {"format": "swimid-plan/1", "items": items}
     plan = resolve(project.folder / "plan.yaml", project.folder / RUN, content)
-    made = {
-        file: f"{RUN}/{folder_of(Path(), item.id).as_posix()}/{item.steps[-1].outputs[0]}"
-        for item in plan.items
-        for file in item.files
-    }
+    made: dict[str, str] = {}
+    for item in plan.items:
+        log = f"{RUN}/{folder_of(Path(), item.id).as_posix()}/{item.steps[-1].outputs[0]}"
+        made |= dict.fromkeys(item.files, log)
     return {path: made.get(name, name) for path, name in own.items()}
 
 
@@ -525,9 +515,7 @@ def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Rec
         table = project.relative(group.first.path)
         lines += [f"table: {_flow(table)}", f"drag: {ASK}   # result of fit-drag for this robot"]
     else:
-        lines.append(
-            "# Hold out at least one trial with 'role: validate'. Without one no fit is called good."
-        )
+        lines.append("# Hold out one trial or more with 'role: validate'. Without one no fit is called good.")
         asked = EXPERIMENTS[experiment].asked if experiment != ASK else {}
         commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
         if experiment == ASK:
@@ -583,11 +571,8 @@ def _unused(notes: list[Recording], experiment: str, files: set[str]) -> list[st
     lines = []
     for table in notes:
         keys = sorted(_keys(experiment))
-        unused = [
-            name
-            for name, cells in table.cells.items()
-            if name != table.columns[0] and not _key_of(name, keys) and not files >= {*cells}
-        ]
+        others = [name for name, cells in table.cells.items() if not files >= {*cells}]
+        unused = [name for name in others if name != table.columns[0] and not _key_of(name, keys)]
         if unused:
             text = f"# {table.path.name}: not used: {', '.join(unused)}. Keys of a trial: {', '.join(keys)}"
             lines.append(re.sub(r"[\r\n]", " ", text))

@@ -103,9 +103,8 @@ def _paths(folder: Path, left_out: Path | None) -> Iterator[Path]:
     """Yield the files below a folder, and the folders that hold the numbered pictures of a film."""
     for root, folders, files in os.walk(folder):
         here = Path(root)
-        folders[:] = sorted(
-            one for one in folders if not BESIDE.fullmatch(one) and (here / one).resolve() != left_out
-        )
+        others = [one for one in folders if not BESIDE.fullmatch(one)]
+        folders[:] = sorted(one for one in others if (here / one).resolve() != left_out)
         numbered = [name for name in files if re.search(r"\d", name) and name.lower().endswith(PICTURES)]
         if len(numbered) >= MIN_PICTURES and here != folder:
             yield here

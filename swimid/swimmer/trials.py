@@ -20,7 +20,6 @@ from swimid.fitting.fit_common import Experiment, inputs_of, read_log
 from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import (
-    LARGEST_SLIP,
     compare_course,
     find_beat,
     is_in_degrees,
@@ -666,12 +665,8 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -
             f"{path.name}: the courses follow the headings mirrored: the y axis or the heading of these "
             "logs has the wrong sign (a picture's y axis points down); turn it with factor: -1 in a mapping",
         )
-    elif abs(seen.slip_rad) > math.pi / 4 and seen.spread_rad < LARGEST_SLIP:
-        warn(
-            "SWM063",
-            f"{path.name}: the courses differ from the headings by {math.degrees(seen.slip_rad):.0f} "
-            "degrees: about 180 is a heading from the tail, or swimming backwards, about 90 swapped axes",
-        )
+    elif text := seen.turned("yaw_rad"):
+        warn("SWM063", f"{path.name}, 'yaw_rad': {text}")
 
 
 # ---------------------------------------------------------------- drives of trials

@@ -31,9 +31,9 @@ import cv2
 
 from swimid import reading
 from swimid.errors import InputError
-from swimid.logs.plane import MAX_SCALE_DIFFERENCE
+from swimid.logs.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.notices import warn
-from swimid.tracking.setup import HsvRange
+from swimid.tracking.setup import HsvRange, Setup
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -58,6 +58,9 @@ SCENE_WIDTH = 480
 #: Maximum shift of the scene relative to the first frame for a camera at rest, px of a picture that is
 #: reduced to SCENE_WIDTH.
 MAX_SHIFT_PX = 2.0
+#: Minimum difference between a moving pixel and the empty scene: in grey levels, and relative to the
+#: median difference in the frame.
+MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
 #: Pattern of the placeholder for a whole number in a file name, as in the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
 #: Type of a frame that was read: position in the film, time stamp (s; NaN for pictures), and picture.
@@ -130,18 +133,9 @@ def _warn_of_densities(file: Path) -> None:
         about = picture.info
         across, down = about.get("dpi") or about.get("aspect") or about.get("jfif_density") or (1, 1)
         if min(across, down) > 0 and abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
-            text = (
-                f"{file.name} states {across:.3g} : {down:.3g} for the pixels across and down: they may not "
-            )
-            text += "be square. They are taken as square: give scale as four points_px with points_m"
+            text = f"{file.name} states {across:.3g} : {down:.3g} for the pixels across and down: they may "
+            text += "not be square. They are taken as square: give scale as four points_px with points_m"
             warn("SWM173", text)
-
-
-def squared(frame: Frame, pixel_aspect: float) -> Frame:
-    """Return a picture with square pixels: its width is multiplied by the aspect of its pixels."""
-    if pixel_aspect == 1:
-        return frame
-    return np.asarray(cv2.resize(frame, None, fx=pixel_aspect, fy=1.0), np.uint8)
 
 
 def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
@@ -236,6 +230,16 @@ class Video:
             text = f"{count} of {self.claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
 
+    def squared(self, frame: Frame) -> Frame:
+        """Return a frame of this film with square pixels: its width is multiplied by the aspect."""
+        if self.pixel_aspect == 1:
+            return frame
+        return np.asarray(cv2.resize(frame, None, fx=self.pixel_aspect, fy=1.0), np.uint8)
+
+    def plane(self, setup: Setup, file: str | None = None) -> Plane:
+        """Return the map from the pixels of this film to the world; ``file`` names the setup in messages."""
+        return plane_of(setup, self.width, self.height, pixel_aspect=self.pixel_aspect, file=file)
+
 
 def reduced(frame: Frame, width: int) -> Frame:
     """Return a copy of a picture, reduced to a width of at most ``width`` px."""
@@ -250,6 +254,16 @@ def largest_channel(picture: Frame) -> Frame:
     """Return the value of the largest colour channel of each pixel, shape (rows, columns)."""
     blue, green, red = cv2.split(picture)
     return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+
+
+def find_difference(frame: Frame, scene: Frame) -> tuple[Frame, float, NDArray[np.bool_]]:
+    """Return the difference of a frame from the empty scene, its noise, and the flags of all moving pixels.
+
+    The scene was smoothed by a filter of 3 x 3 pixels, as the frame is here.
+    """
+    difference = largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), scene))
+    noise = float(np.median(difference))
+    return difference, noise, difference > max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
 
 
 def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
@@ -703,16 +717,8 @@ def measure(
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     if at_edge:
         confidence *= 0.6
-    return Blob(
-        x=origin[0] + step * x0 + column,
-        y=origin[1] + step * y0 + row,
-        area=patch.area,
-        box=box,
-        contrast=contrast,
-        confidence=confidence,
-        hsv=mean_hsv(colour),
-        at_edge=at_edge,
-    )
+    x, y = origin[0] + step * x0 + column, origin[1] + step * y0 + row
+    return Blob(x, y, patch.area, box, contrast, confidence, mean_hsv(colour), at_edge)
 
 
 #: Type of the values of one detection: x, y, area, confidence, status, whether the edge of the picture cuts

@@ -112,12 +112,7 @@ class Pick:
 
 
 class TrackCameraOptions(
-    Options,
-    command="track camera",
-    section="Make logs",
-    argument="PICTURE...",
-    required=True,
-    makes="camera",
+    Options, command="track camera", section="Make logs", argument="PICTURE...", required=True, makes="camera"
 ):
     """Calibrate a camera and its lens from pictures of a checkerboard.
 

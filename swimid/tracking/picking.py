@@ -23,7 +23,6 @@ from pydantic import Field
 import swimid
 from swimid.errors import InputError, SwimidError, UsageError
 from swimid.files import yamlio
-from swimid.logs.plane import plane_of
 from swimid.notices import Progress, Step, recorded
 from swimid.tracking import frames
 from swimid.tracking import setup as setup_format
@@ -245,9 +244,8 @@ class Session:
                 try:
                     body = setup_format.of({"markers": [BODY], key: value})
                     if key == "scale":
-                        answer["scale"] = self._scale(
-                            body.model_copy(update={"plane": choice.plane or body.plane})
-                        )
+                        plane = choice.plane or body.plane
+                        answer["scale"] = self._scale(body.model_copy(update={"plane": plane}))
                 except SwimidError as error:
                     errors[key] = told(error)
             try:
@@ -309,8 +307,7 @@ class Session:
 
     def _scale(self, setup: setup_format.Setup) -> dict[str, Any]:
         """Return the length of a pixel in the middle of the picture, m, and the error of the points, px."""
-        video = self.reader.video
-        plane = plane_of(setup, video.width, video.height, pixel_aspect=video.pixel_aspect)
+        plane = self.reader.video.plane(setup)
         pixel = float(plane.size_of_pixel(*plane.middle))
         return {"metres_per_pixel": pixel, "residual_px": plane.residual_px, "residual_m": plane.residual}
 

@@ -27,7 +27,7 @@ from scipy.optimize import minimize_scalar
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files.kernels import numba
-from swimid.logs.log import runs
+from swimid.logs.log import runs, unwrap
 from swimid.logs.plane import Plane
 from swimid.logs.sampling import Held, find_held
 from swimid.tracking.frames import CUT, LOST, STATUS, Array, RawTrack
@@ -367,9 +367,7 @@ def smooth(
                 factors[key] = _gap_factor(times, row, weights, out["position"][i], key[1], noise)
             out["position_sd"][i, first:last] *= factors[key]
             out["velocity_sd"][i, first:last] *= factors[key]
-    return Smoothed(
-        **out, measurement_sd=float(np.sqrt(variance)), process_noise=float(noise[1]), order=order
-    )
+    return Smoothed(**out, measurement_sd=np.sqrt(variance), process_noise=float(noise[1]), order=order)
 
 
 def warm_up() -> None:
@@ -526,10 +524,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
             lever, weights = -places.mean(axis=0), both
             ahead, aside = places[0] - places[1]
             forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
-        raw_angle = np.arctan2(forward[1], forward[0])
-        known = np.isfinite(raw_angle)
-        raw_angle[known] = np.unwrap(raw_angle[known])
-        raw_angle[~measured] = np.nan
+        raw_angle = np.where(measured, unwrap(np.arctan2(forward[1], forward[0])), np.nan)
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
         # The centre and the rear point of a silhouette follow from the same outline. Therefore the distance
@@ -549,10 +544,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         # Add the position error that results from the error of the heading. It is perpendicular to the line
         # from the mid-point of the markers to the reference point.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
-        path = replace(
-            _widened(path, across * angle.position_sd),
-            velocity_sd=np.hypot(path.velocity_sd, across * angle.velocity_sd),
-        )
+        velocity_sd = np.hypot(path.velocity_sd, across * angle.velocity_sd)
+        path = replace(_widened(path, across * angle.position_sd), velocity_sd=velocity_sd)
     if held.repeated.any():
         path = _at_stamps(path, clock, times, segments, clock_sd)
         if angle is not None:

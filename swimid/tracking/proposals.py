@@ -26,12 +26,10 @@ from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import SLACK, Array, ColourModel, Frame, RawTrack, Video, marker_mask
 from swimid.tracking.options import Pick
 from swimid.tracking.setup import HsvRange, Marker, Setup
+from swimid.tracking.tracker import Run
 
 #: Number of frames of a film that are searched for colours, and width to which they are reduced, px.
 N_SAMPLES, SAMPLE_WIDTH = 48, 960
-#: Minimum difference between a moving pixel and the background: in grey levels, and relative to the median
-#: difference in the frame.
-MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
 #: Minimum fraction of the pixels of a moving patch that differ from the empty scene. In at least this
 #: fraction of the pixels, the empty scene must also have another colour than the patch.
 MOVING = 0.3
@@ -105,11 +103,8 @@ def sample(path: Path, *, step: Step) -> Samples:
         raise NoTrustworthyResult(f"{path.name} has only {len(kept)} frames: too few to see what moves")
     background = np.median(np.stack(kept[:: max(len(kept) // 25, 1)]), axis=0).astype(np.uint8)
     still = cv2.blur(background, (3, 3))
-    moving = []
-    for frame in kept:
-        change = frames.largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
-        limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * float(np.median(change)))
-        moving.append(np.where(change > limit, 255, 0).astype(np.uint8))
+    differing = [frames.find_difference(frame, still)[2] for frame in kept]
+    moving = [np.where(differs, 255, 0).astype(np.uint8) for differs in differing]
     factor = max(video.width / SAMPLE_WIDTH, 1.0)
     return Samples(video, np.array(list(keeper.kept)), kept, factor, background, moving)
 
@@ -446,7 +441,7 @@ def marker_fault(
     return "", ""
 
 
-def distance_change(track: RawTrack, one: str, other: str, pixel_aspect: float = 1.0) -> float | None:
+def distance_change(run: Run, one: str, other: str) -> float | None:
     """Return the relative change of the distance between two markers, without the effect of perspective.
 
     The result is the larger of two values: the robust standard deviation of the distance after rectification,
@@ -463,12 +458,13 @@ def distance_change(track: RawTrack, one: str, other: str, pixel_aspect: float =
     the body may bend. The same homography changes the areas of the markers. A change of the distance without
     the corresponding change of the areas is not due to perspective.
     """
+    track = run.track
     i, j = track.row(one), track.row(other)
     both = track.found[i] & track.found[j]
     if both.sum() < frames.MIN_DETECTIONS:
         return None
     # The axes of the array are: x and y, marker, frame.
-    points = np.stack([pixel_aspect * track.x[[i, j]][:, both], track.y[[i, j]][:, both]])
+    points = np.stack([run.video.pixel_aspect * track.x[[i, j]][:, both], track.y[[i, j]][:, both]])
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))

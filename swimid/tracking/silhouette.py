@@ -12,25 +12,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from swimid.tracking.frames import (
-    NOT_SEEN,
-    WINDOW,
-    Frame,
-    FrameKeeper,
-    RawTrack,
-    Row,
-    Video,
-    largest_channel,
-    reduced,
-)
+from swimid.tracking import frames
+from swimid.tracking.frames import Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Setup
 
 #: Number of frames whose median is the picture of the empty scene, and width in px to which each frame is
 #: reduced before the body is searched for.
 SCENE_FRAMES, WIDTH = 41, 960
-#: Minimum difference between a pixel of the body and the empty scene: in grey levels, and relative to the
-#: median difference in the frame.
-MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
 #: Default limits of the area of the body, minimum and maximum, as fractions of the picture.
 AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
@@ -39,7 +27,7 @@ _KERNEL = np.ones((5, 5), np.uint8)
 def empty_scene(path: Path) -> Frame:
     """Return the empty scene of a film: the median of frames spread over the film, without moving objects."""
     video = Video(path)
-    keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
+    keeper = frames.FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         keeper.take(index, frame)
     middle = len(keeper.kept) // 2
@@ -76,21 +64,19 @@ class Silhouette:
     def step(self, time: float, frame: Frame) -> None:
         """Find the body in the next frame of the film, and store the detection."""
         self._times.append(time)
-        for row in self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))):
+        for row in self._measure(frames.reduced(frame, WIDTH)):
             self._rows.extend(row)
 
     def _measure(self, small: Frame) -> tuple[Row, Row]:
         """Return centre and rear point of the body as two detections, in px at full resolution."""
-        difference = largest_channel(cv2.absdiff(small, self._scene))
-        noise = float(np.median(difference))
-        limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
-        mask = np.where(difference > limit, self._allowed, 0).astype(np.uint8)
+        difference, noise, differs = frames.find_difference(small, self._scene)
+        mask = np.where(differs, self._allowed, 0).astype(np.uint8)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         sizes = np.where((stats[:, 4] >= self._low) & (stats[:, 4] <= self._high), stats[:, 4], 0)
         sizes[0] = 0
         label = int(np.argmax(sizes))
         if not sizes[label]:
-            return NOT_SEEN[:6], NOT_SEEN[:6]
+            return frames.NOT_SEEN[:6], frames.NOT_SEEN[:6]
         self._twice += int(np.sum(sizes > 0.5 * sizes[label]) > 1)
         left, top, width, height = stats[label, :4]
         right, bottom = left + width, top + height
@@ -113,7 +99,7 @@ class Silhouette:
         centre = self._factor * (middle + 0.5) - 0.5
         rear = centre - self._factor * 2 * math.sqrt(variances[1]) * self._axis / self._shape
         confidence = contrast / (contrast + 2 * noise + 6.0)
-        rest = (self._factor**2 * m["m00"], confidence, WINDOW, at_edge)
+        rest = (self._factor**2 * m["m00"], confidence, frames.WINDOW, at_edge)
         return (*centre, *rest), (*rear, *rest)
 
     def track(self) -> RawTrack:
@@ -124,9 +110,9 @@ class Silhouette:
         table = np.array(self._rows).reshape(len(self._times), 2, -1).transpose(1, 0, 2)
         others, name = {}, self._setup.markers[0].name
         if self._twice > max(2, 0.5 * len(table[0])):
-            text = f"a second body of at least half the size moves in {self._twice} frames, "
-            text += "and the larger one is followed: leave the other out by ignore_px: [[left, top, right, "
-            others[name] = f"{text}bottom]], or by area_px of '{name}'"
+            text = f"a second body moves in {self._twice} frames, and the larger one is followed: leave the "
+            text += f"other out by ignore_px: [[left, top, right, bottom]], or by area_px of '{name}'"
+            others[name] = text
         track = RawTrack.of_table(self._times, self._setup.marker_names, table, {}, {}, others)
         if not track.found.any():
             return track

@@ -125,10 +125,9 @@ def track_camera(
     parts = np.unique((4 * np.concatenate(list(seen.values())) // size).astype(int), axis=0)
     checks = _checks(len(seen), float(np.degrees(np.arccos(min(cosine, 1.0)))), len(parts), rms, each)
     focal = 100 * max(errors[0] / values[0], errors[1] / values[1])
-    limit, reason = f"± {MAX_FOCAL_SE:.0%}", f"the focal length has a standard error of {focal:.2g} %"
-    checks.append(
-        ev.check("Focal length", f"± {focal:.2g} %", focal <= 100 * MAX_FOCAL_SE, limit, reason=reason)
-    )
+    value, limit, passed = f"± {focal:.2g} %", f"± {MAX_FOCAL_SE:.0%}", focal <= 100 * MAX_FOCAL_SE
+    reason = f"the focal length has a standard error of {focal:.2g} %"
+    checks.append(ev.check("Focal length", value, passed, limit, reason=reason))
     document = CameraFile(
         camera=Camera(matrix=matrix.tolist(), size_px=size, distortion=tuple(values[4:])),
         reprojection_error_px=float(rms),
@@ -200,11 +199,8 @@ def _corners(
 def _checks(count: int, tilt: float, parts: int, rms: float, each: list[float]) -> list[ev.Check]:
     """Return the checks of the pictures of a calibration."""
     error = f"{rms:.2g} px, pictures {min(each):.2g} to {max(each):.2g} px"
-    flat = (
-        f"the boards are tilted against each other by {tilt:.0f} degrees at most: pictures in one plane do "
-    )
-    flat += "not determine the focal length"
-    name = "Tilt between pictures"
+    flat = f"the boards are tilted against each other by {tilt:.0f} degrees at most: pictures in one plane"
+    name, flat = "Tilt between pictures", f"{flat} do not determine the focal length"
     rows: list[tuple[str, str, bool, str, Any, str]] = [
         (name, f"{tilt:.0f}°", tilt >= MIN_TILT_DEG, f">= {MIN_TILT_DEG:g}°", "fail", flat),
         ("Pictures", f"{count}", count >= GOOD_PICTURES, f">= {GOOD_PICTURES}", "warn",

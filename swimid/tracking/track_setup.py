@@ -18,22 +18,11 @@ from swimid.logs.scale import Camera
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
 from swimid.results.result import Text
-from swimid.tracking import frames, picking
+from swimid.tracking import frames, picking, proposals
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Video
 from swimid.tracking.options import TrackSetupOptions
-from swimid.tracking.proposals import (
-    Candidate,
-    distance_change,
-    find_candidates,
-    interpolate_shifts,
-    kinds_of,
-    listed,
-    marker_fault,
-    pick_markers,
-    sample,
-    setup_of,
-)
+from swimid.tracking.proposals import Candidate, distance_change, marker_fault, setup_of
 from swimid.tracking.setup import Marker, Setup
 from swimid.tracking.tracker import Run, follow
 
@@ -190,13 +179,11 @@ def _draft(video: Path, run: Run, rejected: list[Candidate], output: Path | None
     ahead = None
     if setup.tail is not None:
         ahead = run.track.head_first(*setup.roles)
-        change = distance_change(run.track, setup.roles[0], setup.tail, run.video.pixel_aspect) or 0.0
+        change = distance_change(run, *setup.roles) or 0.0
         if change > frames.MAX_DISTANCE_SD[0] and setup.markers[0].method == "colour":
             text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * change:.1f} %"
-            warn(
-                "SWM042",
-                f"{text}: they may not be on one rigid part. Pick two that are: --marker NAME@X,Y for each",
-            )
+            hint = "they may not be on one rigid part. Pick two that are: --marker NAME@X,Y for each"
+            warn("SWM042", f"{text}: {hint}")
     notes = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     notes += [f"passed over: {one}" for one in rejected]
     lines = [*notes, f"head {setup.head}, tail {setup.tail}"]
@@ -238,8 +225,8 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     highest scores is returned, or else the pair whose distance changes least.
     """
     with progress(f"looking at {video.name}") as step:
-        samples = sample(video, step=step)
-    found, rejected = find_candidates(samples)
+        samples = proposals.sample(video, step=step)
+    found, rejected = proposals.find_candidates(samples)
     shift = samples.factor * frames.scene_shifts(samples.frames)
     consequence = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
     frames.check_camera(shift, samples.video.width, consequence)
@@ -250,7 +237,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     markers = [Marker(name=name, hsv=c.colours, area_px=c.area_px) for name, c in tried.items()]
     run = _try(video, setup_of(markers, common), progress)
     track, reasons = run.track, {}
-    scene = interpolate_shifts(shift, samples.indices, len(track.times))
+    scene = proposals.interpolate_shifts(shift, samples.indices, len(track.times))
     for name, candidate in tried.items():
         min_share = max(frames.MIN_SHARE, 0.3 * candidate.presence)
         reasons[name] = marker_fault(track, name, min_share, scene)[1]
@@ -258,12 +245,11 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     if not good:
         rejected = [replace(c, reason=reasons[name]) for name, c in tried.items()] + rejected
         raise NoTrustworthyResult(
-            f"no marker of {video.name} can be followed and moves. {listed(rejected)}"
+            f"no marker of {video.name} can be followed and moves. {proposals.listed(rejected)}"
             f"{frames.describe_colours(samples.frames[::6])}",
             hint="pick the markers by hand: --marker name@x,y with --frame",
         )
-    aspect, names = run.video.pixel_aspect, good[:1]
-    changes = {pair: distance_change(track, *pair, aspect) for pair in combinations(good, 2)}
+    names, changes = good[:1], {pair: distance_change(run, *pair) for pair in combinations(good, 2)}
     strong = [name for name in good if tried[name].score >= SECOND_SHARE * tried[good[0]].score]
     limits, rigid = frames.MAX_DISTANCE_SD, {}
     for pair in combinations(strong, 2):
@@ -296,7 +282,7 @@ def _picked(video: Path, options: TrackSetupOptions) -> list[Marker]:
     frame = next((frame for _, frame in islice(Video(video).frames(), options.frame, None)), None)
     if frame is None:
         raise InputError(f"has no frame {options.frame}", file=video)
-    return pick_markers(frame, kinds_of(options.picks), path=video, index=options.frame)
+    return proposals.pick_markers(frame, proposals.kinds_of(options.picks), path=video, index=options.frame)
 
 
 def _follow_chosen(video: Path, markers: list[Marker], common: dict[str, Any], progress: Progress) -> Run:
@@ -313,8 +299,7 @@ def _follow_chosen(video: Path, markers: list[Marker], common: dict[str, Any], p
     if markers[0].number > 1 and run.setup.tail is not None:
         # Use the second marker as tail only if its distance from the first is constant. Markers that look
         # alike may belong to different bodies.
-        roles, aspect = run.setup.roles, run.video.pixel_aspect
-        separation = distance_change(run.track, roles[0], roles[1], aspect)
+        separation = distance_change(run, *run.setup.roles)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
     return run

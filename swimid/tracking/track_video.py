@@ -18,7 +18,7 @@ from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
 from swimid.logs import kinematics, log, point_evidence, point_files, points
 from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
-from swimid.logs.plane import Plane, plane_of
+from swimid.logs.plane import Plane
 from swimid.logs.points import Posed
 from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, recorded, silent, warn
@@ -190,8 +190,7 @@ def _evaluate(
     The painter draws the track into the frames of the film.
     """
     track, video, rules = run.track, run.video, run.setup
-    file, aspect = str(provenance.path_of(source)), video.pixel_aspect
-    plane = plane_of(rules, video.width, video.height, pixel_aspect=aspect, file=file)
+    plane = video.plane(rules, str(provenance.path_of(source)))
     _demand_markers(run)
     faults = [notice.text for notice in notices if notice.code in ("SWM043", "SWM044")]
     plane = pose.facing(track, rules, plane)
@@ -245,14 +244,8 @@ def _evaluate(
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
-    data = (
-        _data(made, rows, swum)
-        | findings
-        | {
-            "verdict": verdict.model_dump(),
-            "checks": [check.model_dump() for check in checks],
-        }
-    )
+    data = _data(made, rows, swum) | findings | {"verdict": verdict.model_dump()}
+    data["checks"] = [check.model_dump() for check in checks]
     document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
     return Track("track video", "", data, (), evidence, document, columns, made, rules), painter
 
@@ -760,9 +753,8 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     ) -> ev.Panel:
         smooth, sd = factor * values.position[row, every], factor * values.position_sd[row, every]
         marks = ev.apart(t[every], raw)
-        measured = ev.Trace(
-            x=t[every][marks], y=factor * raw[marks], label="measured", style="points", group=0
-        )
+        seen_t, seen = t[every][marks], factor * raw[marks]
+        measured = ev.Trace(x=seen_t, y=seen, label="measured", style="points", group=0)
         return over_time(label, [measured, ev.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0)])
 
     coordinates = [
@@ -778,10 +770,8 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         names = (f"surge speed ({unit}/s)", f"{sideways} ({unit}/s)")
         speeds = dict(zip(names, pose.body_velocity, strict=True))
         speeds[f"{turn} rate (°/s)"] = degrees * pose.angle.velocity[0]
-    window = [
-        ev.Mark(at=found.begin_s, axis="x", label="averaging window"),
-        ev.Mark(at=found.end_s, axis="x"),
-    ]
+    begin = ev.Mark(at=found.begin_s, axis="x", label="averaging window")
+    window = [begin, ev.Mark(at=found.end_s, axis="x")]
     first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
     path = [
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
@@ -858,8 +848,7 @@ class Painter:
         """Return the stored frames of the film for the report, with the track drawn into them."""
         images = []
         for i, frame in self.run.kept.items():
-            drawn = frames.squared(self.draw(i, frame.copy()), self.run.video.pixel_aspect)
-            drawn = frames.reduced(drawn, IMAGE_WIDTH)
+            drawn = frames.reduced(self.run.video.squared(self.draw(i, frame.copy())), IMAGE_WIDTH)
             data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
             title = f"Frame {i}, t = {self.track.times[i]:.2f} s"
             image = {"media_type": "image/jpeg", "base64": base64.b64encode(data).decode()}
@@ -874,15 +863,14 @@ class Painter:
         overlay.
         """
         times, source = self.track.times, self.run.video
-        aspect, height = source.pixel_aspect, source.height // 2 * 2
-        width = round(aspect * source.width) // 2 * 2
+        width, height = round(source.pixel_aspect * source.width) // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
         again = Video(source.path).frames()
         with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
             writer = open_writer(temporary, rate, width, height)
             try:
                 for i, (time, (_, frame)) in enumerate(zip(times, again, strict=False)):
-                    drawn = frames.squared(self.draw(i, frame), aspect)
+                    drawn = source.squared(self.draw(i, frame))
                     writer.write(float(time), drawn[:height, :width])
                     step()
             finally:

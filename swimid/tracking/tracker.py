@@ -272,12 +272,10 @@ class Group:
         """
         moving, count = [], 0
         for frame, here, places in self.looks:
-            others = [(place, found) for index, place, found in self.looks if index != frame]
-            apart = 2.0 * self.targets[0].radius
-            new = [
-                one for one in places if all(math.dist(one, p) > apart for _, found in others for p in found)
-            ]
-            count += bool(new) or all(math.dist(here, place) > apart for place, _ in others)
+            apart, elsewhere = 2.0 * self.targets[0].radius, [look for look in self.looks if look[0] != frame]
+            known = [place for *_, found in elsewhere for place in found]
+            new = [one for one in places if all(math.dist(one, place) > apart for place in known)]
+            count += bool(new) or all(math.dist(here, place) > apart for _, place, _ in elsewhere)
             moving += [(frame, here, new)] * bool(new)
         if len(moving) < max(2, 0.5 * count):
             return ""
@@ -322,15 +320,11 @@ class Follower:
         self.setup = setup
         self._size = (width, height)
         # The default area of a marker is from 12 px to 5 % of the picture.
-        self.groups = [
-            Group(
-                marker=marker,
-                model=ColourModel(marker.hsv or HsvRange()),
-                area_px=marker.area_px or (12.0, 0.05 * width * height),
-                targets=[Target(name) for name in marker.names],
-            )
-            for marker in setup.markers
-        ]
+        self.groups: list[Group] = []
+        for marker in setup.markers:
+            model, targets = ColourModel(marker.hsv or HsvRange()), [Target(name) for name in marker.names]
+            area_px = marker.area_px or (12.0, 0.05 * width * height)
+            self.groups.append(Group(marker, model, area_px, targets))
         #: Statistics of the distance (px) between each two markers of different colours: number of distances,
         #: their sum, and the sum of their squares. They are computed only if several markers have the same
         #: colour.
@@ -600,12 +594,9 @@ class Follower:
             Blob of the object, if the object replaces the target.
         """
         gone_s = time - target.time
-        blobs = [
-            blob
-            for blob in blobs
-            if not (blob.at_edge or is_among(blob, group.rivals))
-            and not (target.whole and group.is_alike(target, blob, gone_s))
-        ]
+        blobs = [blob for blob in blobs if not (blob.at_edge or is_among(blob, group.rivals))]
+        if target.whole:
+            blobs = [blob for blob in blobs if not group.is_alike(target, blob, gone_s)]
         rival = target.challenger
         if rival is not None and time - rival.time > self.setup.max_gap_s:
             rival = target.challenger = None

@@ -352,11 +352,16 @@ class Peek:
         """Return whether the file is HDF5 and contains data sets or groups with all given names."""
         if self.head.startswith(b"\x89HDF"):
             # Ignore a missing h5py and a damaged file here. The reader of HDF5 then raises the error.
-            with contextlib.suppress(OSError, RuntimeError, KeyError, ImportError):
-                import h5py
+            import h5py
 
-                with h5py.File(self.path, "r") as file:
-                    return all(name in file for name in names)
+            with h5py.File(self.path, "r") as file:
+                return all(name in file for name in names)
+        return False
+
+    def fits(self, profile: Format) -> bool:
+        """Return whether a profile recognises the file. A damaged file is refused by its reader instead."""
+        with contextlib.suppress(Exception):
+            return profile.recognises is not None and profile.recognises(self)
         return False
 
 
@@ -707,14 +712,7 @@ def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
 
 
 def numbers(
-    path: Path,
-    start: int,
-    delimiter: str,
-    width: int,
-    *,
-    most: int | None = None,
-    decimal: str = ".",
-    encoding: str = "utf-8",
+    path: Path, start: int, delimiter: str, width: int, *, most: int | None = None, decimal: str = "."
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return the numbers in a text file after the first ``start`` lines, and their line numbers.
 
@@ -737,7 +735,7 @@ def numbers(
         raise InputError(text, file=path, hint="export or copy the file again")
 
     layout = {"sep": delimiter, "skiprows": start, "names": range(width), "index_col": False}
-    form = {"decimal": decimal, "encoding": encoding, "encoding_errors": "replace"}
+    form = {"decimal": decimal, "encoding_errors": "replace"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", pd.errors.ParserWarning)  # of cells beyond the width
         table = pd.read_csv(path, skip_blank_lines=False, nrows=most, **layout, **form)
@@ -800,8 +798,7 @@ def find_format(path: Path, name: str | None) -> Format:
     # Try the profile of swimid's own log format last, because a log of another program may have a column
     # named like its time.
     for one in sorted(known.values(), key=lambda one: one.name == "swimid"):
-        fits = one in begins or not one.magic
-        if name is not None and one.recognises is not None and fits and one.recognises(peek):
+        if name is not None and (one in begins or not one.magic) and peek.fits(one):
             return one
     both = [one for one in begins if one in ends]
     # A ZIP archive may be of any format, so that its ending decides.

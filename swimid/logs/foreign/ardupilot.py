@@ -155,11 +155,9 @@ def _messages(path: Path, kind: str | None) -> Table:
     text = path.read_text(encoding="utf-8", errors="replace")
     messages = [[cell.strip() for cell in line.split(",")] for line in text.split("\n")]
     formats = {cells[3]: cells[5:] for cells in messages if cells[0] == "FMT" and len(cells) > 5}
-    formats = {
-        kind: names for kind, names in formats.items() if "TimeUS" in names and set(FIELDS) & set(names)
-    }
+    known = {kind for kind, names in formats.items() if "TimeUS" in names and {*FIELDS} & {*names}}
     present = dict.fromkeys(cells[0] for cells in messages)
-    kind = choose(kind, [kind for kind in present if kind in formats], "message type", path)
+    kind = choose(kind, [kind for kind in present if kind in known], "message type", path)
     found = {at: cells[1:] for at, cells in enumerate(messages, start=1) if cells[0] == kind}
     whole = {at: cells for at, cells in found.items() if len(cells) == len(formats[kind])}
     frame = pd.DataFrame.from_dict(whole, orient="index", columns=formats[kind])

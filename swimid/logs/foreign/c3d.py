@@ -13,18 +13,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import (
-    Array,
-    Format,
-    Options,
-    Peek,
-    Table,
-    choose,
-    complete,
-    in_si,
-    length,
-    unique,
-)
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, complete, in_si, length, unique
 from swimid.logs.kinematics import from_y_up
 from swimid.logs.log import TIME
 

@@ -44,10 +44,8 @@ _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 #: Pattern of a cell with a date or a time of day. Like a number, such a cell shows that a line holds samples.
 _SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
-_EMPTY_LINES, _UNNAMED = (
-    re.compile(rb"\n([ \t,;|]*\n)+(?=[ \t,;|]*[^\d\s+.,;|-])"),
-    re.compile(r"(column )?\d+"),
-)
+_EMPTY_LINES = re.compile(rb"\n([ \t,;|]*\n)+(?=[ \t,;|]*[^\d\s+.,;|-])")
+_UNNAMED = re.compile(r"(column )?\d+")
 #: Number of bytes after an empty line in which the names of a second table are looked for.
 MAX_HEADER = 1 << 12
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
@@ -268,9 +266,8 @@ def _first_sample(table: list[list[str]], width: int, decimal: str, options: Opt
     sampled = [count > 0 and len(cells) == width for count, cells in zip(counts, table, strict=True)]
     for at in np.flatnonzero(sampled).tolist():
         later = [k for k in headers if k > at and len(filled[k]) >= len(filled[at])]
-        is_setting = counts[at] < len({*filled[at]} - {*MISSING}) and any(
-            sum(sampled[at:k]) < sum(sampled[k:]) for k in later
-        )
+        has_text = counts[at] < len({*filled[at]} - {*MISSING})
+        is_setting = has_text and any(sum(sampled[at:k]) < sum(sampled[k:]) for k in later)
         if not is_setting and (at > 0 or not options.header):
             return at
     return None

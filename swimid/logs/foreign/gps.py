@@ -33,10 +33,8 @@ def east_north(latitude_deg: Array, longitude_deg: Array) -> tuple[dict[str, Arr
     """
     fix = np.isfinite(latitude_deg * longitude_deg) & ((latitude_deg != 0) | (longitude_deg != 0))
     first = int(np.argmax(fix))
-    lat, lon = (
-        np.radians(np.where(fix, latitude_deg, np.nan)),
-        np.radians(longitude_deg - longitude_deg[first]),
-    )
+    lat = np.radians(np.where(fix, latitude_deg, np.nan))
+    lon = np.radians(longitude_deg - longitude_deg[first])
     square = FLATTENING * (2 - FLATTENING)
     normal = AXIS_M / np.sqrt(1 - square * np.sin(lat) ** 2)
     # Cartesian coordinates, with the first position in the plane of x and z (Torge 2001, Geodesy, sec. 4.1.3)

@@ -20,19 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError, extra_needed
-from swimid.logs.foreign import (
-    Array,
-    Format,
-    Options,
-    Peek,
-    Table,
-    choose,
-    is_text,
-    length,
-    open_table,
-    rows,
-    safe,
-)
+from swimid.logs import foreign
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, is_text
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
@@ -54,7 +43,7 @@ def points(found: Mapping[str, Array], unit: str = "px", y_axis: str = "down") -
             values = -values
         if what not in ("likelihood", "score"):
             what += f"_{unit}"
-        columns[f"{safe(point)}_{what}" if dot else what] = values
+        columns[f"{foreign.safe(point)}_{what}" if dot else what] = values
     return columns
 
 
@@ -100,14 +89,12 @@ def _is_anipose(peek: Peek) -> bool:
 
 
 def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
-    table = open_table(path)
+    table = foreign.open_table(path)
     names = [name.removesuffix("_ncams") for name in table.columns if name.endswith("_ncams")]
     if not names or "fnum" not in table.columns:
-        hint = (
-            "a table of Anipose has columns such as nose_x, nose_y, nose_z, nose_score, nose_ncams, and fnum"
-        )
+        hint = "a table of Anipose has the columns fnum, nose_x, nose_y, nose_z, nose_score and nose_ncams"
         raise InputError("is no table of Anipose", file=path, hint=hint)
-    factor, unit = length(options.length_unit, path)
+    factor, unit = foreign.length(options.length_unit, path)
     found: dict[str, Array] = {}
     for name in names:
         found |= {f"{name}.{axis}": table.columns[f"{name}_{axis}"].astype(float) * factor for axis in "xyz"}
@@ -120,11 +107,8 @@ def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
 
 def _is_sleap(peek: Peek) -> bool:
     cells = {hit[1] for name in peek.header if (hit := _CELL.fullmatch(name))}
-    return (
-        ("frame_idx" in peek.header and {"x", "y"} <= cells)
-        or peek.holds("tracks", "node_names")
-        or peek.holds(*_PROJECT)
-    )
+    is_table = "frame_idx" in peek.header and {"x", "y"} <= cells
+    return is_table or peek.holds("tracks", "node_names") or peek.holds(*_PROJECT)
 
 
 def _read_sleap(path: Path, options: Options, select: str | None) -> Table:
@@ -141,14 +125,14 @@ _PROJECT = ("metadata", "frames", "instances", "points", "pred_points")
 def _of_text(path: Path, select: str | None) -> Table:
     import pandas as pd
 
-    table = open_table(path)
+    table = foreign.open_table(path)
     frames = table.column("frame_idx", path)
     if "track" in table.columns:
         tracks = pd.Series(table.columns["track"]).dropna().astype(str)
         names = list(tracks.unique())
         if len(names) > 1 or select:
             chosen = choose(select, names, "track", path)
-            table = rows(table, table.columns["track"].astype(str) == chosen)
+            table = foreign.rows(table, table.columns["track"].astype(str) == chosen)
     cells = [name for name, values in table.columns.items() if _CELL.fullmatch(name) and not is_text(values)]
     found = points({name: table.columns[name].astype(float) for name in cells})
     return replace(table, columns={"frame": table.columns[frames], **found})

@@ -19,16 +19,12 @@ from swimid.errors import InputError
 from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, length, open_table
 from swimid.logs.foreign.keypoints import points
 from swimid.logs.log import TIME
+from swimid.logs.sampling import find_grid, quantum
 
 _TEXT = "#Kinovea Trajectory data export"
 #: Seconds in the parts of a time: hours, minutes, seconds and hundredths.
 _CLOCK = [3600.0, 60.0, 1.0, 0.01]
 _NAME = re.compile(r"(?P<track>.+)/(?P<point>[^/]+)/(?P<axis>[XY])")
-#: Maximum distance of a time from a multiple of the frame period, in units of the last decimal of the times.
-#: Kinovea rounds the times that it exports, so that the distance is 0.5, and the period is estimated.
-MAX_ROUNDING = 0.6
-#: Minimum number of times to which a period is fitted.
-MIN_FITTED = 8
 
 
 def _header(peek: Peek) -> list[str]:
@@ -56,9 +52,8 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     elif _is_table(peek):
         time, found = _of_csv(path)
     else:
-        raise InputError(
-            "is no export of tracks", file=path, hint="export the tracks as CSV, or save a KVA file"
-        )
+        hint = "export the tracks as CSV, or save a KVA file"
+        raise InputError("is no export of tracks", file=path, hint=hint)
     factor, unit = length(options.length_unit, path)
     scaled = {name: values * factor for name, values in found.items()}
     frames = _frame_numbers(time)
@@ -71,25 +66,15 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
 def _frame_numbers(time: Array) -> Array | None:
     """Return the frame number of each time, from 0; None if the times are no rounded multiples of a period.
 
-    The times are those of successive frames if such frames fit. Otherwise the first estimate of the period is
-    the mean of the shortest steps, which differ by the rounding. Each further estimate is fitted to twice as
-    many times, so that the frame numbers stay right. The first of them has several times, because steps of
-    one or two rounding units fit any period.
+    A guess of the period is the mean of the shortest steps, which differ by the rounding.
     """
-    rounding = next(
-        (0.1**k for k in range(7) if np.allclose(np.round(time, k), time, rtol=0, atol=1e-9)), 0.0
-    )
-    steps = np.diff(time)
-    if not len(steps) or not steps.min() > 0:
+    steps, rounding = np.diff(time), quantum(time)
+    shortest = np.min(steps, initial=np.inf)
+    if not 0 < shortest < np.inf:
         return None
-    frames, period, origin = np.arange(float(len(time))), *np.polyfit(np.arange(len(time)), time, 1)
-    if np.abs(time - origin - period * frames).max() > MAX_ROUNDING * rounding:
-        origin, period = time[0], float(steps[steps <= steps.min() + 1.01 * rounding].mean())
-        for count in MIN_FITTED * 2 ** np.arange(int(np.log2(len(time))) + 1):
-            frames = np.round((time[:count] - origin) / period)
-            period, origin = np.polyfit(frames, time[:count], 1)
-    left = np.abs(time - origin - period * frames).max()
-    return frames if left <= max(MAX_ROUNDING * rounding, 1e-6 * period) else None
+    starts = [float(np.mean(some)) for some in (steps[steps <= shortest + 1.01 * rounding], steps)]
+    grid = find_grid(time, starts, max(rounding, 1e-6 * shortest), min_share=0.0)
+    return None if grid is None else grid[1].astype(float)
 
 
 def _of_csv(path: Path) -> tuple[Array, dict[str, Array]]:

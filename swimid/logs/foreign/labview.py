@@ -17,20 +17,8 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import (
-    UNITS,
-    Array,
-    Format,
-    Options,
-    Peek,
-    Table,
-    canonical,
-    choose,
-    from_first,
-    in_si,
-    numbers,
-    unique,
-)
+from swimid.logs import foreign
+from swimid.logs.foreign import UNITS, Array, Format, Options, Peek, Table, choose, from_first
 from swimid.logs.log import TIME
 
 _END = "***End_of_Header***"
@@ -68,9 +56,8 @@ def _timed(
     counts = np.array([len(columns[name]) for name in clocks])
     at = np.arange(np.ceil(first.max() - 1e-6), np.floor((first + counts).min() + 1e-6))
     if len(at) < 2:
-        text = (
-            f"channels have no time in common: they start at {', '.join(f'{start:g} s' for start in starts)}"
-        )
+        begins = ", ".join(f"{start:g} s" for start in starts)
+        text = f"channels have no time in common: they start at {begins}"
         raise InputError(text, file=path, hint="record them at the same time")
     for name, lead, count in zip(clocks, first, counts, strict=True):
         if lead or count != len(at):
@@ -115,7 +102,7 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
     if not names or last == end + 2:
         raise InputError("ends before its samples", file=path, line=len(lines))
     decimal = "".join(head.get("Decimal_Separator", ["."])).strip() or "."
-    values, rows = numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
+    values, rows = foreign.numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
 
     def stated(key: str, at: int) -> str:
         cells = segment.get(key, [])
@@ -130,8 +117,8 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
     in_time, channels = stated("X_Dimension", 0) in ("Time", ""), range(len(names) - 1)
     stamps = np.array([_date(stated("Date", k), stated("Time", k), decimal) for k in channels])
     leads, metadata = from_first(stamps)
-    for at, name in enumerate(unique(names[1:])):
-        column, columns[column] = in_si(name, stated("Y_Unit_Label", at), values[:, at + 1])
+    for at, name in enumerate(foreign.unique(names[1:])):
+        column, columns[column] = foreign.in_si(name, stated("Y_Unit_Label", at), values[:, at + 1])
         start, step = (float(stated(key, at).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
         if in_time and step > 0:
             clocks[column] = start + leads[at], step
@@ -154,10 +141,6 @@ LVM = Format("lvm", "LabVIEW measurement file", _read_lvm, _is_lvm)
 # ---------------------------------------------------------------- TDMS
 
 
-def _is_tdms(peek: Peek) -> bool:
-    return peek.head.startswith(b"TDSm")
-
-
 def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     from nptdms import TdmsFile
     from nptdms.log import log_manager
@@ -175,20 +158,20 @@ def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     metadata = {str(key): value for key, value in file.properties.items() if isinstance(value, str)}
     stamps = np.array([c.properties.get("wf_start_time") for c in channels], dtype="datetime64[ns]")
     leads, origin = from_first(stamps)
-    for at, shown in enumerate(unique(channel.name for channel in channels)):
+    for at, shown in enumerate(foreign.unique(channel.name for channel in channels)):
         unit, values = str(channels[at].properties.get("unit_string", "")), channels[at][:]
         if values.dtype.kind == "M" and TIME not in columns:
             columns[TIME], origin = from_first(values)
         elif values.dtype.kind not in "iufb":
             continue
-        elif _TIME_NAME.fullmatch(channels[at].name) and canonical(unit) in UNITS["time"]:
-            columns[TIME] = values.astype(float) * UNITS["time"][canonical(unit)]
+        elif _TIME_NAME.fullmatch(channels[at].name) and foreign.canonical(unit) in UNITS["time"]:
+            columns[TIME] = values.astype(float) * UNITS["time"][foreign.canonical(unit)]
         else:
-            column, columns[column] = in_si(shown, unit, values.astype(float))
+            column, columns[column] = foreign.in_si(shown, unit, values.astype(float))
             step, start = (float(channels[at].properties.get(key, 0.0)) for key in keys)
             if step > 0:
                 clocks[column] = start + leads[at], step
     return _timed(columns, clocks, metadata | origin, path)
 
 
-TDMS = Format("tdms", "TDMS file", _read_tdms, _is_tdms, extra="tdms")
+TDMS = Format("tdms", "TDMS file", _read_tdms, lambda peek: peek.head.startswith(b"TDSm"), extra="tdms")

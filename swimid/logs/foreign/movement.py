@@ -65,10 +65,8 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     if clock is None:
         text = f"its attribute time_unit is {data.attrs.get('time_unit')!r}"
         raise InputError(text, file=path, hint="it must be 'seconds' or 'frames'")
-    kept = ("source_software", "source_file", "fps")
-    metadata = {
-        name: data.attrs[name] for name in kept if isinstance(data.attrs.get(name), str | float | int)
-    }
+    about = {name: data.attrs.get(name) for name in ("source_software", "source_file", "fps")}
+    metadata = {name: value for name, value in about.items() if isinstance(value, str | float | int)}
     columns = {clock: data["time"].to_numpy().astype(float), **points(found, unit, y_axis)}
     return Table(columns, metadata=metadata)
 

@@ -30,10 +30,9 @@ def _is_trackpy(peek: Peek) -> bool:
     names = set(peek.header)
     if peek.head.startswith(b"PAR1"):
         # Ignore a missing pyarrow here. The reader of Parquet then names the extra to install.
-        with contextlib.suppress(Exception):
-            import pyarrow.parquet
+        import pyarrow.parquet
 
-            names = set(pyarrow.parquet.read_schema(peek.path).names)
+        names = set(pyarrow.parquet.read_schema(peek.path).names)
     return names >= _TRACK and bool(names & _FEATURES)
 
 
@@ -43,16 +42,13 @@ def _read_trackpy(path: Path, options: Options, select: str | None) -> Table:
         hint = f"a table of trackpy has the columns {', '.join(sorted(_TRACK))}"
         raise InputError("is no table of trackpy", file=path, hint=hint)
     particle = table.columns["particle"].astype(float)
-    known, counts = np.unique(particle[np.isfinite(particle)], return_counts=True)
+    numbers, counts = np.unique(particle[np.isfinite(particle)], return_counts=True)
     # List the longest tracks first, because a table holds many short ones.
-    names = [f"{known[k]:.0f}" for k in np.argsort(-counts, kind="stable")]
+    names = [f"{numbers[k]:.0f}" for k in np.argsort(-counts, kind="stable")]
     table = rows(table, particle == float(choose(select, names, "particle", path)))
     order = np.argsort(table.columns["frame"], kind="stable")
-    found: dict[str, Array] = {
-        name: table.columns[name].astype(float)[order]
-        for name in ("x", "y", "z", "ep")
-        if name in table.columns
-    }
+    known = [name for name in ("x", "y", "z", "ep") if name in table.columns]
+    found: dict[str, Array] = {name: table.columns[name].astype(float)[order] for name in known}
     ep = found.pop("ep", None)
     columns = {"frame": table.columns["frame"].astype(float)[order], **points(found)}
     if ep is not None:

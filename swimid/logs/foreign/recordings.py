@@ -8,7 +8,6 @@ not those of the recorder.
 
 from __future__ import annotations
 
-import contextlib
 import json
 from dataclasses import is_dataclass, replace
 from pathlib import Path
@@ -16,20 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from swimid.logs.foreign import (
-    Format,
-    Options,
-    Peek,
-    Table,
-    axes,
-    choose,
-    flat,
-    from_first,
-    of_records,
-    open_table,
-    renamed,
-    safe,
-)
+from swimid.logs import foreign
+from swimid.logs.foreign import Format, Options, Peek, Table, axes, choose, open_table
 from swimid.logs.foreign.gps import east_north
 from swimid.logs.kinematics import with_angles
 from swimid.logs.log import TIME
@@ -75,12 +62,10 @@ def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
         found = make_reader(stream).iter_messages(topics=[topic], log_time_order=False)
         for schema, channel, message in found:
             decode = decoders.decoder_for(channel.message_encoding, schema) or json.loads
-            record = {
-                "log_time": np.datetime64(message.log_time, "ns"),
-                "publish_time": np.datetime64(message.publish_time, "ns"),
-            }
-            records.append(record | dict(flat(decode(message.data), _parts)))
-    return Table(of_records(records), metadata={"topic": topic, "type": known[topic]})
+            times = {"log_time": message.log_time, "publish_time": message.publish_time}
+            record = {name: np.datetime64(time_ns, "ns") for name, time_ns in times.items()}
+            records.append(record | dict(foreign.flat(decode(message.data), _parts)))
+    return Table(foreign.of_records(records), metadata={"topic": topic, "type": known[topic]})
 
 
 def _parts(value: Any) -> Any:
@@ -116,8 +101,8 @@ def _open_db3(path: Path, options: Options, select: str | None) -> Table:
         records = []
         for connection, time_ns, data in bag.messages([one for one in bag.connections if one.topic == topic]):
             message = bag.deserialize(data, connection.msgtype)
-            records.append({"log_time": np.datetime64(time_ns, "ns")} | dict(flat(message, _parts)))
-    return Table(of_records(records), metadata={"topic": topic, "type": kinds[topic]})
+            records.append({"log_time": np.datetime64(time_ns, "ns")} | dict(foreign.flat(message, _parts)))
+    return Table(foreign.of_records(records), metadata={"topic": topic, "type": kinds[topic]})
 
 
 DB3 = Format("db3", "bag of ROS", _open_db3, endings=(".db3", ".bag"), magic=BAG_MAGIC, extra="rosbags")
@@ -153,9 +138,7 @@ def _topics(path: Path) -> dict[str, str]:
 
 
 def _recognises(peek: Peek) -> bool:
-    with contextlib.suppress(Exception):  # let the reader refuse a damaged file
-        return bool(_topics(peek.path))
-    return False
+    return bool(_topics(peek.path))
 
 
 def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
@@ -166,14 +149,14 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
         stamp = table.columns["log_time"]
         table.notes.append("its messages have no stamps; the times are those of the recorder")
-    (time_s, start), kind = from_first(stamp), topics[topic]
+    (time_s, start), kind = foreign.from_first(stamp), topics[topic]
     table.metadata |= start
     if kind == "sensor_msgs/NavSatFix":
         place, origin = east_north(*(table.columns[name] for name in ("latitude", "longitude")))
         table.metadata |= origin
-        columns = place | renamed(table, FIELDS[kind])
+        columns = place | foreign.renamed(table, FIELDS[kind])
     else:
-        columns = renamed(table, FIELDS[kind] or _joints(table))
+        columns = foreign.renamed(table, FIELDS[kind] or _joints(table))
     keys = {name: table.columns[name] for name in ("header.frame_id",) if name in table.columns}
     return replace(table, columns={TIME: time_s, **with_angles(columns)}, keys=keys)
 
@@ -184,7 +167,7 @@ def _joints(table: Table) -> dict[str, str]:
     for name, words in table.columns.items():
         if not name.startswith("name["):
             continue
-        at, joint = name.removeprefix("name"), safe(str(words[0]))
+        at, joint = name.removeprefix("name"), foreign.safe(str(words[0]))
         if any(word != words[0] for word in words):
             table.notes.append(f"joint {at} changes its name while it is recorded")
         for field, unit in (("position", "rad"), ("velocity", "rad_s"), ("effort", "Nm")):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
     book.close()
-    filled = {
-        name: rows for name, rows in sheets.items() if any(cell is not None for row in rows for cell in row)
-    }
+    filled = {name: rows for name, rows in sheets.items() if {*chain.from_iterable(rows)} - {None}}
     rows = filled[choose(select, list(filled), "sheet", path)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -62,9 +62,8 @@ def _open_npz(path: Path, options: Options, select: str | None) -> Table:
         plain = [name for name, head in heads.items() if b"'|O'" not in head]
         table = of_tree({name: archive[name] for name in plain}, select, path, lambda value: value)
     if len(plain) < len(heads):
-        table.notes.append(
-            f"arrays of Python objects left out: {', '.join(sorted({*heads} - {*plain})[:20])}"
-        )
+        names = ", ".join(sorted({*heads} - {*plain})[:20])
+        table.notes.append(f"arrays of Python objects left out: {names}")
     return table
 
 

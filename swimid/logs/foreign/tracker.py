@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Format, Options, Peek, Table, choose, length, numbers, safe
+from swimid.logs.foreign import Format, Options, Table, choose, length, numbers, safe
 from swimid.logs.log import TIME
 
 _TRACKER_NAME = re.compile(
@@ -35,10 +35,6 @@ def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
         if len(hits) > 2 and hits[0][1] == "t" and has_place and (is_multi or not any(tracks[1:])):
             return height, mark, tracks, names
     return None
-
-
-def _is_tracker(peek: Peek) -> bool:
-    return _layout(peek.lines) is not None
 
 
 def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
@@ -75,4 +71,4 @@ def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
     return Table(columns, notes=notes, lines=rows)
 
 
-TRACKER = Format("tracker", "export of Tracker", _read_tracker, _is_tracker)
+TRACKER = Format("tracker", "export of Tracker", _read_tracker, lambda peek: _layout(peek.lines) is not None)

@@ -67,9 +67,7 @@ def _topics(path: Path) -> dict[str, str]:
 
 
 def _recognises(peek: Peek) -> bool:
-    with contextlib.suppress(Exception):  # let the reader refuse a damaged file
-        return bool(_topics(peek.path))
-    return False
+    return bool(_topics(peek.path))
 
 
 def _read_px4(path: Path, options: Options, select: str | None) -> Table:

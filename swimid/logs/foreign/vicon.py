@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, in_si, numbers, unique
+from swimid.logs.foreign import Array, Format, Options, Table, choose, in_si, numbers, unique
 from swimid.logs.log import TIME
 
 
@@ -35,10 +35,6 @@ def _mark(lines: list[str]) -> str:
             if line.startswith(f"Frame{mark}Sub Frame{mark}"):
                 return mark
     return ""
-
-
-def _recognises(peek: Peek) -> bool:
-    return bool(_mark(peek.lines))
 
 
 def _sections(lines: list[str], mark: str) -> dict[str, _Section]:
@@ -83,4 +79,4 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     return Table(columns, lines=rows)
 
 
-PROFILE = Format("vicon", "text export of Vicon", _read, _recognises)
+PROFILE = Format("vicon", "text export of Vicon", _read, lambda peek: bool(_mark(peek.lines)))
