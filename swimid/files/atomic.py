@@ -373,18 +373,11 @@ def locked(output: Path | None) -> Iterator[None]:
 
     A device, the standard output, and a file in a folder that cannot be written are not locked.
     """
-    stored = output is not None and (output.is_dir() or not is_device(output))
-    if output is None or not stored or str(output) == "-":
+    with ExitStack() as stack:
+        if output is not None and str(output) != "-" and (output.is_dir() or not is_device(output)):
+            if output.parent.is_dir() and os.access(output.parent, os.W_OK):
+                stack.callback(lock(output).release)
         yield
-        return
-    if not (output.parent.is_dir() and os.access(output.parent, os.W_OK)):
-        yield
-        return
-    taken = lock(output)
-    try:
-        yield
-    finally:
-        taken.release()
 
 
 # ---------------------------------------------------------------- checkpoints
