@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.exporters.causes import Cause, limits_of, read_causes
 from swimid.exporters.options import ExportOptions
+from swimid.files.templates import environment
 from swimid.fitting.model import Array, Force
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
@@ -470,10 +470,8 @@ def xml_text(
 
     See :func:`export_xml` for the parameters.
     """
-    environment = Environment(
-        loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
-    )
-    root = ET.fromstring(environment.get_template(template).render(source=source, **more))
+    templates = environment("swimid.exporters", autoescape=True, finalize=_shown)
+    root = ET.fromstring(templates.get_template(template).render(source=source, **more))
     for element in root.iter():
         element.text = (element.text or "").strip() or None
     ET.indent(root)

@@ -374,10 +374,15 @@ def locked(output: Path | None) -> Iterator[None]:
     A device, the standard output, and a file in a folder that cannot be written are not locked.
     """
     with ExitStack() as stack:
-        if output is not None and str(output) != "-" and (output.is_dir() or not is_device(output)):
-            if output.parent.is_dir() and os.access(output.parent, os.W_OK):
-                stack.callback(lock(output).release)
+        if output is not None and _is_lockable(output):
+            stack.callback(lock(output).release)
         yield
+
+
+def _is_lockable(output: Path) -> bool:
+    if str(output) == "-" or (is_device(output) and not output.is_dir()):
+        return False
+    return output.parent.is_dir() and os.access(output.parent, os.W_OK)
 
 
 # ---------------------------------------------------------------- checkpoints

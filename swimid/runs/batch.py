@@ -135,7 +135,8 @@ def _insist_own(run: Path) -> None:
     plan = run / "plan.json"
     if run.is_dir() and any(run.iterdir()) and not (plan.is_file() and is_own(plan)):
         raise UsageError(
-            f"the folder {run} has files that are not of a run", hint="name a new folder, or give --force"
+            f"the folder {run} contains files that do not belong to a run",
+            hint="name a new folder, or give --force",
         )
 
 

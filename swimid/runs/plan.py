@@ -172,7 +172,7 @@ class Resolved(BaseModel):
         path = Path(run) / "plan.json"
         if not path.is_file():
             raise InputError(
-                "is no folder of a run: it has no plan.json", file=run, hint="swimid batch writes one"
+                "is not the folder of a run: it has no plan.json", file=run, hint="swimid batch writes one"
             )
         try:
             return cls.model_validate_json(path.read_bytes())
