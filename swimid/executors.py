@@ -84,6 +84,16 @@ class Rebuilt:
         return self._pool.submit(_called, self._recipe, method, arguments).result()
 
 
+@contextmanager
+def on_cluster(cluster: str | None, build: str, *arguments: Any) -> Iterator[Rebuilt | None]:
+    """Yield an object that the workers of a cluster build (:class:`Rebuilt`); None without a cluster."""
+    if cluster is None:
+        yield None
+        return
+    with opened(1, cluster) as pool:
+        yield Rebuilt(pool, build, *arguments)
+
+
 def _called(recipe: tuple[str, bytes, str], method: str, arguments: tuple[Any, ...]) -> Any:
     return getattr(_built(*recipe), method)(*arguments)
 

@@ -364,7 +364,7 @@ def test_a_long_file_name_makes_a_short_folder(lab: Path, swimid: Run) -> None:
 def test_a_folder_of_others_is_not_a_run(lab: Path, swimid: Run) -> None:
     ran = swimid("batch", lab / "plan.yaml", "-o", lab / "logs")
     assert ran.status == 2
-    assert "files that are not of a run" in ran.err
+    assert "files that do not belong to a run" in ran.err
     assert sorted(path.name for path in (lab / "logs").iterdir()) == ["log0.csv", "log1.csv", "odd.csv"]
 
 

@@ -283,7 +283,7 @@ def test_derivatives_with_shared_coefficients_agree_with_the_engine(fish: Multil
         tied = Tied(model, groups)
         problem = Problem(tied, tied.parameters, measured, jobs=2)
         problem._typical_s = 1.0
-        slopes.append(problem.jacobian(problem.start))
+        slopes.append(np.concatenate(problem.trial_jacobians(problem.start)))
     # trajectories agree to 1e-14; forward differences divide by a step of 1e-6 of each number
     sizes = np.maximum(np.abs(problem.start), problem.scale)
     assert np.max(np.abs(slopes[1] - slopes[0]) * sizes) < 4e-8

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.effects.base import Effect
 from swimid.errors import InputError
 from swimid.exporters import filters
 from swimid.exporters.filters import Filter
+from swimid.files.templates import environment
 from swimid.fitting.drives import Beat
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.results.parameters import ParameterFile
@@ -201,12 +201,6 @@ def filters_text(filtered: Sequence[Cause], model: MultilinkModel, origin: Mappi
         joints[actuator.name] = calls
     kinds: list[type[Filter]] = [Filter, *dict.fromkeys(FILTERS[cause.name][0] for cause in filtered)]
     sources = [inspect.getsource(kind) for kind in kinds]
-    environment = Environment(
-        loader=PackageLoader("swimid.exporters"),
-        autoescape=False,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    template = environment.get_template("causes.jinja")
+    templates = environment("swimid.exporters", autoescape=False, keep_trailing_newline=True)
+    template = templates.get_template("causes.jinja")
     return template.render(origin=origin, filtered=filtered, joints=joints, sources=sources)

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from swimid.effects.catalogue import catalogue
-from swimid.exporters.causes import Cause
+from swimid.exporters.causes import FILTERS, Cause
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml, symmetric
+from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
 from swimid.fitting.model import TRACEABLE, Force
-from swimid.swimmer.tree import Actuated
+from swimid.swimmer.tree import SYMMETRIC
 
 TITLE = "MuJoCo MJCF"
 #: Kinds of force elements, each with its description in a warning. The position of a kind in this list is the
@@ -49,23 +49,16 @@ STEP_S = 0.002
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
 
 
-def _lock(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
-    name = f"locked_{actuator.column.removesuffix('_rad')}"
-    if name not in values:
-        return {}
-    return {"gain": 1.0 - values[name]}
-
-
-#: Functions that compute settings of the MuJoCo actuator of a driven joint from the parameters of an effect.
-#: The key is the name of the effect.
-SERVOS: dict[str, Callable[[Mapping[str, float], Actuated], dict[str, float]]] = {
-    "amplitude-loss": lambda values, _: {"gain": 1.0 - values["loss"]},
-    "amplitude-offset": lambda v, actuator: {"offset_rad": v["offset_rad"]} if actuator.driven.gain else {},
-    "joint-locked": _lock,
-    "rate-limit": lambda values, _: {"rate_rad_s": values["rate_limit_rad_s"]},
-    "servo-backlash": lambda values, _: {"play_rad": values["backlash_rad"]},
-    "servo-delay": lambda values, _: {"delay_s": values["delay_s"]},
-    "servo-lag": lambda values, _: {"lag_s": values["time_constant_s"]},
+#: Functions that compute settings of the MuJoCo actuator of a driven joint from the arguments of the command
+#: filter of an effect (:data:`swimid.exporters.causes.FILTERS`). The key is the name of the effect.
+SERVOS: dict[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = {
+    "amplitude-loss": lambda values: {"gain": 1.0 - values["loss"]},
+    "amplitude-offset": lambda values: {"offset_rad": values["offset_rad"]},
+    "joint-locked": lambda values: {"gain": 1.0 - values["lock"]},
+    "rate-limit": lambda values: {"rate_rad_s": values["rate_limit_rad_s"]},
+    "servo-backlash": lambda values: {"play_rad": values["backlash_rad"]},
+    "servo-delay": lambda values: {"delay_s": values["delay_s"]},
+    "servo-lag": lambda values: {"lag_s": values["time_constant_s"]},
 }
 #: Settings that a MuJoCo actuator with a limited rate cannot have.
 NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
@@ -136,9 +129,10 @@ def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
     for cause in source.causes:
         if not cause.hooks.command:
             continue
-        own = []
+        own: list[Mapping[str, float]] = []
         if cause.name in SERVOS and not source.transmissions:
-            own = [SERVOS[cause.name](cause.values, actuator) for actuator in actuators]
+            given = [FILTERS[cause.name][1](cause, actuator, source.model) for actuator in actuators]
+            own = [values and SERVOS[cause.name](values) for values in given]
         names, taken = ({key for one in many for key in one} for many in (own, settings))
         limited = "rate_rad_s" in names | taken
         if not own or names & taken or (limited and (names | taken) & NOT_WITH_RATE):
@@ -250,7 +244,7 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, i) or "" for i in range(model.nsite)]
     rows = list(zip(range(model.nsite), names, np.array(model.site_user), strict=True))
     laws = [(site, _law(name, row)) for site, name, row in rows if name.startswith(PREFIX)]
-    masses = [(site, symmetric(row[:6])) for site, name, row in rows if name.startswith(MASS)]
+    masses = [(site, row[SYMMETRIC]) for site, name, row in rows if name.startswith(MASS)]
     plane = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "swimid_plane")
     begin, size = int(model.text_adr[plane]), int(model.text_size[plane])
     upright = bytes(model.text_data)[begin : begin + size].rstrip(b"\0") == b"vertical"

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.exporters.causes import Cause, limits_of, read_causes
 from swimid.exporters.options import ExportOptions
+from swimid.files.templates import environment
 from swimid.fitting.model import Array, Force
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.tree import Actuated, Axis, Polynomial
+from swimid.swimmer.tree import SYMMETRIC, Actuated, Axis, Polynomial
 
 #: Names of the numerical values that describe a force element, for each kind of force element. Their order is
 #: that of the columns in the input arrays of the equations of motion (``engine``).
@@ -198,6 +198,13 @@ class Source:
         """Input arrays of the robot's equations of motion (``engine``), with the changes by the effects."""
         return _changed(self.assembly.tables(self.values), self.causes)
 
+    @property
+    def rigid(self) -> Array:
+        """Input array ``inertia`` of the links without added mass, with the changes by the effects."""
+        dry = type(self.assembly)(self.body.model_copy(update={"elements": []}), self.robot.fluid)
+        causes = [cause for cause in self.causes if cause.rigid]
+        return np.asarray(_changed(dry.tables(self.values), causes)["inertia"])
+
     @cached_property
     def forces(self) -> list[tuple[str, Force]]:
         """Forces that the effects exert on the links, each with the name of its effect."""
@@ -218,10 +225,7 @@ class Source:
     @cached_property
     def links(self) -> list[Link]:
         """Links of the robot with their inertias. A parent link precedes its child links."""
-        dry = Assembly(self.body.model_copy(update={"elements": []}), self.robot.fluid)
-        own = _changed(dry.tables(self.values), [cause for cause in self.causes if cause.rigid])
-        rigid = [symmetric(row) for row in own["inertia"]]
-        total = [symmetric(row) for row in self.tables["inertia"]]
+        rigid, total = self.rigid[:, SYMMETRIC], self.tables["inertia"][:, SYMMETRIC]
         joints = {joint.child: joint for joint in self.body.joints}
         links = []
         for i, link in enumerate(self.assembly.links):
@@ -326,12 +330,6 @@ def _changed(tables: Mapping[str, Any], causes: Sequence[Cause]) -> dict[str, An
 
 
 # ---------------------------------------------------------------- planar inertias
-
-
-def symmetric(row: Array) -> Array:
-    """Return the symmetric 3 x 3 matrix whose upper triangle the six values of a row contain, row by row."""
-    a, b, c, d, e, f = (float(value) for value in row)
-    return np.array([[a, b, c], [b, d, e], [c, e, f]])
 
 
 def about(inertia: Array, x: float, y: float) -> Array:
@@ -472,10 +470,8 @@ def xml_text(
 
     See :func:`export_xml` for the parameters.
     """
-    environment = Environment(
-        loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
-    )
-    root = ET.fromstring(environment.get_template(template).render(source=source, **more))
+    templates = environment("swimid.exporters", autoescape=True, finalize=_shown)
+    root = ET.fromstring(templates.get_template(template).render(source=source, **more))
     for element in root.iter():
         element.text = (element.text or "").strip() or None
     ET.indent(root)

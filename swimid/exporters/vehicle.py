@@ -65,14 +65,7 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
         text = f"the robot '{source.robot.name}' has {len(body.links)} links and a {body.base} base"
         hint = "robots in space are exported as vehicles with one free link"
         raise InputError(text, file=source.path, column="robot", hint=hint)
-    dry = Assembly(body.model_copy(update={"elements": []}), source.robot.fluid)
-    tables = dry.tables(source.values)
-    own = {name: np.copy(table) for name, table in tables.items()}
-    for cause in source.causes:
-        if cause.rigid:
-            cause.hooks.changed(own, "tables")
-    rigid = full(own["inertia"][0])
-    centre = centre_of_mass(own["inertia"][0])
+    rigid, centre = full(source.rigid[0]), centre_of_mass(source.rigid[0])
     at_centre = np.block([[np.eye(3), cross_matrix(centre)], [np.zeros((3, 3)), np.eye(3)]])
     added = at_centre.T @ (full(source.tables["inertia"][0]) - rigid) @ at_centre
     added[np.abs(added) < 1e-9 * np.abs(added).max()] = 0.0

@@ -373,18 +373,16 @@ def locked(output: Path | None) -> Iterator[None]:
 
     A device, the standard output, and a file in a folder that cannot be written are not locked.
     """
-    stored = output is not None and (output.is_dir() or not is_device(output))
-    if output is None or not stored or str(output) == "-":
+    with ExitStack() as stack:
+        if output is not None and _is_lockable(output):
+            stack.callback(lock(output).release)
         yield
-        return
-    if not (output.parent.is_dir() and os.access(output.parent, os.W_OK)):
-        yield
-        return
-    taken = lock(output)
-    try:
-        yield
-    finally:
-        taken.release()
+
+
+def _is_lockable(output: Path) -> bool:
+    if str(output) == "-" or (is_device(output) and not output.is_dir()):
+        return False
+    return output.parent.is_dir() and os.access(output.parent, os.W_OK)
 
 
 # ---------------------------------------------------------------- checkpoints

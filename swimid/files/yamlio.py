@@ -46,10 +46,6 @@ ASK = "ASK"
 M = TypeVar("M", bound=BaseModel)
 
 
-def _without_nulls(entries: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in entries.items() if value is not None}
-
-
 class Document(BaseModel):
     """Base class of the pydantic models of YAML files. Unknown keys and infinite numbers are errors."""
 
@@ -62,7 +58,7 @@ class Document(BaseModel):
         default value.
         """
         text = self.model_dump_json(exclude_defaults=True)
-        data = json.loads(text, object_hook=_without_nulls)
+        data = json.loads(text, object_hook=lambda d: {k: v for k, v in d.items() if v is not None})
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 

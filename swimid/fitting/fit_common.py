@@ -567,6 +567,13 @@ def refuse_interrupted(result: FitResult) -> None:
         raise Interrupted(f"{result.message}; nothing was written")
 
 
+def insist_identified(result: FitResult, hint: str) -> None:
+    """Raise :class:`NoTrustworthyResult` if a fit has shared parameters but identifies none of them."""
+    if result.shared and all(result.status[label] != "estimated" for label in result.shared):
+        text = f"none of {', '.join(result.shared)} can be identified from these trials"
+        raise NoTrustworthyResult(text, hint=hint)
+
+
 def parameter_file(
     result: FitResult,
     *,
@@ -778,11 +785,11 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
     The error is compared with that on fitted trials, and with that of a constant.
     """
     held_out = result.series_of(channel.name, "validate")
-    fitted = _rms([s.residual for s in result.series_of(channel.name, "fit")])
-    error = _rms([s.residual for s in held_out])
-    constant = _rms([s.measured - np.nanmean(s.measured) for s in held_out])
+    fitted = ev.rms(*(s.residual for s in result.series_of(channel.name, "fit")))
+    error = ev.rms(*(s.residual for s in held_out))
+    constant = ev.rms(*(s.measured - np.nanmean(s.measured) for s in held_out))
     ratio = error / fitted if fitted else math.inf
-    worst = max(held_out, key=lambda s: _rms([s.residual]))
+    worst = max(held_out, key=lambda s: ev.rms(s.residual))
     return warned_check(
         "SWM015",
         f"validation, {channel.name}",
@@ -795,13 +802,6 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
         # than to the error on fitted trials.
         failed=error > math.sqrt(fitted * constant),
     )
-
-
-def _rms(parts: Sequence[Array]) -> float:
-    """Return the root mean square of all finite samples of several series; 0 without samples."""
-    values = np.concatenate(parts)
-    values = values[np.isfinite(values)]
-    return float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1))
 
 
 def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
@@ -985,12 +985,7 @@ def fit_model(
         origin = provenance.collect(inputs, settings=settings)
         file = parameter_file(result, robot=robot, provenance=origin)
         tested = checks(result)
-    shared = result.shared
-    if shared and all(result.status[label] != "estimated" for label in shared):
-        raise NoTrustworthyResult(
-            f"none of {', '.join(shared)} can be identified from these trials",
-            hint="use more trials, and such as differ more",
-        )
+    insist_identified(result, "use more trials, and such as differ more")
     fitted_trials = sum(trial.role == "fit" for trial in trials)
     whose = f"{model.name} of {robot}" if robot else model.name
     evidence = ev.Evidence(
@@ -1001,8 +996,8 @@ def fit_model(
         figures=figures(result),
         notices=ev.notices(notices),
         methods=[
-            f"{', '.join(shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
-            f"by output-error maximum likelihood with the model {model.name}.",
+            f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) "
+            f"({result.samples} samples) by output-error maximum likelihood with the model {model.name}.",
             COVARIANCE,
         ],
         provenance=origin,

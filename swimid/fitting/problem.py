@@ -317,14 +317,6 @@ class Problem:
         prior = [(slice(end, shape[0]), np.arange(len(theta)), root)]
         return Blocks(shape, parts + prior * (len(root) > 0))
 
-    def jacobian(self, theta: Array) -> Array:
-        """Return the derivatives of :meth:`residuals`, shape (n, p)."""
-        blocks = self.blocks(theta)
-        found = np.zeros(blocks.shape)
-        for own, at, part in blocks.parts:
-            found[own, at] = part
-        return found
-
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
         """Return the derivatives of each trial's residuals with respect to all unknowns, shape (n_k, p).
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -241,14 +240,10 @@ def _simulate(
         size = 1
     parts = [points[k : k + size] for k in range(0, len(points), size)]
     compute, jobs = cells.compute, options.jobs
-    with ExitStack() as stack:
-        if options.cluster is not None:
-            pool = stack.enter_context(executors.opened(1, options.cluster))
-            place = "swimid.optimisation.performance_map:Cells.of_options"
-            compute, jobs = (
-                partial(executors.Rebuilt(pool, place, options).call, "compute"),
-                executors.WAITING,
-            )
+    place = "swimid.optimisation.performance_map:Cells.of_options"
+    with executors.on_cluster(options.cluster, place, options) as rebuilt:
+        if rebuilt is not None:
+            compute, jobs = partial(rebuilt.call, "compute"), executors.WAITING
 
         def one(k: int) -> Array:
             return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))

@@ -555,7 +555,7 @@ def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
 
     The error is the root mean square of the weighted residuals. The keys are titles of panels.
     """
-    ranked = sorted(shown, key=lambda s: _rms(s.weighted))
+    ranked = sorted(shown, key=lambda s: rms(s.weighted))
     fitted = [s for s in ranked if s.role == "fit"]
     held_out = [s for s in ranked if s.role != "fit"]
     if len(fitted) == 1:
@@ -568,7 +568,9 @@ def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
     return found | {f"{s.trial} (held out)": s for s in held_out[-1:]}
 
 
-def _rms(values: Any) -> float:
+def rms(*series: Any) -> float:
+    """Return the root mean square of all finite samples of several series; 0 without samples."""
+    values = np.concatenate(series)
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.sum(known**2) / max(len(known), 1)))
 
@@ -581,7 +583,7 @@ def residuals(
     It shows the trials with the largest errors. If ``correlation`` is given, a second panel shows the
     autocorrelation of the residuals.
     """
-    worst = sorted(range(len(shown)), key=lambda k: -_rms(shown[k].weighted))[:MAX_ROWS]
+    worst = sorted(range(len(shown)), key=lambda k: -rms(shown[k].weighted))[:MAX_ROWS]
     rows = [shown[k] for k in sorted(worst)]
     mixed = len({s.role for s in rows}) > 1
     traces: list[Trace] = []

@@ -15,13 +15,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 import swimid
 from swimid import reading
 from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
+from swimid.files.templates import environment
 from swimid.notices import CODES, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
@@ -148,7 +147,7 @@ def _sources(given: str | Path | Result) -> list[Path | Result]:
     for place in sorted(path.glob("*.evidence.json"), key=lambda one: one.stat().st_mtime_ns):
         name = ev.read(place).result
         if name in ("", ".", ".."):
-            text = f"names no result file, but '{name}'"
+            text = f"'{name}' is not the name of a result file"
             raise InputError(text, file=place, column="result", hint="make the result again")
         found.append(place.with_name(name))
     if not found:
@@ -278,18 +277,14 @@ def render(
     progress : Progress
         Progress over the figures.
     """
-    environment = Environment(
-        loader=PackageLoader("swimid.results"),
-        autoescape=template.endswith("html"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
+    is_html = template.endswith("html")
+    templates = environment(
+        "swimid.results", autoescape=is_html, lstrip_blocks=True, keep_trailing_newline=True
     )
-    environment.globals.update(
+    templates.globals.update(
         levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
     )
-    environment.filters.update(md=_markdown, code=_code, name_of=reading.name_of)
+    templates.filters.update(md=_markdown, code=_code, name_of=reading.name_of)
     groups = compared(results)
     folded = [fit for fits, _ in groups for fit in fits]
     shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]
@@ -300,7 +295,7 @@ def render(
             pictures = []
             for n, figure in enumerate(content.figures):
                 panels: list[str] = []
-                if template.endswith("html"):
+                if is_html:
                     panels = drawing.for_page(figure, f"{k}-{n}-")
                 pictures.append((_explained(figure), panels))
                 step()
@@ -310,7 +305,7 @@ def render(
                 command = _next_command(result, content, contents, folder, digests)
                 section |= {"kind": result.kind, "path": result.path, "next": command}
             sections.append(section)
-    return environment.get_template(template).render(
+    return templates.get_template(template).render(
         title=title,
         version=swimid.__version__,
         created=created,

@@ -176,11 +176,8 @@ def fit_drag(
             settings=facts,
         )
         checks = [*fit_common.checks(result), *possible_checks(experiment, result), *checks]
-    if result.shared and all(result.status[label] != "estimated" for label in result.shared):
-        raise NoTrustworthyResult(
-            f"none of {', '.join(result.shared)} can be identified from these trials",
-            hint="use longer runs, more different forces, or fix what is known with --fix",
-        )
+    hint = "use longer runs, more different forces, or fix what is known with --fix"
+    fit_common.insist_identified(result, hint)
     figures, notes, methods = fit_common.figures(result), [], _methods(result, experiment.name, None)
     if pair is not None:
         figures.append(_speed_figure(pair))

@@ -17,7 +17,7 @@ from swimid.fitting.model import Array, RigInput, Trial, chosen
 from swimid.logs import tracks
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log, longest_run, runs, unwrapped
-from swimid.logs.sampling import step_of
+from swimid.logs.sampling import step_of, white_noise_sd
 from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
 from swimid.notices import warn
 from swimid.rig import model as rig
@@ -479,7 +479,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     column = unwrapped(name, log[name])
     there = np.isfinite(column)
     time, values = log.time_s[there], column[there]
-    noise = third_difference_sd(values)
+    noise = white_noise_sd(values, 0.0)
     crossings, extremes = _swings(values, noise, log, name)
     heights = np.abs(np.diff(extremes))
     largest = float(heights.max())
@@ -592,20 +592,6 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
         return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0), 2)
     return plain
-
-
-def third_difference_sd(values: Array) -> float:
-    """Estimate the standard deviation of white noise on a smooth signal from the signal's third differences.
-
-    >>> round(third_difference_sd(np.random.default_rng(0).normal(0.0, 2.0, 4000)), 1)
-    2.0
-    """
-    rough = np.abs(np.diff(values, 3))
-    # The median absolute value of normal noise is 0.6745 standard deviations. The third difference of white
-    # noise has 20 times its variance.
-    if not len(rough):
-        return 0.0
-    return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0)))
 
 
 def true_position(record: Displacement, rounding: str) -> Array:

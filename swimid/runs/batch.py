@@ -131,15 +131,12 @@ def batch(
 
 def _insist_own(run: Path) -> None:
     """Raise an error if a folder has content and is not the folder of a run."""
-    if run.exists() and not run.is_dir():
-        raise UsageError(f"the output {run} is a file", hint="name a folder")
-    if (
-        run.is_dir()
-        and any(run.iterdir())
-        and not ((run / "plan.json").is_file() and is_own(run / "plan.json"))
-    ):
+    atomic.check_empty(run, force=True)
+    plan = run / "plan.json"
+    if run.is_dir() and any(run.iterdir()) and not (plan.is_file() and is_own(plan)):
         raise UsageError(
-            f"the folder {run} has files that are not of a run", hint="name a new folder, or give --force"
+            f"the folder {run} contains files that do not belong to a run",
+            hint="name a new folder, or give --force",
         )
 
 

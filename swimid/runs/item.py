@@ -39,15 +39,10 @@ BUSY, INTERRUPTED = 75, 130
 MAX_LOG, MAX_LINES = 100_000, 15
 #: Environment of the process of an item: each library uses one thread.
 ONE_THREAD = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "NUMBA_NUM_THREADS",
-        "OPENCV_FOR_THREADS_NUM",
-    ),
-    "1",
+    [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["OPENCV_FOR_THREADS_NUM"], "1"
 )
+#: Endings of files that are no outputs of an item, and that stay when the item is repeated.
+KEPT = (".partial", ".lock")
 
 #: Set when the run was interrupted: no item is started or tried again.
 stopping = threading.Event()
@@ -104,7 +99,7 @@ def run_item(run: str, ident: str) -> str:
         if code < 0:
             with suppress(ValueError):
                 message = f"{signal.Signals(-code).name} ended it in each of {attempt} attempts"
-    error = {"type": "Failed", "message": message, "log": _end(log)}
+    error = {"type": "Failed", "message": message, "log": "\n".join(log.splitlines()[-MAX_LINES:])}
     with reading.record():
         _status(item, folder, "failed", [], error).write(folder)
     return "failed"
@@ -147,15 +142,16 @@ def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -
         return code, reading.without_places(log.read().decode("utf-8", "replace"))
 
 
-def _end(log: str) -> str:
-    return "\n".join(log.splitlines()[-MAX_LINES:])
-
-
-def _status(item: Item, folder: Path, state: Any, steps: list[StepStatus], error: dict[str, Any]) -> Status:
-    own = {STATUS, USAGE, LOG}
-    outputs = [
-        path.name for path in folder.iterdir() if path.is_file() and path.name not in own and _is_output(path)
-    ]
+def _status(
+    item: Item,
+    folder: Path,
+    state: Any,
+    steps: list[StepStatus],
+    error: dict[str, Any],
+    sketch: states.Sketch | None = None,
+) -> Status:
+    files = [path for path in folder.iterdir() if path.is_file() and path.suffix not in KEPT]
+    outputs = [path.name for path in files if path.name not in (STATUS, USAGE, LOG) and path.name[0] != "."]
     return Status(
         id=item.id,
         state=state,
@@ -165,6 +161,7 @@ def _status(item: Item, folder: Path, state: Any, steps: list[StepStatus], error
         outputs={name: reading.digest_of([folder / name]) for name in sorted(outputs)},
         steps=steps,
         error=error,
+        sketch=sketch,
     )
 
 
@@ -182,10 +179,6 @@ def _read(item: Item, folder: Path) -> dict[str, reading.Opened]:
         for path, name in names.items()
         if name in item.inputs or (os.path.isfile(path) and not path.startswith(own))
     }
-
-
-def _is_output(path: Path) -> bool:
-    return path.suffix not in (".partial", ".lock") and not path.name.startswith(".")
 
 
 # ---------------------------------------------------------------- process of an item
@@ -224,11 +217,9 @@ def _main(run: str, ident: str, attempt: str) -> int:
 def _clear(folder: Path) -> None:
     """Remove everything from the folder of an item except its lock and the checkpoints of its commands."""
     for path in folder.iterdir():
-        if path.suffix in (".partial", ".lock"):
-            continue
-        if path.is_dir() and not path.is_symlink():
+        if path.is_dir() and not path.is_symlink() and path.suffix not in KEPT:
             shutil.rmtree(path)
-        else:
+        elif path.suffix not in KEPT:
             path.unlink()
 
 
@@ -259,8 +250,7 @@ def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
             state = "failed"
         error["step"] = step.name
         break
-    status = _status(item, folder, state, steps, error)
-    return status.model_copy(update={"sketch": sketch})
+    return _status(item, folder, state, steps, error, sketch)
 
 
 def _step(step: Step) -> tuple[StepStatus, states.Sketch | None, int, dict[str, Any]]:

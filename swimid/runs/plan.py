@@ -172,7 +172,7 @@ class Resolved(BaseModel):
         path = Path(run) / "plan.json"
         if not path.is_file():
             raise InputError(
-                "is no folder of a run: it has no plan.json", file=run, hint="swimid batch writes one"
+                "is not the folder of a run: it has no plan.json", file=run, hint="swimid batch writes one"
             )
         try:
             return cls.model_validate_json(path.read_bytes())
@@ -470,16 +470,10 @@ class _Chain:
         spec = specs[command]
         name = str(options.get("as", command.replace(" ", "-")))
         step = Step(name=name, command=command, outputs=[], metrics=list(spec.metrics))
-        sources, logs = self.sources, self.made.get("log", [])
-        if command == "import" and len(logs) == len(sources):
-            # The log of a tracked film, to which a mapping joins another file.
-            sources = self.made.pop("log")
+        words, stems = [(self.argument(spec, place), self.what)], [name]
         if spec.argument in EACH:
-            words = [([source], file) for source, file in zip(sources, self.files, strict=True)]
+            words = [([source], file) for source, file in zip(words[0][0], self.files, strict=True)]
             stems = _file_names([Path(file).stem for file in self.files], self.files)
-        else:
-            words = [(self.argument(spec, place), self.what)]
-            stems = [name]
         for (files, file), stem in zip(words, stems, strict=True):
             typed = self.plan.options(command, options, file)
             output = self.named(spec, stem, typed.pop("as", None), place)
@@ -509,9 +503,15 @@ class _Chain:
         return name
 
     def argument(self, spec: CommandSpec, place: tuple[Any, ...]) -> list[str]:
-        """Return the files of the positional argument of a command."""
+        """Return the files of the positional argument of a command.
+
+        An import takes the logs that tracking has made, to which a mapping joins other files.
+        """
         made = self.made
+        if spec.argument == "FILE" and len(made.get("log", [])) == len(self.sources):
+            return made.pop("log")
         chosen = {
+            **dict.fromkeys(EACH, self.sources),
             "TRIALS": made.get(TRIALS, self.sources)[-1:],
             "LOG...": made.get("log", self.sources),
             "RESULT...": [p for kind in ("log", "parameters", "result") for p in made.get(kind, [])],

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
 from swimid.files import atomic, tabular
+from swimid.files.templates import environment
 from swimid.results import numbers
 from swimid.runs import status as states
 from swimid.runs.plan import Resolved, folder_of
@@ -239,16 +239,10 @@ def text(entries: Sequence[Entry]) -> str:
 
 def page(found: Summary) -> str:
     """Return the page of a run: HTML without scripts, with a table that sorts by radio buttons."""
-    environment = Environment(
-        loader=PackageLoader("swimid.runs"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    style = Environment(loader=PackageLoader("swimid.results")).get_template("report.css").render()
+    style = environment("swimid.results").get_template("report.css").render()
     groups = [_group(name, members) for name, members in found.groups.items()]
-    return environment.get_template("group.html").render(
+    templates = environment("swimid.runs", autoescape=True, lstrip_blocks=True)
+    return templates.get_template("group.html").render(
         plan=found.plan,
         version=swimid.__version__,
         style=style,

@@ -167,10 +167,7 @@ def compare(
         checks = _checks(file, [name for name in fitted if name not in still], still)
         before = {d.trial.id: d.errors for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
-            usual = mistakes.catalogue(experiment.model, experiment.trials)
-            tried = len(usual) * (len(done) + 1)
-            found = _explained(experiment.trials, applied, usual, tried, before)
-            checks.append(mistakes.check(found, len(usual)))
+            checks.append(_mistakes_check(experiment.trials, applied, before))
     verdict = ev.judged(_answer(file), checks)
     file.verdict = verdict.level
     evidence = ev.Evidence(
@@ -189,14 +186,12 @@ def compare(
     return Comparison.of(file, evidence).saved(output)
 
 
-def _explained(
-    trials: Sequence[Trial],
-    applied: Applied,
-    known: Sequence[mistakes.Mistake],
-    tried: int,
-    before: Mapping[str, mistakes.Errors],
-) -> mistakes.Explanation | None:
-    """Return the common mistake in trials that explains the errors best, with shared parameters fixed."""
+def _mistakes_check(
+    trials: Sequence[Trial], applied: Applied, before: Mapping[str, mistakes.Errors]
+) -> ev.Check:
+    """Check whether a common mistake in trials explains the errors, with shared parameters fixed."""
+    known = mistakes.catalogue(applied.model, trials)
+    tried = len(known) * (len(trials) + 1)
 
     def evaluate(trial: Trial) -> mistakes.Errors:
         values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
@@ -209,7 +204,7 @@ def _explained(
         found = mistakes.explained(mistake.says, gained, len(trials), tried, before, after)
         if found is not None and (best is None or found.gain > best.gain):
             best = found
-    return best
+    return mistakes.check(best, len(known))
 
 
 #: Columns with the errors of a channel in the tables of the evidence.

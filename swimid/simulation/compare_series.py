@@ -151,7 +151,7 @@ class ComparisonFile(yamlio.ResultFile):
 Start = Literal["file", "estimated", "neutral"]
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
-SIDES = ("measured", "simulated")
+SIDES = compare_wave.SIDES
 #: Half-width of the window in which a derivative of the pose is computed: in cycles of the beat, and in s for
 #: a trial without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
@@ -472,9 +472,7 @@ def mean_speed(
         names = [name for name in body.velocity[:1] if name in pairs]
     if not body.free or not names:
         return None
-    series = {
-        side: np.array([getattr(pairs[name], side) for name in names]) for side in ("measured", "simulated")
-    }
+    series = {side: np.array([getattr(pairs[name], side) for name in names]) for side in SIDES}
     known = np.isfinite(sum(series.values())).all(axis=0)
     known &= (trial.time_s >= between_s[0]) & (trial.time_s <= between_s[1])
     if known.sum() < 3:

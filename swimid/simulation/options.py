@@ -20,10 +20,9 @@ def chosen(help: str = "Use this value of a parameter. Repeatable.") -> Any:
     return option({}, flag="--set", metavar="NAME=VALUE", help=help, recorded="set")
 
 
-def own_effects(
-    help: str = "Python file with effects of one's own that the parameter file names. Repeatable.",
-) -> Any:
+def own_effects() -> Any:
     """Return the option ``--effect``, which reads effects that a user defines."""
+    help = "Python file with effects of one's own that the parameter file names. Repeatable."
     return option((), flag="--effect", metavar="FILE", help=help, recorded=False)
 
 

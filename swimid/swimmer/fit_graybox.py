@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -11,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swimid import executors
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
+from swimid.executors import Rebuilt, on_cluster
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error
@@ -128,14 +129,11 @@ def fit_graybox(
         _require_steady_swimming(experiment, parameters)
         files = [parameters_format.origin(p) for p in (options.start_from, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
-        with ExitStack() as stack:
-            rebuilt: executors.Rebuilt | None = None
-            if options.cluster is not None:
-                pool = stack.enter_context(executors.opened(1, options.cluster))
-                rebuilt = executors.Rebuilt(pool, "swimid.swimmer.fit_graybox:Posed.of", trials, options)
-            search = _search(posed, options, output, origin, rebuilt, progress)
+        with on_cluster(options.cluster, "swimid.swimmer.fit_graybox:Posed.of", trials, options) as rebuilt:
+            search = _search(posed, output, origin, rebuilt, progress)
         result = output_error.with_held_out(search.result)
-        file = _parameter_file(experiment, result, origin, output, trials, options)
+        folder = (output or trials_format.place(trials)).parent
+        file = _parameter_file(posed, result, origin, folder)
         checks = [
             *fit_common.checks(result),
             *fit_common.error_checks(result),
@@ -215,7 +213,9 @@ class Posed:
         """Objectives of a search of a Pareto front."""
         from swimid.swimmer.front import Profiles
 
-        return Profiles.of(self.experiment, self.model, self.parameters, self.options)
+        trials, names = self.experiment.trials, self.experiment.facts["profiles"]
+        jobs, scales = self.options.jobs or os.cpu_count() or 1, self.options.scales
+        return Profiles(self.model, self.parameters, trials, names, scales=scales, jobs=jobs)
 
     def objectives(self, points: Array, profile: str | None) -> Array:
         """Return the objectives at points of the search of a Pareto front, shape (n, m)."""
@@ -268,46 +268,36 @@ class _Search:
 
 
 def _search(
-    posed: Posed,
-    options: FitGrayboxOptions,
-    output: Path | None,
-    origin: dict[str, Any],
-    rebuilt: executors.Rebuilt | None,
-    progress: Progress,
+    posed: Posed, output: Path | None, origin: dict[str, Any], rebuilt: Rebuilt | None, progress: Progress
 ) -> _Search:
     """Estimate the parameters with the method that the options name. Workers of a cluster use ``rebuilt``."""
-    experiment, model, parameters = posed.experiment, posed.model, posed.parameters
-    ahead_s = _simulated_s(experiment.trials, parameters, options)
+    options, model = posed.options, posed.model
+    ahead_s = _simulated_s(posed)
     if options.method == "least-squares":
         model.prepare(progress, simulated_s=ahead_s)
-        search = _least_squares(posed, None, options, rebuilt, progress)
+        search = _least_squares(posed, None, rebuilt, progress)
     else:
         from swimid.swimmer import front
 
         checkpoint = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress, simulated_s=ahead_s, checkpoint=checkpoint)
-        found, chosen = front.fit(posed, options, checkpoint, rebuilt, progress)
+        found, chosen = front.fit(posed, checkpoint, rebuilt, progress)
         search = _Search(chosen)
         if options.method == "hybrid":
-            begins = found.starts(options.starts or 1)
-            search = _least_squares(posed, begins, options, rebuilt, progress)
+            search = _least_squares(posed, found.starts(options.starts or 1), rebuilt, progress)
         search = replace(search, front=found, checkpoint=checkpoint)
     return search
 
 
 def _least_squares(
-    posed: Posed,
-    begins: Sequence[Array] | None,
-    options: FitGrayboxOptions,
-    rebuilt: executors.Rebuilt | None,
-    progress: Progress,
+    posed: Posed, begins: Sequence[Array] | None, rebuilt: Rebuilt | None, progress: Progress
 ) -> _Search:
     """Estimate the parameters by output error from one or several starting points.
 
     Several starting points are used if the user asks for them, or if the fit from the first starting point
     was quick or has a bad result.
     """
-    model, trials = posed.model, posed.experiment.trials
+    model, trials, options = posed.model, posed.experiment.trials, posed.options
     settings: dict[str, Any] = {
         "parameters": posed.parameters,
         "jobs": options.jobs,
@@ -342,11 +332,10 @@ def _deserves_starts(first: FitResult) -> bool:
     return steps < MAX_QUICK_STEPS or not first.converged or bool(failing)
 
 
-def _simulated_s(
-    trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions
-) -> float:
+def _simulated_s(posed: Posed) -> float:
     """Return the approximate total simulated time of a fit, s."""
-    recorded_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
+    parameters, options = posed.parameters, posed.options
+    recorded_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in posed.experiment.trials)
     if options.method != "least-squares":
         return recorded_s * options.population * options.generations
     return recorded_s * N_JACOBIANS * (2 + sum(p.free for p in parameters)) * (options.starts or 1)
@@ -501,18 +490,9 @@ def _started_from(
     return tuple(found)
 
 
-def _parameter_file(
-    experiment: Experiment,
-    result: FitResult,
-    origin: dict[str, Any],
-    output: Path | None,
-    source: str | Path | TrialSet,
-    options: FitGrayboxOptions,
-) -> ParameterFile:
+def _parameter_file(posed: Posed, result: FitResult, origin: dict[str, Any], folder: Path) -> ParameterFile:
     """Return the parameter file of a fit."""
-    model, folder = result.model, trials_format.place(source).parent
-    if output is not None:
-        folder = output.parent
+    model, options, experiment = result.model, posed.options, posed.experiment
     settings: dict[str, Any] = {
         "readings": dict(options.readings),
         "shared": {name: list(members) for name, members in model.groups.items()},

@@ -7,7 +7,6 @@ A point is a set of coefficients. The points of a front are stored in a CSV file
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,7 @@ from swimid.executors import WAITING, Rebuilt
 from swimid.files import atomic
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, global_search, output_error
-from swimid.fitting.fit_common import Experiment, dtw_distance
+from swimid.fitting.fit_common import dtw_distance
 from swimid.fitting.global_search import Front
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult, Series
@@ -165,24 +164,6 @@ class Profiles:
         self.objectives = list(self._parts)
         self.columns = [f"{kind}[{profile}]" for profile, kind in self.objectives]
 
-    @classmethod
-    def of(
-        cls,
-        experiment: Experiment,
-        model: Model,
-        parameters: Sequence[Parameter],
-        options: FitGrayboxOptions,
-    ) -> Profiles:
-        """Return the objectives of an experiment as the options of a fit say."""
-        return cls(
-            model,
-            parameters,
-            experiment.trials,
-            experiment.facts["profiles"],
-            scales=options.scales,
-            jobs=options.jobs or os.cpu_count() or 1,
-        )
-
     def _members(self, profile: str | None) -> list[int]:
         """Return the indices of the trials of a motion profile, or of all trials if the profile is None."""
         return [k for k, own in enumerate(self._profiles) if profile in (None, own)]
@@ -315,11 +296,7 @@ class FrontResult:
 
 
 def fit(
-    posed: Posed,
-    options: FitGrayboxOptions,
-    checkpoint: Checkpoint,
-    rebuilt: Rebuilt | None = None,
-    progress: Progress = silent,
+    posed: Posed, checkpoint: Checkpoint, rebuilt: Rebuilt | None = None, progress: Progress = silent
 ) -> tuple[FrontResult, FitResult]:
     """Search or read the Pareto fronts, choose a point, and return the fronts and the fit at this point.
 
@@ -327,7 +304,6 @@ def fit(
     ----------
     posed : Posed
         Trials, model and parameters.
-    options : FitGrayboxOptions
     checkpoint : Checkpoint
         Stores the generations, so that an interrupted search can be resumed.
     rebuilt : Rebuilt, optional
@@ -342,8 +318,7 @@ def fit(
     NoTrustworthyResult
         If the search is interrupted, or if every simulation breaks down.
     """
-    experiment, model, parameters = posed.experiment, posed.model, posed.parameters
-    profiles = posed.profiles
+    profiles, options = posed.profiles, posed.options
     searches: dict[str, Front] = {}
     if options.front is None:
         searches = _search(profiles, options, checkpoint, rebuilt, progress)
@@ -358,8 +333,8 @@ def fit(
     found = FrontResult(profiles, table, searches, _chosen(options.pick, rules, len(table)), rules)
 
     def at(point: Array) -> FitResult:
-        theta = profiles.theta(point)
-        return output_error.at(model, experiment.trials, theta, parameters=parameters, jobs=options.jobs)
+        theta, trials = profiles.theta(point), posed.experiment.trials
+        return output_error.at(posed.model, trials, theta, parameters=posed.parameters, jobs=options.jobs)
 
     message = f"point {found.chosen} of the front; standard errors are local to it"
     result = replace(at(found.points[found.chosen]), message=message)

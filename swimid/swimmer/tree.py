@@ -487,6 +487,15 @@ class Tree(ABC):
             found[f"{name}_link"], found[name] = owner, table(values)
         return {**found, "load_input": self._load_inputs, **self.constants}
 
+    def move_weight(self, tables: dict[str, Any], link: int, centre: Any, by: Any) -> None:
+        """Move the weight of a link, which acts at its centre of mass, by a vector in its axes."""
+        force, n = tables["force"].copy(), len(by)
+        for row, owner in zip(force, tables["force_link"], strict=True):
+            down = row[2 * n] != 0.0 and row[2 * n - 1] < 0.0
+            if owner == link and down and np.allclose(row[:n], centre, atol=1e-9):
+                row[:n] += by
+        tables["force"] = force
+
     @abstractmethod
     def check(self, values: Array) -> None:
         """Raise an error for physically impossible masses or inertias.

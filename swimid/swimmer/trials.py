@@ -234,7 +234,7 @@ def logged_inputs(model: Swimmer, log: Log) -> dict[str, Callable[[Array], Array
     InputError
         The log lacks the column, or the column has fewer than two values.
     """
-    found: dict[str, Callable[[Array], Array]] = {}
+    found: dict[str, Any] = {}
     for name, law in model.inputs.items():
         values = log.columns.get(law.column, np.empty(0))
         known = np.isfinite(values)
@@ -243,13 +243,8 @@ def logged_inputs(model: Swimmer, log: Log) -> dict[str, Callable[[Array], Array
             raise InputError(
                 text, file=log.path, column=law.column, hint="or name another column in the robot file"
             )
-        found[name] = partial(_interpolated, log.time_s[known], values[known])
+        found[name] = partial(np.interp, xp=log.time_s[known], fp=values[known])
     return found
-
-
-def _interpolated(time_s: Array, values: Array, asked_s: Array) -> Array:
-    """Return a value at the times asked for, linear between its samples."""
-    return np.asarray(np.interp(asked_s, time_s, values))
 
 
 def with_logged_joints(swim: SwimInput, model: Swimmer, log: Log) -> SwimInput:

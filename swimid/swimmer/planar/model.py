@@ -637,12 +637,7 @@ class Body:
         mass, (x, y) = self.masses_kg[link], self.centre(link)
         self.weigh(tables, link, (x, y), -mass, -mass)
         self.weigh(tables, link, (x + by[0], y + by[1]), mass, mass)
-        force = tables["force"].copy()
-        for row, owner in zip(force, tables["force_link"], strict=True):
-            down = row[4] == 1.0 and row[3] < 0.0
-            if owner == link and down and np.allclose(row[:2], (x, y), atol=1e-9):
-                row[:2] += by
-        tables["force"] = force
+        self._model.tree.move_weight(tables, link, (x, y), by)
 
     def drag_more(self, tables: dict[str, Any], link: int, at: Point, linear: float) -> None:
         """Add a drag that is proportional to the velocity of a point of a link, N s/m."""

@@ -390,11 +390,7 @@ class MultibodyModel(Swimmer):
             lever = cross_matrix(place)
             inertia[link, 6:] -= moved * np.concatenate([lever.ravel(), (lever @ lever)[UPPER]])
         tables["inertia"] = inertia
-        force = tables["force"].copy()
-        for row, owner in zip(force, tables["force_link"], strict=True):
-            if owner == link and row[6] != 0.0 and row[5] < 0.0 and np.allclose(row[:3], centre, atol=1e-9):
-                row[:3] += by
-        tables["force"] = force
+        self.tree.move_weight(tables, link, centre, by)
 
     def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""

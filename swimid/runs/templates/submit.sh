@@ -1,0 +1,5 @@
+#!/bin/bash
+# Written by swimid.
+set -e
+job=$(sbatch --parsable {{ array }})
+sbatch --dependency=afterany:"$job" {{ collect }}
