@@ -209,7 +209,6 @@ def fit(film: Film, linkage: Linkage) -> Fit:
         ambiguous,
         estimate.is_mirrored(),
     )
-    return Fit(estimate.linkage, estimate.state, found, estimate.used, *values)
 
 
 class _Estimate:

@@ -245,9 +245,23 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
     comparisons = _compared(columns, period_s, name)
-    made, body_wave = Log(source.path, metadata, columns, None), point_evidence.wave_of(posed, periodic_hz)
-    findings = (cleaning, cleaned, jumped, speed, stroke, against, unknown, doubts, comparisons, *uneven)
-    return Examined(source, made, order, *findings, posed, body_wave)
+    return Examined(
+        source,
+        Log(source.path, metadata, columns, None),
+        order,
+        cleaning,
+        cleaned,
+        jumped,
+        speed,
+        stroke,
+        against,
+        unknown,
+        doubts,
+        comparisons,
+        *uneven,
+        posed,
+        point_evidence.wave_of(posed, periodic_hz),
+    )
 
 
 def _in_order(source: MappedLog) -> Order:

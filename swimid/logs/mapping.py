@@ -13,7 +13,6 @@ from collections import Counter, abc
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import filterfalse
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -609,9 +608,9 @@ def _mapped(
     if table.lines is not None:
         lines = table.lines
     scales = {column.target: (str(column.source), column.scale, column.offset) for column in columns}
-    known = written_by(metadata, "swimid")
-    open_ = [column.target for column in columns if not (known or column.unit == NO_UNIT)]
-    unknown = list(filterfalse(foreign.states_quantity, open_))
+    unknown = [c.target for c in columns if c.unit != NO_UNIT and not foreign.states_quantity(c.target)]
+    if written_by(metadata, "swimid"):
+        unknown = []
     numbers = lines[:rows][chosen]
     return MappedLog(path, found, numbers, metadata, notes, scales, unknown, table.profile, unlikely)
 

@@ -166,11 +166,18 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where
     reference = complex(-body.reference.station_m, body.reference.offset_m)
     rear = [complex(-known[name].length_m, 0.0) for name in order]
     link = np.array([link for link, _, _ in placed], dtype=np.intp)
-    labels, at_m = tuple(safe(name) for name in points), np.array(spots, dtype=complex)
-    tree = (np.array(parent, dtype=np.intp), np.array(joints, dtype=complex), np.array(mounts))
-    named = (tuple(names[1:]), tuple(order), reference, np.array(rear, dtype=complex))
-    values = (*tree, *named)
-    return Linkage(labels, link, at_m, *values)
+    return Linkage(
+        tuple(safe(name) for name in points),
+        np.array([link for link, _, _ in placed], dtype=np.intp),
+        np.array(spots, dtype=complex),
+        np.array(parent, dtype=np.intp),
+        np.array(joints, dtype=complex),
+        np.array(mounts),
+        tuple(names[1:]),
+        tuple(order),
+        reference,
+        np.array(rear, dtype=complex),
+    )
 
 
 # ---------------------------------------------------------------- tracked points
