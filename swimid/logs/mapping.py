@@ -555,6 +555,13 @@ def _concatenate(pieces: list[MappedLog]) -> MappedLog:
     return replace(first, columns=columns, rows=rows, notes=notes, unlikely=dict(unlikely))
 
 
+def _unknown(columns: list[Column], metadata: dict[str, Any]) -> list[str]:
+    """Return the targets whose quantity neither a unit nor the name states, in a log of others."""
+    if written_by(metadata, "swimid"):
+        return []
+    return [c.target for c in columns if c.unit != NO_UNIT and not foreign.states_quantity(c.target)]
+
+
 def _mapped(
     mapping: Mapping, columns: list[Column], table: Table, path: Path, metadata: dict[str, Any], clock: Clock
 ) -> MappedLog:
@@ -608,9 +615,7 @@ def _mapped(
     if table.lines is not None:
         lines = table.lines
     scales = {column.target: (str(column.source), column.scale, column.offset) for column in columns}
-    unknown = [c.target for c in columns if c.unit != NO_UNIT and not foreign.states_quantity(c.target)]
-    if written_by(metadata, "swimid"):
-        unknown = []
+    unknown = _unknown(columns, metadata)
     numbers = lines[:rows][chosen]
     return MappedLog(path, found, numbers, metadata, notes, scales, unknown, table.profile, unlikely)
 

@@ -165,7 +165,6 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where
     spots = [front + way * complex(*place.at_m) for (_, way, front), place in pairs]
     reference = complex(-body.reference.station_m, body.reference.offset_m)
     rear = [complex(-known[name].length_m, 0.0) for name in order]
-    link = np.array([link for link, _, _ in placed], dtype=np.intp)
     return Linkage(
         tuple(safe(name) for name in points),
         np.array([link for link, _, _ in placed], dtype=np.intp),
