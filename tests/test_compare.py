@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from swimid.fitting import fit_common
@@ -17,7 +19,7 @@ from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.simulation.compare_series import ComparisonFile
-from tests.conftest import Ran
+from tests.conftest import SAMPLES, Ran
 from tests.generators import swimmer
 
 Run = Callable[..., Ran]
@@ -263,3 +265,20 @@ def test_a_derivative_does_not_bridge_a_gap() -> None:
     assert np.isnan(found[(time > 1.7) & (time < 2.3)]).all()
     there = np.isfinite(found)
     assert np.allclose(found[there], 2 * time[there], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_file_and_evidence_state_one_verdict(swimid: Run, tmp_path: Path) -> None:
+    """Displacements in millimetres: the warning about values that no swimmer reaches lowers both."""
+    for path in (SAMPLES / "rig").iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    assert swimid("fit-drag", tmp_path / "trials.yaml", "-o", tmp_path / "drag.yaml").status == 0
+    for path in tmp_path.glob("w*.csv"):
+        log = pd.read_csv(path, comment="#")
+        log["x_m"] *= 1000.0
+        log.to_csv(path, index=False)
+    out = tmp_path / "comparison.yaml"
+    swimid("compare", tmp_path / "trials.yaml", "--params", tmp_path / "drag.yaml", "-o", out)
+    said = json.loads((tmp_path / "comparison.evidence.json").read_text())
+    assert f"verdict: {said['verdict']['level']}\n" in out.read_text()
+    assert "no swimmer reaches" in said["verdict"]["text"]

@@ -372,12 +372,10 @@ def sensitivity(
             provenance=origin,
         )
     checks = _checks(file, step_change, _correlated(applied, over))
-    verdict = ev.judged(_answer(file), checks)
-    file.verdict = verdict.level
     evidence = ev.Evidence(
         command="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
-        verdict=verdict,
+        verdict=ev.judged(_answer(file), checks),
         facts={
             "Robot": file.robot,
             "Parameters": file.params or "the robot file's",
@@ -392,6 +390,7 @@ def sensitivity(
         references=[*REFERENCES, *experiment.robot.sources],
         provenance=origin,
     )
+    file.verdict = evidence.verdict.level
     saved = Sensitivity.of(file, evidence).saved(output)
     keep.done()
     return saved

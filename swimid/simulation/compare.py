@@ -168,12 +168,10 @@ def compare(
         before = {d.trial.id: d.errors for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             checks.append(_mistakes_check(experiment.trials, applied, before))
-    verdict = ev.judged(_answer(file), checks)
-    file.verdict = verdict.level
     evidence = ev.Evidence(
         command="compare",
         title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
-        verdict=verdict,
+        verdict=ev.judged(_answer(file), checks),
         facts=_facts(file),
         checks=checks,
         tables=_tables(file),
@@ -183,6 +181,7 @@ def compare(
         references=list(experiment.robot.sources),
         provenance=file.provenance,
     )
+    file.verdict = evidence.verdict.level
     return Comparison.of(file, evidence).saved(output)
 
 
