@@ -320,6 +320,7 @@ def test_dates_words_and_whole_numbers_of_a_table() -> None:
         import_log(table, map_path={**rules, "columns": [{"source": "state", "target": "x_m"}]})
 
 
+@pytest.mark.slow
 def test_a_drafted_mapping_is_used_as_it_is(camera: pd.DataFrame, swimid: Run, tmp_path: Path) -> None:
     yawing = camera.rename(columns={"Heading (deg)": "Yaw (deg)"})  # a heading may be that of a compass
     yawing.to_csv(tmp_path / "log", index=False)
@@ -338,6 +339,7 @@ def test_a_drafted_mapping_is_used_as_it_is(camera: pd.DataFrame, swimid: Run, t
 # ---------------------------------------------------------------- figures
 
 
+@pytest.mark.slow
 def test_figures_are_written_on_request(
     vehicle: tuple[pd.DataFrame, pd.DataFrame], swimid: Run, tmp_path: Path
 ) -> None:

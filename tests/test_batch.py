@@ -151,6 +151,7 @@ def test_changed_options_leave_no_old_result(lab: Path, swimid: Run) -> None:
     assert "rwls.yaml" not in names
 
 
+@pytest.mark.slow
 def test_results_of_another_version_are_marked_and_not_mixed_in(lab: Path, swimid: Run) -> None:
     place = lab / "run/items/logs_log0.csv/status.json"
     status = json.loads(place.read_text())

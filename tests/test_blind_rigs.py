@@ -103,6 +103,7 @@ def test_every_effect_has_a_pinned_name(robot: str) -> None:
     assert not set(module.OUTSIDE[robot]) & set(STAGE_OF)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "name"), [("falling-weight", "wall"), ("free-decay", "waves")])
 def test_a_dominant_effect_shows_in_its_label(robot: str, name: str, tmp_path) -> None:
     label = rigs.make_case(tmp_path, robot=robot, effect=name, size=3.0, rng=np.random.default_rng(4))

@@ -196,6 +196,7 @@ def test_schema_lists_every_format(swimid: Run) -> None:
     assert listed[-1] == "answer"
 
 
+@pytest.mark.slow
 def test_doctor(swimid: Run, tmp_path: Path) -> None:
     ran = swimid("doctor", "--json", "-o", tmp_path / "d.json", "--warm-up")
     assert ran.status == 0

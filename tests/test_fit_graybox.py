@@ -255,6 +255,7 @@ class TestTrialsThatDisagree:
         (check,) = [c for c in checks if c.name == "trials agree"]
         assert check.verdict == "warn"
 
+    @pytest.mark.slow
     def test_standard_errors_stay_if_trials_agree(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(shared=True), POSE), "--share", "c_f")
         assert file.fit is not None

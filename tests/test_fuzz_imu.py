@@ -38,6 +38,7 @@ def test_the_sound_files(swimid: Callable[..., Ran], folder: Path) -> None:
         assert ran.status == 0, ran.err
 
 
+@pytest.mark.slow
 def test_a_mutated_recording(swimid: Callable[..., Ran], folder: Path) -> None:
     valid = (folder / "imu.csv").read_bytes()
     path = folder / "x.csv"

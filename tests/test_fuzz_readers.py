@@ -352,6 +352,7 @@ class TestReaders:
         run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", YAML_FORMATS)
 def test_rewritten_documents(name: str, folder: Path) -> None:
     _, reader, valid = FORMATS[name]

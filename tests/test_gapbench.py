@@ -270,6 +270,7 @@ def test_a_discrepancy_without_a_term_is_unexplained() -> None:
     assert (found["verdict"], found["causes"]) == ("unexplained", [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", tools.PEERS)
 def test_every_peer_answers_a_case(made: Path, tmp_path: Path, name: str) -> None:
     case, path = made / "cases" / "0001", tmp_path / "gap.yaml"

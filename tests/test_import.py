@@ -438,6 +438,7 @@ def test_msu_fish(real_data: Path, swimid: Run, tmp_path: Path) -> None:
         assert "SWM032" in [w["code"] for w in ran.json["warnings"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["airtest", "baseline", "cyclic1", "horizontal_cyclic1"])
 def test_starfish(name: str, real_data: Path, swimid: Run, tmp_path: Path) -> None:
     source = real_data / "starfish" / f"data_{name}.csv"

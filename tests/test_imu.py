@@ -247,6 +247,7 @@ def test_contradicting_options_and_bad_files_are_refused(
     assert swimid("track", "imu", tmp_path / "short.csv", "-o", tmp_path / "o.csv").status == 3
 
 
+@pytest.mark.slow
 def test_the_report_shows_the_result(
     swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
 ) -> None:

@@ -111,6 +111,7 @@ def test_no_offset_is_found_between_unrelated_signals(rng: np.random.Generator) 
     assert clock_offset(t, np.sin(5 * t)[:, None], np.arange(5) / 30, noise[:5]) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("with_yaw", "off"), [(True, 0.002), (False, 0.010)], ids=["yaw", "path alone"])
 def test_an_offset_of_37_ms_is_found(
     with_yaw: bool, off: float, swimid: Callable[..., Ran], tmp_path: Path

@@ -82,6 +82,7 @@ class TestBeat:
         np.testing.assert_allclose(found[1], 0.5 * plain.motion(times)[1], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asymmetry", [0.0, 0.3, 0.7, -0.5])
 def test_hopf_solves_eq_10(asymmetry: float) -> None:
     """Eq 10 with radius one settles on :func:`drives.hopf` from any initial radius."""

@@ -268,6 +268,7 @@ def test_velocities_are_the_derivatives_of_the_pose_of_any_reference_point() -> 
 
 
 class TestTendonFish:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("step", "speed_m_s", "yaw_rate_deg_s", "angle_deg"),
         [

@@ -173,6 +173,7 @@ def test_the_entry_of_the_command_file_is_an_entry_of_a_trials_file(
     assert ran.status == 0, ran.err
 
 
+@pytest.mark.slow
 def test_a_shorter_tank_shortens_the_drop(drops: Path) -> None:
     options = ("--effects", "pulley-friction,drag-reynolds", "--tank-length-m", "0.8")
     file, _ = diagnosed(drops, "short", *options)

@@ -87,6 +87,7 @@ def test_the_best_gait_has_the_effects() -> None:
     assert lossy.file.best == pytest.approx(small.file.best, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_sensitivity_varies_the_size_of_an_effect() -> None:
     file = fish("amplitude-loss", amplitude_loss__loss=(0.2, 0.05))
     found = package.sensitivity(

@@ -76,6 +76,7 @@ def test_yaw_peaks_are_within_five_percent(script: ModuleType) -> None:
     assert 0.05 < max(abs(d) for d in script.tfish_yaw_deviations(3)) < 0.06
 
 
+@pytest.mark.slow
 def test_best_stiffness_rises_with_frequency(script: ModuleType) -> None:
     optima = [script.best_stiffness(f) for f in (1.0, 2.0, 3.0, 4.0, 5.0)]
     assert all(b > 1.2 * a for a, b in pairwise(optima))

@@ -42,6 +42,7 @@ def _near_truth(ran: Ran, sigmas: float = 4.0) -> None:
         assert abs(e["value"] - true) < sigmas * e["stderr"] + 2e-3 * true, (name, e)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [0.0, 5.0, 1234.5])
 def test_clicks_on_a_clock_that_runs_on(swimid: Run, tmp_path: Path, clicks: dict, clock: float) -> None:
     """The first row is the first click, not the release, and the clock has any origin."""

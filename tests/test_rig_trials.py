@@ -69,6 +69,7 @@ class TestRandomEffect:
         assert compute_trend_p(odd, mass) > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight, friction", [(20, 40.0), (40, 60.0), (10, 25.0)])
 def test_one_odd_friction_is_named_beside_a_linear_drag(
     swimid: Run, tmp_path: Path, weight: int, friction: float

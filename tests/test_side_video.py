@@ -128,6 +128,7 @@ def test_a_simulated_stroke_goes_through_film_and_tracking_to_the_table_of_its_c
         assert np.all(np.abs(error) <= 0.03 * np.abs(wanted)), name
 
 
+@pytest.mark.slow
 def test_pose_and_deviations(starboard):
     """Centroids good to 0.15 px, marks clicked to a pixel; stated deviations of the pitch are honest."""
     folder, log, output = starboard
@@ -140,6 +141,7 @@ def test_pose_and_deviations(starboard):
     assert "SWM" not in output.output
 
 
+@pytest.mark.slow
 def test_the_log_says_what_its_pose_is_that_of(starboard):
     folder, log, _ = starboard
     names = ["t_s", "x_m", "z_m", "pitch_rad", "u_m_s", "w_m_s", "pitch_rate_rad_s", "vx_m_s", "vz_m_s"]

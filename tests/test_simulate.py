@@ -328,6 +328,7 @@ def test_values_of_a_fit_that_did_not_converge_are_warned_of(swimid: Run, tmp_pa
     assert not any("c_d0" in w["text"] for w in ran.json["warnings"])
 
 
+@pytest.mark.slow
 def test_a_simulated_log_can_be_reported(swimid: Run, tmp_path: Path) -> None:
     out = tmp_path / "sim.csv"
     swimid("simulate", "--robot", "tfish", *BEAT, "--duration-s", "4", "-o", out)

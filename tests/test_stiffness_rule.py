@@ -59,6 +59,7 @@ def test_the_optima_agree_with_a_scan_over_the_stiffness(rule: StiffnessRule) ->
         assert np.all(np.diff(front[order, 2]) <= 0)
 
 
+@pytest.mark.slow
 def test_the_rule_follows_its_optima(rule: StiffnessRule) -> None:
     stiff = [one.stiffness for one in rule.file.optima]
     assert np.all(np.diff(stiff) > 0)

@@ -33,6 +33,7 @@ NOISES: dict[str, Callable[[Generator], Array]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", NOISES)
 def test_noise_of_any_colour_has_no_beat(kind: str) -> None:
     # one false alarm in a hundred: of 60 records four or more come by chance once in 300 times
@@ -59,6 +60,7 @@ def _stroke(rng: Generator, f: float, kind: str) -> tuple[Array, float]:
     return np.cos(phase) + noise, f
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     ["plain", "drift and turns", "harmonics", "second harmonic larger", "red noise", "wandering phase"],
@@ -227,6 +229,7 @@ def test_a_beat_faster_than_any_swimmer_raises_a_doubt() -> None:
     assert "faster than" in found.doubt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     ["plain", "drift and turns", "harmonics", "second harmonic larger", "red noise", "wandering phase"],

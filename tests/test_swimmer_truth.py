@@ -212,6 +212,7 @@ DOLPHIN_FIGURES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", DOLPHIN_FIGURES)
 def test_dolphin_reaches_the_reference_figures(case: tuple[float, float]) -> None:
     frequency, stiffness = case

@@ -126,6 +126,7 @@ def test_other_columns_of_a_repeat_stay(swimid: Run, tmp_path: Path) -> None:
     assert not np.isnan(record["cmd1_rad"]).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated,told", [(1.2, False), (0.6, True), (2.4, True)])
 def test_the_stroke_is_found_and_compared_with_the_metadata(
     stated: float, told: bool, swimid: Run, tmp_path: Path

@@ -40,6 +40,7 @@ def film(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit, factor", [("px", 1.0), ("m", 0.002)])
 def test_speed_and_stroke_with_intervals(film, unit, factor):
     """Speeds, stroke, sway and accelerations are near the truth, in metres and in pixels."""

@@ -150,6 +150,7 @@ def test_a_rigid_pair_is_recognised_by_an_inclined_camera(tmp_path):
     assert "SWM042" not in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "colour, water",
     [

@@ -253,6 +253,7 @@ def behind(cover, speed, duration):
 POLE = Disc(still(160, 120), radius=10, colour=WATER)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "film", [behind("bridge", 30, 4.0), behind("bridge", 60, 3.0), behind("pole", 60, 4.0)]
 )

@@ -48,6 +48,7 @@ def off(log, times):
     return np.hypot(log.red_x_px - x, log.red_y_px - y).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["", "shot_%04d.png", "shot_%d.png"])
 def test_a_folder_and_a_pattern_give_the_track_of_the_film(pictures, run, tmp_path, name):
     log, output = run(pictures / name, "--fps", 30)

@@ -54,6 +54,7 @@ def test_the_tractor_has_its_published_speed(tmp_path, proposed):
     assert offset.std() < 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("proposed", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_green_ball_is_found_only_when_it_is_visible(tmp_path, proposed):
     """A ball that is moved in and out of the picture is found only in frames that show it."""

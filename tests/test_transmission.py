@@ -175,6 +175,7 @@ def test_a_fish_with_a_tendon_swims_as_in_an_independent_simulation(tmp_path: Pa
         assert np.max(np.abs(found[name] - expected[name])) < 1e-5 * np.ptp(expected[name]), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("column", ["joint_tendon_rad", "cmd_tendon_rad"])
 def test_a_logged_actuator_moves_its_joints_as_logged_joints_do(column: str, tmp_path: Path) -> None:
     """The path is that of the same robot with own actuators whose angles are logged, and the true one."""
@@ -204,6 +205,7 @@ def test_a_table_on_a_line_equals_a_ratio(tmp_path: Path) -> None:
         np.testing.assert_allclose(runs[1][name], values, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_ratio_is_estimated_from_noisy_logs(tmp_path: Path) -> None:
     """Two ratios from pose and one logged joint angle, within three standard errors."""
     runs = [

@@ -91,6 +91,7 @@ def test_a_stated_unit_is_believed(
     assert imported(swimid, "log.csv")["verdict"]["level"] == "caution"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strokes", [1.5, 2.5, 3.0, 3.8, 4.5])
 @pytest.mark.parametrize("columns", [2, 4])
 def test_fewer_than_four_strokes_are_unknown(strokes: float, columns: int, case: Case, swimid: Run) -> None:

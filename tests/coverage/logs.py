@@ -60,6 +60,8 @@ def swim(rng: np.random.Generator) -> pd.DataFrame:
         slow = noise(rng, len(time), NOISES["AR 0.98"])
         size *= rng.uniform(0.2, 1.5)
         columns[name] = columns[name] + size * (rng.normal(size=len(time)) + 0.5 * slow / np.std(slow))
+    if rng.random() < 1 / 3:
+        time = np.round(time, 3)  # a clock in milliseconds
     return pd.DataFrame({"t_s": time, **columns})
 
 
