@@ -317,6 +317,7 @@ class TestNotebook:
         log, made = swimid.read_log(self.LOG), swimid.load_result(self.LOG)
         assert log.frame.equals(made.frame)
 
+    @pytest.mark.slow
     def test_series_are_xarray_too(self) -> None:
         xarray = pytest.importorskip("xarray")
         made = swimid.simulate(robot="tfish", frequency_hz=1.4, amplitude_deg=20.0, duration_s=1.0)

@@ -56,6 +56,7 @@ def test_chance_is_not_a_change(tmp_path: Path, rng: np.random.Generator) -> Non
     assert alarms <= 4
 
 
+@pytest.mark.slow
 def test_a_change_is_named(tmp_path: Path, rng: np.random.Generator) -> None:
     found = package.compare_runs(days(tmp_path, rng, changed=8.0), output=tmp_path / "week.yaml")
     changed = [int(quantity.quantity[1:]) for quantity in found.file.quantities if quantity.changed]

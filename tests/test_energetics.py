@@ -81,6 +81,7 @@ def test_both_engines_give_the_same_torques() -> None:
     assert space.torque_N_m == pytest.approx(flat.torque_N_m, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
     """Inverse dynamics of the sea lion with a sprung hinge gives back the torque of its spring."""
     robot = robot_format.read("sealion")

@@ -51,6 +51,7 @@ def verdicts(track):
     return {check.name: check.verdict for check in track.evidence.checks}
 
 
+@pytest.mark.slow
 def test_a_robot_that_swims_tail_first_is_bad_unless_the_setup_states_it(film):
     assert verdicts(swimid.track_video(film, setup=SETUP))["Swims head first"] == "pass"
     with pytest.warns(swimid.SwimidWarning, match="SWM100"):
@@ -60,6 +61,7 @@ def test_a_robot_that_swims_tail_first_is_bad_unless_the_setup_states_it(film):
     assert verdicts(stated)["Swims tail first"] == "pass"
 
 
+@pytest.mark.slow
 def test_false_detections_do_not_affect_the_direction_check(tmp_path):
     """A red float ahead of the robot is detected while the head marker is hidden, in a third of the film."""
 

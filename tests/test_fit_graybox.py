@@ -263,6 +263,7 @@ class TestTrialsThatDisagree:
 
 
 class TestLogs:
+    @pytest.mark.slow
     def test_measured_joints_move_the_fish(self, swimid: Swimid, tmp_path: Path) -> None:
         joints = {f"joint{k}_rad": float(np.radians(0.1)) for k in (1, 2, 3)}
         trials = _write(tmp_path, _runs(shared=True), {**RATES, **joints}, with_drive=False)

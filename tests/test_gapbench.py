@@ -81,6 +81,7 @@ def test_without_recordings_there_is_a_notice(
     assert "SWIMID_DATA is unset" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_recording_becomes_a_case(real_data: Path, tmp_path: Path) -> None:
     plan = {case["robot"]: case for case in make.real.plan(real_data, 7)}
     assert {case["kind"] for case in plan.values()} == {"real"}

@@ -130,6 +130,7 @@ def test_a_foreign_file_is_not_quoted(first: str, tmp_path: Path) -> None:
     assert first not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_cost_of_many_trials_and_columns_is_linear(tmp_path: Path) -> None:
     rows = "".join(f"  - {{log: w{k}.csv, pulling_mass_kg: 0.04}}\n" for k in range(1000))
     head = "format: swimid-trials/1\nexperiment: falling-weight\nrobot: boxfish\ntrials:\n"

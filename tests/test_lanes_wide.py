@@ -98,6 +98,7 @@ def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], cou
             np.testing.assert_allclose(simulated[channel], series, rtol=0.0, atol=far, err_msg=channel)
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_every_force_and_element_agrees_with_the_engine(fish: MultilinkModel) -> None:
     own = swims(fish, 4.0)

@@ -103,6 +103,7 @@ class TestCheckpoints:
         kept.done()
         assert list(tmp_path.iterdir()) == []
 
+    @pytest.mark.slow
     def test_a_map_is_that_of_its_own_options_after_a_stopped_run_with_others(self, tmp_path: Path) -> None:
         alone, out = tmp_path / "alone.yaml", tmp_path / "map.yaml"
         package.performance_map(**DOLPHIN, amplitude_deg=27, output=alone)

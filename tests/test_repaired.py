@@ -190,6 +190,7 @@ def test_an_effect_of_ones_own_needs_its_file(swimid: Run, tmp_path: Path) -> No
 # ---------------------------------------------------------------- forms and faults
 
 
+@pytest.mark.slow
 def test_a_form_is_restored_by_its_parameters_and_its_constants() -> None:
     """The wall on one side stands where the diagnosis saw it, whatever the trials of the command."""
     beside = {"side": "y_max", "extreme_m": 0.4}

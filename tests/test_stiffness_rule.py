@@ -121,6 +121,7 @@ def test_the_command_writes_and_reads(swimid: Callable[..., Ran], tmp_path: Path
     assert swimid(*words, "-o", out).status == 2  # what swimid did not write is not overwritten
 
 
+@pytest.mark.slow
 def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule) -> None:
     cheap = package.optimise_stiffness(objective="cost-of-transport", **SMALL)
     for a, b in zip(cheap.file.optima, rule.file.optima, strict=True):

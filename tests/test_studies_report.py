@@ -13,6 +13,7 @@ from tests.conftest import Ran
 BEAT = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 4.0}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::swimid.SwimidWarning")
 def test_studies_on_one_page(swimid: Callable[..., Ran], samples: Path, tmp_path: Path) -> None:
     """Their figures, tables and facts."""
