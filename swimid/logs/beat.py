@@ -1008,7 +1008,7 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 # ---------------------------------------------------------------- course and heading
 
-#: Minimum number of time windows in which the course is compared with the heading.
+#: Minimum number of pairs of successive time windows in which the course is compared with the heading.
 MIN_COURSE_WINDOWS = 8
 #: Minimum fraction of a window from its first to its last sample. Its mean is then free of a sway with the
 #: period of the window, up to a tenth of the amplitude.
@@ -1070,7 +1070,7 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
     Returns
     -------
     Course or None
-        None if fewer than :data:`MIN_COURSE_WINDOWS` windows have more advance than sway.
+        None if fewer than :data:`MIN_COURSE_WINDOWS` pairs of successive windows have more advance than sway.
     """
     pairs = [pair for track in tracks for pair in _windows(*track, window_s)]
     if len(pairs) < MIN_COURSE_WINDOWS:
@@ -1132,8 +1132,8 @@ def _windows(
             place, ahead = complex(np.mean(path[window])), complex(np.mean(facing[window]))
             means[int(numbers[window[0]])] = place, ahead, float(np.std(path[window]))
     pairs = []
-    for number, (place, ahead, sway) in means.items():
-        later, turned, sway_later = means.get(number + 1, (place, ahead, sway))
+    for number in sorted(means.keys() & {n - 1 for n in means}):
+        (place, ahead, sway), (later, turned, sway_later) = means[number], means[number + 1]
         advance, mean_ahead = later - place, (ahead + turned) / 2
         if abs(advance) > max(sway, sway_later) and abs(mean_ahead) > 0.5:
             pairs.append((advance / abs(advance), mean_ahead))
