@@ -245,13 +245,14 @@ def test_intervals_cover_the_truth(clicks: dict[int, np.ndarray], kind: str) -> 
 
 def test_trials_that_disagree_enlarge_the_standard_errors(clicks: dict[int, np.ndarray]) -> None:
     trials = _measure(clicks, "white", np.random.default_rng(2))
-    agreed = output_error.fit(_model(), trials)
+    agreed = output_error.complete(output_error.fit(_model(), trials))
     # the weight of the third drop is 5 % above the stated one
     odd = [replace(t, rig=replace(t.rig, force=t.rig.pull / 1.05)) if t.id == "w20" else t for t in trials]
-    scattered = output_error.fit(_model(), odd)
-    assert agreed.scatter == 1.0
-    assert scattered.scatter > 2.0
-    assert scattered.scatter_p < 1e-6
+    scattered = output_error.complete(output_error.fit(_model(), odd))
+    assert agreed.differences is not None
+    assert agreed.differences.probability < 0.5
+    assert scattered.differences is not None
+    assert scattered.differences.are_likely
     assert scattered.stderr("added_mass") > 2 * agreed.stderr("added_mass")  # type: ignore[operator]
 
 

@@ -101,7 +101,7 @@ def test_a_friction_that_differs_between_trials_is_named(swimid: Run, tmp_path: 
         t = generator.click_times(float(w), friction_mN=30.8 * (1 + 0.05 * rng.normal()))
         logs[w] = (np.sort(t + np.r_[0, rng.normal(0, 2e-3, len(t) - 1)]), STEP * np.arange(len(t)))
     ran = swimid("fit-drag", _write(tmp_path, logs))
-    assert "SWM014: the pulley friction differs from trial to trial" in ran.err
+    assert "SWM014: the trials differ: pulley_friction by" in ran.err
     assert "GOOD" not in ran.out
 
 

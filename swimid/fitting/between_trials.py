@@ -1,4 +1,4 @@
-"""Differences between trials: between-trial standard deviation of a parameter, and outlier trials.
+"""Differences between trials: dependence of a parameter on a setting, and outlier trials.
 
 If each trial had its own free value of a parameter, these values would absorb any effect that the model
 lacks. For example, a force that grows with the setting of the trials would look like a friction that grows. A
@@ -49,14 +49,6 @@ class OwnValues:
     covariance: Array
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Between-trial standard deviation of a parameter, and p-value of the hypothesis that it is zero."""
-
-    sd: float
-    p_value: float
-
-
 def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     """Estimate one value of a parameter for each trial, by one Gauss-Newton step from the result of a fit.
 
@@ -88,7 +80,7 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
     others = [i for i in range(len(labels)) if i not in mine]
-    root = found.root * found.scatter
+    root = found.root
     part = orthogonal_part(root[:, others], root[:, mine], math.sqrt(MIN_INFORMATION))
     values, vectors = np.linalg.eigh(part.T @ part)
     values = np.maximum(values, MIN_INFORMATION * values.max(initial=1e-300))
@@ -98,21 +90,6 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
         value=theta[seen][mine] + step[mine] * size,
         covariance=(vectors / values) @ vectors.T * np.outer(size, size),
     )
-
-
-def estimate_spread(own: OwnValues) -> Spread:
-    """Estimate the between-trial standard deviation of a parameter by restricted maximum likelihood.
-
-    >>> own = OwnValues(tuple("abcdef"), np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), 1e-6 * np.eye(6))
-    >>> round(estimate_spread(own).sd, 2)
-    1.1
-    """
-    variances, values, _ = _contrasts(own)
-    between, gain = _reml(variances, values, np.zeros(len(values)))
-    if between == 0.0:
-        return Spread(0.0, 1.0)
-    # Halve the p-value of the chi-square distribution, because zero is a bound (Self and Liang 1987).
-    return Spread(math.sqrt(between), 0.5 * float(special.chdtrc(1, max(gain, 0.0))))
 
 
 def compute_trend_p(own: OwnValues, setting: Array) -> float:

@@ -21,10 +21,10 @@ from swimid.files import atomic, provenance
 from swimid.files.kernels import numba
 from swimid.files.provenance import Held, Input
 from swimid.fitting import output_error
+from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
 from swimid.fitting.output_error import STEP_ERROR, FitResult
 from swimid.fitting.uncertainty import (
-    HETEROGENEITY,
     SIGNIFICANCE,
     autocorrelation,
     combinations,
@@ -49,7 +49,12 @@ STRONG = 0.95
 #: Ratio of the error on validation trials to the error on fitted trials above which a check warns.
 VALIDATION_RATIO = 2.0
 #: Sentence on standard errors for the methods section of a report.
-COVARIANCE = "Standard errors follow from the Jacobian at the optimum and account for coloured residuals."
+COVARIANCE = (
+    "Intervals contain 95 % of the error, averaged over forms of the noise with and without memory, and over "
+    "differences of the parameters between the trials; a standard error is half an interval divided by 1.96."
+)
+#: Maximum number of parameters that a sentence names.
+MAX_LISTED = 4
 #: Maximum standard deviation of the samples of a channel in which nothing moves, divided by that of its white
 #: noise. The estimate of the noise from 100 samples has a standard error of a tenth.
 STILL = 1.3
@@ -628,12 +633,19 @@ def parameter_file(
             noise=noise,
             method=method,  # type: ignore[call-arg]
             samples=result.samples,  # type: ignore[call-arg]
-            scatter=result.scatter,  # type: ignore[call-arg]
+            between_trials=_between_trials(result),  # type: ignore[call-arg]
             step_error=result.step_error,  # type: ignore[call-arg]
             samples_sha256={t.id: t.digest for t in result.trials},
         ),
         provenance=provenance,
     )
+
+
+def _between_trials(result: FitResult) -> dict[str, Any]:
+    """Return the differences between the trials as an entry of the parameter file."""
+    if result.differences is None:
+        return {}
+    return {name: dict(v) if isinstance(v, Mapping) else v for name, v in vars(result.differences).items()}
 
 
 def robot_reference(experiment: Experiment, folder: Path) -> str:
@@ -710,13 +722,7 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
         reason = f"at a bound: {listed}"
         found.append(ev.check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
     found += [_whiteness(result, channel) for channel in result.noise]
-    if sum(t.role == "fit" for t in result.trials) > 2:
-        p, passed, text = ev.p_text(result.scatter_p), result.scatter_p >= HETEROGENEITY, ""
-        reason = f"the trials scatter {result.scatter:.2f} times more than their noise allows ({p})"
-        if result.scatter > 1:
-            text = f"standard errors are enlarged by {result.scatter:.2f}"
-        limit = f"p ≥ {HETEROGENEITY:g}"
-        found.append(warned_check("SWM014", "trials agree", p, passed, limit, text, reason))
+    found += _agreement(result)
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
     if result.step_error:
         size, passed = f"{result.step_error:.2g} sd", result.step_error <= STEP_ERROR
@@ -744,6 +750,53 @@ def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
     if not passed:
         warn(code, f"{reason}; {text}".removesuffix("; "))
     return ev.check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
+
+
+def _agreement(result: FitResult) -> list[ev.Check]:
+    """Return checks whether the trials agree, and whether they could show that they do not."""
+    differ = result.differences
+    if differ is None:
+        return []
+    value, text = f"differ with a probability of {numbers.percent(differ.probability)}", ""
+    different = [name for name, chance in differ.chance.items() if chance > 0.5]
+    sizes = [f"{name} by {_relative(result, name, differ.sd[name])}" for name in different]
+    reason = f"the trials differ: {', '.join(sizes) or 'it is not clear in which parameter'}"
+    if differ.are_likely:
+        text = "standard deviations between the trials, which the standard errors include"
+    shown = ("trials agree", value, not differ.are_likely, f"≤ {numbers.percent(DIFFERENT)}", text, reason)
+    found = [warned_check("SWM014", *shown)] * (differ.trials > 1)
+    hidden = [name for name in differ.hidden if result.status.get(name) == "estimated"]
+    name, limit = "differences between trials visible", "of every estimated parameter"
+    if not hidden:
+        return [*found, ev.check(name, "yes", True, limit)]
+    value = f"not of {', '.join(hidden)}"
+    reason = f"these trials cannot show whether {_listed(hidden)} differ from trial to trial"
+    if differ.trials == 1:
+        value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
+    share = numbers.percent(ASSUMED_DIFFERENCE)
+    worst = max(hidden, key=lambda n: differ.hidden[n] / (result.stderr(n) or math.inf))
+    error = numbers.number(NORMAL * differ.hidden[worst], 2, result.parameter(worst).unit)
+    text = (
+        f"their intervals hold only for equal values in all trials; if {worst} differs by {share}, its "
+        f"interval is ± {error}. Fit repeats of one setting, or more settings"
+    )
+    return [*found, warned_check("SWM028", name, value, False, limit, text, reason)]
+
+
+def _relative(result: FitResult, name: str, sd: float) -> str:
+    """Return a standard deviation between trials as a share of the estimate; with its unit near zero."""
+    size = abs(result.value(name))
+    if size > 0.1 * result.parameter(name).scale:
+        return numbers.percent(sd / size, 2)
+    return numbers.number(sd, 2, result.parameter(name).unit)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a list in a sentence, shortened after :data:`MAX_LISTED`."""
+    shown = list(names[:MAX_LISTED])
+    if len(names) > MAX_LISTED:
+        shown.append(f"{len(names) - MAX_LISTED} more")
+    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:
@@ -976,7 +1029,7 @@ def fit_model(
     with recorded(repeat=True) as notices:
         parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)
-        result = output_error.with_held_out(result)
+        result = output_error.complete(result)
         settings = {
             "fixed": dict(fixed or {}),
             "freed": list(freed),

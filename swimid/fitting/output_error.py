@@ -19,7 +19,8 @@ from scipy import special
 from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import uncertainty
+from swimid.fitting import noise, uncertainty
+from swimid.fitting.intervals import Differences, compute_errors
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Blocks, Patience, Problem, minimise
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
@@ -117,11 +118,6 @@ class FitResult:
     series: list[Series]
     #: Estimated measurement noise of each channel.
     noise: dict[str, Noise]
-    #: Ratio of the differences between trials to those that their noise explains; 1 if the trials agree. The
-    #: covariance of the estimates is enlarged by its square.
-    scatter: float
-    #: p-value of the test that all trials have the same parameters, to within their noise.
-    scatter_p: float
     samples: int
     converged: bool
     message: str
@@ -144,6 +140,8 @@ class FitResult:
     #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held at
     #: the estimates of the fit.
     start_states: Mapping[str, float] = field(default_factory=dict)
+    #: Differences between the trials; None before :func:`with_intervals`.
+    differences: Differences | None = None
     #: Number of restarts near the estimates that led to a better fit; None if no restart was tested.
     restarts: int | None = None
     #: Whether the estimates are final: the last restart led to no better fit.
@@ -435,6 +433,7 @@ class _Search:
                 hint="give longer logs or more trials, or fix some parameters",
             )
         self.noise: dict[str, tuple[float, float]] = {}
+        self.levels: dict[tuple[int, str], Array] = {}
         self.patience = Patience()
         self.converged = self.interrupted = False
         self.message = ""
@@ -446,7 +445,10 @@ class _Search:
         )
 
     def run(self) -> None:
-        """Search until the noise weights converge, or until the user interrupts the search."""
+        """Search until the noise weights converge, or until the user interrupts the search.
+
+        If the local levels of the noise differ, a last search uses weights with these levels.
+        """
         rounds, first = MAX_NOISE_ITERATIONS, 1
         if self.equal:
             rounds = 1
@@ -455,6 +457,7 @@ class _Search:
         else:
             first = 0
             set_weights(self.problem, self.task.near)
+            self._find_levels()
         try:
             with self.task.progress("fitting", total=rounds) as step:
                 for k in range(rounds):
@@ -463,6 +466,9 @@ class _Search:
                     step()
                     if last:
                         break
+                if self.task.near is None and self._find_levels():
+                    self.estimate_noise()
+                    self._solve(True, lambda text: show(step, text))
         except KeyboardInterrupt:
             if not self.message:
                 raise
@@ -492,7 +498,13 @@ class _Search:
 
     def estimate_noise(self) -> None:
         """Estimate the noise at the current point of the search, and set the weights of the samples."""
-        self.noise = uncertainty.estimate(self.problem, self.theta, self.noise)
+        self.noise = uncertainty.estimate(self.problem, self.theta, self.noise, self.levels)
+
+    def _find_levels(self) -> bool:
+        """Estimate the local levels of the noise at the current point, and return whether they differ."""
+        if not self.problem.broken(self.theta):
+            self.levels = noise.compute_levels(self.problem, self.theta)
+        return bool(self.levels)
 
     def _noise_limits(self) -> Patience:
         """Return the rule that ends a search when its steps change less than noise does."""
@@ -566,32 +578,90 @@ def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tup
     return residuals, problem.blocks(theta, central=central).scaled(problem.scale)
 
 
+def with_intervals(result: FitResult) -> FitResult:
+    """Return the result of a fit with errors that hold where noise is slow and where trials differ.
+
+    See :mod:`swimid.fitting.intervals`. The search and the rivals of a fit use the errors under an
+    autoregression, which need less time.
+    """
+    free: NDArray[np.bool_] = np.asarray(np.isfinite(result.information_root).all(axis=0))
+    problem, theta = weighted(result), np.asarray(result.estimate)
+    shared = [free[j] for j, (_, owner) in enumerate(problem.slots) if owner is None]
+    if not len(result.information_root) or not any(shared):
+        return result
+    scale, central = problem.scale, result.samples * len(theta) <= 50_000
+    derivatives = problem.own_jacobians(theta, central=central)
+    rows = [-part * scale[at] for part, (_, at) in zip(derivatives, problem.taken, strict=True)]
+    residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
+    errors = compute_errors(problem, theta, free, rows, residuals)
+    root = np.full((len(errors.root), len(theta)), np.nan)
+    root[:, free] = (errors.root / scale)[:, free]
+    covariance, status = _judge(problem, theta, errors.covariance * np.outer(scale, scale), free)
+    unit = {label: float(scale[j]) for j, label in enumerate(problem.labels)}
+    return replace(
+        result,
+        covariance=covariance,
+        status=status,
+        information_root=root,
+        differences=errors.differences.in_units(unit),
+    )
+
+
+def complete(result: FitResult) -> FitResult:
+    """Return the result of a fit with its final intervals, and with its validation trials predicted.
+
+    See :func:`with_intervals` and :func:`with_held_out`.
+    """
+    return with_held_out(with_intervals(result))
+
+
+def _outward(problem: Problem, theta: Array) -> Array:
+    """Return the direction of the bound at which each unknown is, shape (p,): -1, 1, or 0 inside."""
+    margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
+    outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
+    outward[problem.upper - theta < margin] = 1.0
+    return outward
+
+
+def _judge(
+    problem: Problem, theta: Array, covariance: Array, free: NDArray[np.bool_]
+) -> tuple[Array, dict[str, str]]:
+    """Return the covariance without unknowns at a bound, and the status of each unknown.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (p, p)
+        NaN for unknowns that the trials do not determine.
+    free : ndarray of bool, shape (p,)
+        Mask of the unknowns that no bound holds.
+    """
+    # An unknown (NaN) standard error makes the comparison false.
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale)
+    held = (_outward(problem, theta) != 0) & (known | ~free)
+    status = np.where(held, "at-bound", np.where(known, "estimated", "unidentifiable"))
+    covariance = covariance.copy()
+    covariance[held] = covariance[:, held] = np.nan
+    return covariance, dict(zip(problem.labels, status.tolist(), strict=True))
+
+
 def _result(search: _Search) -> FitResult:
     """Return the result of a fit from the end of a search: estimates, covariance and status."""
     problem, theta, samples, task = search.problem, search.theta, search.samples, search.task
     residuals, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = uncertainty.autoregressions(problem, residuals)
-    margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
-    outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
-    outward[problem.upper - theta < margin] = 1.0
-    free, found = _free_in_noise(problem, rows, residuals, autoregressions, outward)
-    covariance, null = np.full((len(theta), len(theta)), np.nan), np.zeros(len(theta), dtype=bool)
+    free, found = _free_in_noise(problem, rows, residuals, autoregressions, _outward(problem, theta))
+    covariance = np.full((len(theta), len(theta)), np.nan)
     root = np.full((int(free.sum()), len(theta)), np.nan)
-    scatter, scatter_p = 1.0, 1.0
     if found is not None:
         scale = problem.scale[free]
         # For few samples use Student's t, so that 1.96 of these standard errors cover 95 %.
         few = float(special.stdtrit(max(samples - int(free.sum()), 1), 0.975) / special.ndtri(0.975))
-        covariance[np.ix_(free, free)] = few**2 * found.covariance * np.outer(scale, scale)
+        part = few**2 * found.covariance * np.outer(scale, scale)
+        part[found.null] = part[:, found.null] = np.nan
+        covariance[np.ix_(free, free)] = part
         root[:, free] = found.root / few / scale
-        null[free] = found.null
-        scatter, scatter_p = found.scatter, found.scatter_p
-    # An unknown (NaN) standard error makes the comparison false.
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    known = ~null & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
-    held = (outward != 0) & (known | ~free)
-    status = np.where(held, "at-bound", np.where(known, "estimated", "unidentifiable"))
-    covariance[held] = covariance[:, held] = np.nan
+    covariance, status = _judge(problem, theta, covariance, free)
     result = FitResult(
         model=problem.model,
         parameters=task.parameters,
@@ -599,14 +669,12 @@ def _result(search: _Search) -> FitResult:
         labels=problem.labels,
         estimate=theta,
         covariance=covariance,
-        status=dict(zip(problem.labels, status.tolist(), strict=True)),
+        status=status,
         series=[],
         noise={
             c: Noise(uncertainty.value_sd(problem, c, v), t, autoregressions[c])
             for c, (v, t) in search.noise.items()
         },
-        scatter=scatter,
-        scatter_p=scatter_p,
         samples=samples,
         converged=search.converged,
         message=search.message,

@@ -23,8 +23,9 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,7 +57,10 @@ def weigh_first(problem: Problem) -> None:
 
 
 def estimate(
-    problem: Problem, theta: Array, previous: dict[str, tuple[float, float]]
+    problem: Problem,
+    theta: Array,
+    previous: dict[str, tuple[float, float]],
+    levels: Mapping[tuple[int, str], Array] = MappingProxyType({}),
 ) -> dict[str, tuple[float, float]]:
     """Estimate the errors of measured values and of time stamps, and set the sample weights of a problem.
 
@@ -66,6 +70,8 @@ def estimate(
         Unknowns at which the residuals are computed.
     previous : dict of channel name to (float, float)
         Standard deviations of the previous noise iteration; empty in the first iteration.
+    levels : mapping of (trial index, channel) to ndarray, shape (n,)
+        Local levels of the noise, which are shapes of the error.
 
     Returns
     -------
@@ -84,7 +90,8 @@ def estimate(
                 rate = np.abs(problem.model.sensitivity_to_time(problem.vector(theta, k), trial)[channel])
             errors.append(trial.measured[channel] - simulated)
             rates.append(rate)
-            shapes.append(np.hypot(trial.value_sd.get(channel, 0.0), trial.time_sd_s * rate))
+            known = np.hypot(trial.value_sd.get(channel, 0.0), trial.time_sd_s * rate)
+            shapes.append(levels.get((k, channel), known))
         uncertain = [float(problem.trials[k].stamps_uncertain) for k in owners]
         stamped = [free * rate for free, rate in zip(uncertain, rates, strict=True)]
         constant, stamp = _components(errors, stamped, shapes, any(uncertain), previous.get(channel))
@@ -519,9 +526,6 @@ def long_run_covariance(scores: np.ndarray) -> np.ndarray:
 
 # ---------------------------------------------------------------- covariance of the estimates
 
-#: Significance level of the test that all trials have the same parameters, to within their noise.
-HETEROGENEITY = 1e-3
-
 
 def _autocorrelation(coefficients: Array, lags: int) -> Array:
     """Return the autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
@@ -570,8 +574,8 @@ def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
 class Sandwich:
     """Covariance of least-squares estimates by the sandwich formula, with intermediate quantities."""
 
-    #: Covariance ``H^-1 M H^-1`` times the square of ``scatter``, shape (p, p). Rows and columns of
-    #: parameters that do not affect the residuals are NaN.
+    #: Covariance ``H^-1 M H^-1``, shape (p, p). Rows and columns of parameters that do not affect the
+    #: residuals are NaN.
     covariance: Array
     #: Mask of the parameters that do not affect the residuals, shape (p,).
     null: NDArray[np.bool_]
@@ -581,13 +585,8 @@ class Sandwich:
     #: Gauss-Newton step from the estimates to the minimum without bounds, shape (p,).
     step: Array
     #: Mean decrease of the sum of squared residuals for each parameter that is fitted to noise alone. It is 1
-    #: for white noise of unit variance, and larger for coloured noise and for trials that disagree.
+    #: for white noise of unit variance, and larger for coloured noise.
     gain: float
-    #: Ratio of the differences between trials to those that their noise explains, at least 1.
-    scatter: float
-    #: p-value of the test that the trials agree. The test compares the score of each trial (the gradient of
-    #: its cost at the common optimum) with the covariance of that score.
-    scatter_p: float
 
 
 def sandwich(
@@ -596,7 +595,7 @@ def sandwich(
     residuals: list[Array],
     autoregressions: dict[str, Array],
 ) -> Sandwich:
-    """Compute the covariance of estimates under coloured residuals and trials that disagree.
+    """Compute the covariance of estimates under coloured residuals.
 
     Parameters
     ----------
@@ -631,9 +630,7 @@ def sandwich(
     variance = float(sum(r @ r for r in residuals)) / max(samples - unknowns, 1)
     middle = u.T @ np.concatenate([core @ part for part, core in zip(directions, cores, strict=True)])
     middle = 0.5 * (middle + middle.T)
-    own = [factor[:, at] for factor, (_, at, _) in zip(factors, blocks.parts, strict=True)]
-    scatter, p_value = _scatter(own, cores, projected, variance, degrees=-int(good.sum()))
-    spread = scatter * math.sqrt(variance)
+    spread = math.sqrt(variance)
     values, vectors = np.linalg.eigh(middle)
     values = np.maximum(values, 1e-9 * values.max(initial=1e-300))
     outer = vt[good].T / singular[good] / size[:, None]
@@ -647,40 +644,7 @@ def sandwich(
         # The gain is the mean of r' U U' r for noise r with the correlation R, divided by the number of
         # columns of U.
         gain=spread**2 * float(np.trace(middle[np.ix_(good, good)])) / max(int(good.sum()), 1),
-        scatter=scatter,
-        scatter_p=p_value,
     )
-
-
-def _scatter(
-    factors: list[Array], cores: list[Array], projected: list[Array], variance: float, degrees: int
-) -> tuple[float, float]:
-    """Test whether the trials agree to within their noise.
-
-    The arguments are the triangular factor of each trial's derivatives with respect to its own unknowns, the
-    correlation matrix of the residuals, and the residuals, both in the basis of the factor.
-
-    Return the ratio of their differences to those that noise explains (at least 1), and the p-value of the
-    test.
-    """
-    if len(factors) < 3:
-        return 1.0, 1.0
-    statistic = 0.0
-    for a, core, r in zip(factors, cores, projected, strict=True):
-        score = a.T @ r
-        spread = (a.T @ core @ a) * variance
-        scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-        values, vectors = np.linalg.eigh(spread / np.outer(scale, scale))
-        keep = values > 1e-6 * max(values.max(initial=0.0), 1e-300)
-        part = vectors[:, keep].T @ (score / scale)
-        statistic += float(np.sum(part**2 / values[keep]))
-        degrees += int(keep.sum())
-    p_value, scatter = 1.0, 1.0
-    if degrees >= 1:
-        p_value = float(special.chdtrc(degrees, statistic))
-    if p_value < HETEROGENEITY:
-        scatter = max(math.sqrt(statistic / degrees), 1.0)
-    return scatter, p_value
 
 
 # ---------------------------------------------------------------- identifiability

@@ -168,7 +168,7 @@ def _fit_surge(
     assert isinstance(model, SurgeModel)
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
-    result = output_error.with_held_out(result)
+    result = output_error.complete(result)
     if all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
@@ -258,6 +258,7 @@ def _fit_recoil_law(
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents, exponent_checks = _free_exponents(model, kept, choices, LAWS, "power")
+    result = output_error.with_intervals(result)
     result = _with_drag_error(result, kept, choices, experiment)
     points = _operating_points(experiment, result)
     file = fit_common.parameter_file(

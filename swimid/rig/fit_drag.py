@@ -44,7 +44,7 @@ from swimid.fitting import fit_common, output_error
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Parameter, Trial, chosen
 from swimid.fitting.output_error import FitResult
-from swimid.fitting.uncertainty import HETEROGENEITY, SIGNIFICANCE, UNIDENTIFIABLE, fit_autoregression
+from swimid.fitting.uncertainty import SIGNIFICANCE, UNIDENTIFIABLE, fit_autoregression
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
@@ -236,7 +236,7 @@ def _fit_best(
     checks = [omission_check(best, omitted)]
     if experiment.name == "towed":
         checks.append(sign_check(best))
-    result = output_error.with_held_out(best)
+    result = output_error.complete(best)
     return result, facts, checks + trial_checks(plain, result)
 
 
@@ -532,13 +532,14 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
 
 
 def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
-    """Check whether the pulley friction differs between trials, and whether one trial is an outlier.
+    """Check whether the pulley friction follows the pulling mass, and whether one trial is an outlier.
 
     Return no checks if the residuals of the fit ``plain`` without per-trial parameters are white and the
     trials agree.
     """
     coloured = any(len(noise.autoregression) for noise in plain.noise.values())
-    if plain.scatter_p >= HETEROGENEITY and not coloured:
+    differences = result.differences
+    if not coloured and not (differences is not None and differences.are_likely):
         return []
     from swimid.fitting import between_trials
 
@@ -564,11 +565,9 @@ def _measured(fit: FitResult, label: str) -> str:
 
 
 def _friction_check(plain: FitResult) -> list[ev.Check]:
-    """Check whether the pulley friction differs between trials.
+    """Check whether the pulley friction depends on the pulling force.
 
-    The check fails if the friction depends on the pulling force, and warns if it varies in another way. The
-    friction of each trial is estimated by linearisation about the fit ``plain``. These estimates show whether
-    trials differ, but not by how much.
+    The friction of each trial is estimated by linearisation about the fit ``plain``.
     """
     from swimid.fitting import between_trials
 
@@ -577,18 +576,14 @@ def _friction_check(plain: FitResult) -> list[ev.Check]:
     own = between_trials.estimate_own_values(plain, "friction_deviation", "pulley_friction")
     if len(own.trials) < between_trials.MIN_TRIALS:
         return []
-    code, how, p_value = "SWM014", "differs from trial to trial", between_trials.estimate_spread(own).p_value
-    if p_value >= HETEROGENEITY:
-        return []
     pulls = {t.id: t.rig.pull for t in plain.trials}
-    trend_p = between_trials.compute_trend_p(own, np.array([pulls[name] for name in own.trials]))
-    follows = trend_p < TREND_P
-    if follows:
-        code, how, p_value = "SWM070", "follows the pulling mass", trend_p
-    value, limit = f"{how} ({ev.p_text(p_value)})", f"p ≥ {HETEROGENEITY:g}; for a trend p ≥ {TREND_P:g}"
-    text = "standard errors do not allow for it: find the cause with swimid diagnose TRIALS --params FILE"
-    check = (code, "same friction in all trials", value, False, limit, text, f"the pulley friction {value}")
-    return [fit_common.warned_check(*check, failed=follows)]
+    p_value = between_trials.compute_trend_p(own, np.array([pulls[name] for name in own.trials]))
+    if p_value >= TREND_P:
+        return []
+    value = f"follows the pulling mass ({ev.p_text(p_value)})"
+    text = "find the cause with swimid diagnose TRIALS --params FILE"
+    shown = ("same friction in all trials", value, False, f"p ≥ {TREND_P:g}", text)
+    return [fit_common.warned_check("SWM070", *shown, f"the pulley friction {value}", failed=True)]
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:

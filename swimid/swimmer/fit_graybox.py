@@ -131,7 +131,7 @@ def fit_graybox(
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
         with on_cluster(options.cluster, "swimid.swimmer.fit_graybox:Posed.of", trials, options) as rebuilt:
             search = _search(posed, output, origin, rebuilt, progress)
-        result = output_error.with_held_out(search.result)
+        result = output_error.complete(search.result)
         folder = (output or trials_format.place(trials)).parent
         file = _parameter_file(posed, result, origin, folder)
         checks = [
