@@ -9,8 +9,8 @@ import pytest
 
 from swimid.fitting import output_error
 from swimid.fitting import uncertainty as idn
-from swimid.fitting.model import Tied
 from swimid.fitting.output_error import FitResult
+from swimid.fitting.parameter_map import share
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
 
 TOTAL = float(np.dot(WEIGHTS, FRICTION_TRUTH[1:]))
@@ -56,8 +56,8 @@ class TestThreeFrictions:
         assert np.mean(values) == pytest.approx(TOTAL, abs=4 * stderr / np.sqrt(repeats))
 
     def test_the_error_of_the_sum_is_that_of_a_shared_coefficient(self, result: FitResult) -> None:
-        tied = Tied(Toy(friction, FRICTION), {"c_f": FRICTIONS})
-        shared = output_error.fit(tied, result.trials)
+        parameters = share(FRICTION, {"c_f": FRICTIONS})
+        shared = output_error.fit(Toy(friction, FRICTION), result.trials, parameters=parameters)
         (sum_,) = idn.combinations(result)
         assert shared.status["c_f"] == "estimated"
         # the variance of the residuals is over 600 - 2 and over 600 - 4

@@ -35,7 +35,7 @@ def threshold(rivals: Sequence[Fit]) -> float:
     A refit to pure noise lowers the squared residuals by a chi-square variable. Its degrees of freedom are
     the number of parameters that act on one trial.
     """
-    most = max(len(fit.problem.taken[0][1]) for fit in rivals)
+    most = max(len(fit.problem.taken[0]) for fit in rivals)
     return math.sqrt(float(chdtri(most, 1.0 - LEVEL)))
 
 

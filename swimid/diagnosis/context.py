@@ -147,7 +147,7 @@ class Fit:
 
         They are zero for an unknown that does not affect the trial.
         """
-        numbers, derivatives = self.problem.taken[k][1], self.derivatives[k]
+        numbers, derivatives = self.problem.taken[k], self.derivatives[k]
         wanted = np.asarray(unknowns, dtype=int)
         place = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
         if not len(numbers):
@@ -691,7 +691,7 @@ def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
     """
     normal = precision.copy()
     for k, rows in enumerate(fit.derivatives):
-        seen, own = noise_model.whiten(fit.problem, k, rows), fit.problem.taken[k][1]
+        seen, own = noise_model.whiten(fit.problem, k, rows), fit.problem.taken[k]
         normal[np.ix_(own, own)] += seen.T @ seen
     return inverted(normal)
 

@@ -210,7 +210,6 @@ class Affected(Model):
         self.timed_runs = model.timed_runs
         self.has_gaps = model.has_gaps
         self.in_space = model.in_space
-        self.groups = model.groups
         self._trials = tuple(trials)
         self.own = [effect.parameters(model, trials) for effect in self.effects]
         self._contents = [effect.content() for effect in self.effects]

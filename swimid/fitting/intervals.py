@@ -219,7 +219,7 @@ def compute_errors(
     shared = np.array([j for j, (_, k) in enumerate(problem.slots) if k is None and free[j]], dtype=int)
     own = [np.array([j for j in problem.own(k) if free[j]], dtype=int) for k in range(len(rows))]
     parts, apart = [], []
-    for mine, part, (_, numbers) in zip(own, rows, problem.taken, strict=True):
+    for mine, part, numbers in zip(own, rows, problem.taken, strict=True):
         columns = part[:, np.searchsorted(numbers, np.concatenate((shared, mine)))]
         parts.append(columns)
         common = columns[:, : len(shared)]

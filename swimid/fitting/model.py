@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -38,7 +36,6 @@ MEAN_SPEED = "mean_speed_m_s"
 #: Number of segments into which a track is divided to compute the mean speed. Few long segments keep
 #: measurement noise from lengthening the path.
 STRETCHES = 12
-Entry = TypeVar("Entry")
 Outcome = TypeVar("Outcome")
 
 
@@ -68,6 +65,8 @@ class Parameter:
     kinked : bool
         Whether the simulation is a non-smooth function of the parameter, as for a body that sticks and slips.
         Searches then start from several values.
+    members : tuple of str
+        Parameters of the model that share this parameter of a fit. Empty if it is a parameter of the model.
     """
 
     name: str
@@ -82,6 +81,7 @@ class Parameter:
     source: str = ""
     known: float | None = None
     kinked: bool = False
+    members: tuple[str, ...] = ()
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
@@ -538,8 +538,6 @@ class Model(ABC):
     in_space : bool
         Whether the model is a robot with links that moves in 3-D, and not in a plane. It is simulated for one
         stroke cycle after the other.
-    groups : mapping of str to tuple of str
-        Names of shared parameters (:class:`Tied`), each with the parameters that it replaces.
 
     Examples
     --------
@@ -563,7 +561,6 @@ class Model(ABC):
     force_unit: str = "N"
     timed_runs: bool = False
     has_gaps: bool = False
-    groups: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     in_space: bool = False
 
     @property
@@ -744,19 +741,6 @@ class Model(ABC):
         found = {p.name: p.start for p in self.parameters}
         return next((found[name] for name in names if name in found), 0.0)
 
-    def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
-        """Return entries by parameter, with each shared parameter replaced by the members of its group.
-
-        The keys are parameter names or ``name[trial]``. Each member has the entry of the shared parameter,
-        and so its standard error. The members are fully correlated.
-        """
-        found: dict[str, Entry] = {}
-        for label, entry in entries.items():
-            name, bracket, rest = label.partition("[")
-            for member in self.groups.get(name, (name,)):
-                found[member + bracket + rest] = entry
-        return found
-
     def estimates(self, *names: str) -> bool:
         """Return whether the model estimates one of the named parameters."""
         return any(p.name in names and p.free for p in self.parameters)
@@ -909,131 +893,3 @@ def _speed(trial: Trial) -> float | None:
         path = float(np.linalg.norm(np.diff(place[every], axis=0), axis=1).sum())
         return path / float(time[every][-1] - time[0])
     return None
-
-
-class Tied(Model):
-    """Model in which each group of parameters is replaced by one shared parameter.
-
-    The shared parameter has the index of the first member of its group. Its start value is the mean of the
-    members' start values. Its bounds are the intersection of the members' bounds. Its scale is the largest
-    scale of the members.
-
-    Parameters
-    ----------
-    model : Model
-    groups : mapping of name to sequence of str
-        Name of each shared parameter, and the names of its members.
-
-    Raises
-    ------
-    UsageError
-        If a member is unknown or belongs to two groups, if the name is already used, or if members differ in
-        unit or have no common value within their bounds.
-    """
-
-    def __init__(self, model: Model, groups: Mapping[str, Sequence[str]]) -> None:
-        self.model = model
-        self.groups = {name: tuple(members) for name, members in groups.items()}
-        self.name = model.name
-        self.channels = model.channels
-        self.abscissa = model.abscissa
-        owner: dict[str, str] = {}
-        for name, members in self.groups.items():
-            for member in members:
-                model.index(member)
-                if member in owner:
-                    raise UsageError(f"{member} is shared twice: as {owner[member]} and as {name}")
-                owner[member] = name
-        parameters: dict[str, Parameter] = {}
-        for parameter in model.parameters:
-            name = owner.get(parameter.name, parameter.name)
-            if parameter.name not in owner and name in self.groups:
-                raise UsageError(f"the name {name} is taken by a parameter that does not share it")
-            if name not in self.groups:
-                parameters[name] = parameter
-            elif name not in parameters:
-                parameters[name] = self._shared(name)
-        self.parameters, places = tuple(parameters.values()), list(parameters)
-        owners = [owner.get(p.name, p.name) for p in model.parameters]
-        self._places = np.array([places.index(name) for name in owners], dtype=int)
-
-    @property
-    def body(self) -> Any:
-        """Body of the swimmer in the original model, without shared parameters; None for other models."""
-        return self.model.body
-
-    @property
-    def swimmer(self) -> Any:
-        """Original model without shared parameters, if it is a robot with links; None otherwise."""
-        return self.model.swimmer
-
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial, with the value of the shared parameter for every member of a group."""
-        return self.model.simulate(self.members(values), trial)
-
-    @property
-    def together(self) -> int:
-        """Number of trials that the model simulates together in about the time of one trial."""
-        return self.model.together
-
-    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several trials, each with its effects (see :meth:`Model.hooked_many`)."""
-        return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])
-
-    def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """Compile the simulation of the model without shared parameters (see :meth:`Model.prepare`)."""
-        self.model.prepare(progress, **how)
-
-    def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the time derivative of each channel (see :meth:`Model.sensitivity_to_time`)."""
-        return self.model.sensitivity_to_time(self.members(values), trial)
-
-    def refined(self) -> Tied | None:
-        """Return the model with half the integration step; None if the model does not integrate."""
-        finer = self.model.refined()
-        return None if finer is None else Tied(finer, self.groups)
-
-    def members(self, values: Array) -> Array:
-        """Return the parameter values of the original model: each member has the shared value."""
-        return np.asarray(values, dtype=float)[self._places]
-
-    def _shared(self, name: str) -> Parameter:
-        """Return the shared parameter that replaces the members of the named group."""
-        members = [self.model.parameters[self.model.index(m)] for m in self.groups[name]]
-        first = members[0]
-        for other in members[1:]:
-            if (other.unit, other.per_trial) != (first.unit, first.per_trial):
-                both = f"{first.name} ({first.unit}) and {other.name} ({other.unit})"
-                raise UsageError(f"{both} cannot share a value")
-        lower, upper = max(m.lower for m in members), min(m.upper for m in members)
-        if lower > upper:
-            raise UsageError(f"no value lies within the bounds of all of {', '.join(self.groups[name])}")
-        start = float(np.clip(np.mean([m.start for m in members]), lower, upper))
-        return replace(
-            first,
-            name=name,
-            lower=lower,
-            upper=upper,
-            start=start,
-            scale=max(m.scale for m in members),
-            free=any(m.free for m in members),
-            meaning=f"one value for {', '.join(self.groups[name])}",
-            source="",
-        )
-
-
-def groups_by_prefix(model: Model, prefix: str) -> dict[str, tuple[str, ...]]:
-    """Return one group with all parameters whose name is the prefix followed by digits.
-
-    Raises
-    ------
-    UsageError
-        If fewer than two parameters match. The hint has the nearest prefix.
-    """
-    members = tuple(p.name for p in model.parameters if re.fullmatch(re.escape(prefix) + r"\d+", p.name))
-    if len(members) < 2:
-        stems = [re.sub(r"\d+$", "", p.name) for p in model.parameters if re.search(r"\d+$", p.name)]
-        several = sorted({s for s in stems if stems.count(s) > 1})
-        hint = suggestion(prefix, several)
-        raise UsageError(f"the model {model.name} has no parameters to share as '{prefix}'", hint=hint)
-    return {prefix: members}

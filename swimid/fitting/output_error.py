@@ -22,6 +22,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise, uncertainty
 from swimid.fitting.intervals import Differences, compute_errors
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.parameter_map import values_of
 from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Blocks, Patience, Problem, minimise
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import Progress, show, silent, warn
@@ -183,7 +184,8 @@ class FitResult:
 
     def values(self, trial: str) -> Array:
         """Return the values of all parameters in one trial, in the order of the model."""
-        return np.array([self.value(p.name, trial) for p in self.parameters])
+        known = {p.name: self.value(p.name, trial) for p in self.parameters}
+        return values_of(self.model, self.parameters, known)
 
 
 # ---------------------------------------------------------------- fit
@@ -591,7 +593,7 @@ def with_intervals(result: FitResult) -> FitResult:
         return result
     scale, central = problem.scale, result.samples * len(theta) <= 50_000
     derivatives = problem.own_jacobians(theta, central=central)
-    rows = [-part * scale[at] for part, (_, at) in zip(derivatives, problem.taken, strict=True)]
+    rows = [-part * scale[at] for part, at in zip(derivatives, problem.taken, strict=True)]
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     errors = compute_errors(problem, theta, free, rows, residuals)
     root = np.full((len(errors.root), len(theta)), np.nan)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from swimid.files import isolated
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.parameter_map import ParameterMap
 
 #: Minimum duration of one simulation, s, above which several simulations are divided among threads.
 WORTH_A_THREAD = 3e-4
@@ -164,13 +165,9 @@ class Problem:
 
     Attributes
     ----------
-    labels : list of str, length p
-        One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own
-        value.
-    slots : list of (int, int or None), length p
-        Index of the parameter of each unknown, and index of its trial (None for a shared parameter).
-    taken : list of (ndarray, ndarray)
-        For each trial: indices of its estimated parameters, and indices of the corresponding unknowns.
+    map : ParameterMap
+        Values of the model's parameters in each trial. It has the ``labels`` and ``slots`` of the unknowns,
+        and for each trial the unknowns that affect it (``taken``).
     channels : list of list of str
         Names of the channels of each trial that have samples.
     masks, sd : list of list of ndarray, each shape (n_k,)
@@ -205,43 +202,28 @@ class Problem:
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
         ]
-        unknowns: list[tuple[int, int | None, str, float]] = []
-        for index, p in enumerate(self.parameters):
-            if p.free and not p.per_trial:
-                unknowns.append((index, None, p.name, p.start))
-            for k, t in enumerate(self.trials):
-                if p.free and p.per_trial and p.name not in t.held:
-                    # Prefer the start value that the log of the trial suggests to that of the parameter.
-                    unknowns.append((index, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)))
-        self.slots = [(index, k) for index, k, _, _ in unknowns]
-        self.labels = [label for _, _, label, _ in unknowns]
-        indices = np.array([index for index, _ in self.slots], dtype=int)
-        self.taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
-        for k in range(len(self.trials)):
-            owned = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
-            self.taken.append((indices[owned], np.array(owned, dtype=int)))
+        self.map = ParameterMap([p.name for p in model.parameters], self.parameters, self.trials)
+        self.labels, self.slots, self.taken = self.map.labels, self.map.slots, self.map.taken
         self.masks, self.sd, self._kept = [], [], []
         for t, names in zip(self.trials, self.channels, strict=True):
             masks = [np.isfinite(t.measured[c]) for c in names]
             self.masks.append(masks)
             self.sd.append([np.ones(len(t.time_s)) for _ in names])
             self._kept.append(slice(None) if all(mask.all() for mask in masks) else np.concatenate(masks))
-        self._values = np.array([p.start for p in self.parameters])
         own = [self.parameters[i] for i, _ in self.slots]
         self.lower, self.upper, self.scale, mean = (
             np.array([getattr(p, name) for p in own]) for name in ("lower", "upper", "scale", "start")
         )
         self.prior = mean, np.zeros((0, len(own)))
         self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
-        starts = np.array([start for _, _, _, start in unknowns], dtype=float)
-        self.start = np.clip(starts, self.lower, self.upper)
+        self.start = np.clip(self.map.start, self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self.counts = [len(values) for values in self._measured]
         ends = np.cumsum(self.counts)
         # Store for each trial the rows of its residuals and the columns of its unknowns in the Jacobian.
         self._blocks = [
             (slice(end - len(values), end), numbers)
-            for end, values, (_, numbers) in zip(ends, self._measured, self.taken, strict=True)
+            for end, values, numbers in zip(ends, self._measured, self.taken, strict=True)
         ]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
@@ -270,11 +252,8 @@ class Problem:
         return [j for j, (_, owner) in enumerate(self.slots) if owner == trial]
 
     def vector(self, theta: Array, trial: int) -> Array:
-        """Return the values of all parameters in one trial, shape (len(parameters),)."""
-        values = self._values.copy()
-        parameters, numbers = self.taken[trial]
-        values[parameters] = theta[numbers]
-        return values
+        """Return the values of the model's parameters in one trial."""
+        return self.map.values(theta, trial)
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
         """Return the simulated channels of every trial. Those of the last :data:`KEPT` points are cached."""
@@ -326,7 +305,7 @@ class Problem:
         """
         own = self.own_jacobians(theta, central=central)
         found = [np.zeros((len(rows), len(theta))) for rows in own]
-        for whole, rows, (_, numbers) in zip(found, own, self.taken, strict=True):
+        for whole, rows, numbers in zip(found, own, self.taken, strict=True):
             whole[:, numbers] = rows
         return found
 
@@ -351,7 +330,7 @@ class Problem:
             multiplied by the current weights.
         """
         self._slopes = None
-        for k, (_, numbers) in enumerate(other.taken):
+        for k, numbers in enumerate(other.taken):
             columns = np.ascontiguousarray((derivatives[k] / self.sample_weights(k)[:, None]).T)
             self._held[k] = {other.labels[j]: column for j, column in zip(numbers, columns, strict=True)}
 
@@ -445,13 +424,13 @@ class Problem:
         points: list[tuple[Array, int]] = []
         # Order the simulations by trial, so that simulations of one trial can share the computed motion of
         # its drive.
-        for k, (_, numbers) in enumerate(self.taken):
+        for k, numbers in enumerate(self.taken):
             for j in (j for j in numbers if self.labels[j] not in self._held[k]):
                 points += [(moved[j], k) for moved in (ahead, back)[: 1 + both[j]]]
         moves = iter(self.simulated(points))
         width = (theta + steps) - np.where(both, theta - steps, theta)
         slopes = []
-        for k, (_, numbers) in enumerate(self.taken):
+        for k, numbers in enumerate(self.taken):
             columns = np.empty((len(numbers), len(here[k])))
             for column, j in zip(columns, numbers, strict=True):
                 if self.labels[j] in self._held[k]:
@@ -469,7 +448,7 @@ class Problem:
         """Return whether two points differ by less than :attr:`near` standard errors."""
         moved = left = 0.0
         for k, rows in enumerate(slopes):
-            change = rows @ (theta - where)[self.taken[k][1]] * self.sample_weights(k)
+            change = rows @ (theta - where)[self.taken[k]] * self.sample_weights(k)
             residuals = self.trial_residuals(theta, k)
             moved += float(change @ change)
             left += float(residuals @ residuals)

@@ -18,8 +18,9 @@ from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
+from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult
+from swimid.fitting.parameter_map import expand, groups_by_prefix, share, values_of
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent
@@ -193,10 +194,13 @@ class Posed:
             start_state=options.start_state,
             max_step=options.dt,
         )
-        model, begin = _with_shared(experiment.model, options.share), options.start_from
-        parameters = model.parameters
+        model, begin = experiment.model, options.start_from
+        groups: dict[str, tuple[str, ...]] = {}
+        for prefix in options.share:
+            groups |= groups_by_prefix(model.parameters, prefix)
+        parameters = share(model.parameters, groups)
         if begin is not None:
-            parameters = _started_from(begin, parameters, options.share)
+            parameters = _started_from(begin, parameters)
         parameters = fit_common.prepare(
             experiment,
             output,
@@ -430,7 +434,8 @@ def _explain(
             own = output_error.estimate_start(
                 model, parameters, trial, sd, tolerance=mistakes.START_TOLERANCE
             )
-            values = np.array([own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
+            known = {p.name: own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters}
+            values = values_of(model, parameters, known)
             found.append(mistakes.misfits(trial, model.attempt(values, trial)))
         found = [errors for errors in found if errors]
         return min(found, key=lambda e: sum(np.log([m.relative for m in e.values()])), default={})
@@ -459,16 +464,8 @@ def _explain(
     return best
 
 
-def _with_shared(model: Model, share: Sequence[str]) -> Model:
-    """Return the model with one shared value for all coefficients whose names have a common prefix."""
-    groups = {name: members for prefix in share for name, members in groups_by_prefix(model, prefix).items()}
-    if not groups:
-        return model
-    return Tied(model, groups)
-
-
 def _started_from(
-    source: parameters_format.Source, parameters: tuple[Parameter, ...], share: Sequence[str]
+    source: parameters_format.Source, parameters: tuple[Parameter, ...]
 ) -> tuple[Parameter, ...]:
     """Return the parameters with start values from a parameter file.
 
@@ -477,9 +474,7 @@ def _started_from(
     file = parameters_format.read(source, model=("multilink", "multibody"))
     found = []
     for parameter in parameters:
-        members = [parameter.name]
-        if parameter.name in share:
-            members = [n for n in file.parameters if n.removeprefix(parameter.name).isdigit()]
+        members = parameter.members or (parameter.name,)
         known = [file.parameters[n].value for n in members if n in file.parameters]
         if known and not parameter.per_trial:
             value = float(np.clip(np.mean(known), parameter.lower, parameter.upper))
@@ -492,10 +487,10 @@ def _started_from(
 
 def _parameter_file(posed: Posed, result: FitResult, origin: dict[str, Any], folder: Path) -> ParameterFile:
     """Return the parameter file of a fit."""
-    model, options, experiment = result.model, posed.options, posed.experiment
+    options, experiment = posed.options, posed.experiment
     settings: dict[str, Any] = {
         "readings": dict(options.readings),
-        "shared": {name: list(members) for name, members in model.groups.items()},
+        "shared": {p.name: list(p.members) for p in result.parameters if p.members},
     }
     if options.start_state != "auto":
         settings["start_state"] = options.start_state
@@ -514,7 +509,7 @@ def _parameter_file(posed: Posed, result: FitResult, origin: dict[str, Any], fol
     drives = swimmer.driven_range([t for t in experiment.trials if t.role == "fit"])
     if file.fit is not None and file.fit.model_extra is not None and drives:
         file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
-    return file.model_copy(update={"parameters": model.expanded(file.parameters)})
+    return file.model_copy(update={"parameters": expand(result.parameters, file.parameters)})
 
 
 def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
