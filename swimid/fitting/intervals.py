@@ -109,7 +109,7 @@ class Errors:
     covariance : ndarray, shape (p, p)
         Covariance of the scaled unknowns. The 95 % interval of an estimate is 1.96 square roots of the
         diagonal wide on each side. NaN for unknowns that the residuals do not determine.
-    root : ndarray, shape (r, p)
+    root : ndarray, shape (p, p)
         Square root of the inverse of the covariance. It is accurate even if the covariance is infinite.
     differences : Differences
         Differences between the trials, in scaled units.
@@ -230,7 +230,7 @@ def compute_errors(
     frame = Coordinates(apart)
     if not len(frame.forward):
         nothing = np.full((len(theta),) * 2, np.nan)
-        return Errors(nothing, np.zeros((0, len(theta))), Differences(len(rows)))
+        return Errors(nothing, np.zeros((len(theta),) * 2), Differences(len(rows)))
     series = compute_rows(problem, residuals, parts)
     scores = _Scores(series, frame.backward, [len(mine) for mine in own])
     magnitude = np.maximum(np.abs(theta) / problem.scale, 1.0)[shared]
@@ -622,8 +622,7 @@ def _assembled(
         Factor of the standard error of each shared unknown.
     """
     values, vectors = np.linalg.eigh(whitened)
-    q, rows = len(whitened), len(whitened) + sum(len(root) for root, _ in scores.roots)
-    root = np.zeros((rows, unknowns))
+    q, root = len(whitened), np.zeros((unknowns, unknowns))
     root[:q, shared] = (vectors / np.sqrt(values)).T @ frame.forward / factor
     covariance = np.full((unknowns, unknowns), np.nan)
     change = np.zeros((unknowns, q))
