@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,8 @@ ALARM = "alarm: "
 #: Maximum width of the 95 % interval of a share, of which a row may say that it is ok. 400 repeats of an
 #: interval that holds 95 % have a width of 4.5 points, and 200 repeats one of 6.6.
 MAX_WIDTH = 0.06
-WIDTH = "at most "
+#: Ends of the names of quantities that state their wanted range: a share in per cent, or a ratio.
+SHARE, WIDTH = " ({} to {} % wanted)", "at most "
 #: Wanted coverage of a 95 % interval.
 COVERAGE = (0.92, 0.98)
 #: Rates of false alarms of the checks that state a significance level, by a part of the name of the check.
@@ -20,7 +22,7 @@ LEVELS = {
     "white": 0.01,
     "independent of the input": 0.01,
     "equal parameters in all trials": 0.001,
-    "agree": 0.001,
+    "agree": 0.01,
 }
 #: Largest rate of false alarms of a check with a limit that noise alone never reaches.
 NEVER = 0.01
@@ -92,6 +94,10 @@ def alarms(result: Any, name: str = "") -> dict[str, float]:
 
 def wanted(quantity: str) -> tuple[float, float]:
     """Return the wanted range of the share of a quantity."""
+    stated = re.search(r"\((\d+) to (\d+) % wanted\)$", quantity)
+    if stated is not None:
+        low, high = stated.groups()
+        return (int(low) / 100, int(high) / 100)
     if WIDTH in quantity:
         return (0.0, float(quantity.rpartition(WIDTH)[2]))
     if ALARM not in quantity:
