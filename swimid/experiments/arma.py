@@ -18,7 +18,19 @@ from swimid.logs.sampling import DURATION_S, even_times
 
 
 class Arma(Trials):
-    """Trials file for a black-box model from one input column to one output column of the logs."""
+    """Trials file for a black-box model from one input column to one output column of the logs.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: arma
+        robot: tfish
+        input: cmd1_rad
+        output: yaw_rate_rad_s
+        trials:
+          - {log: run1.csv}
+          - {log: run2.csv, role: validate}
+    """
 
     about = "a black-box model from one column to another; add input and output"
     models = (ArxModel.name,)
@@ -85,5 +97,4 @@ class Arma(Trials):
             raise UsageError(
                 f"this model runs on the column '{model.source}': give a log with --input run.csv"
             )
-        robot = options.robot or file.robot or "unknown"
-        return Run(cls.title(), robot, model, trial, metadata, trial.inputs)
+        return Run(model, trial, metadata=metadata, extra=trial.inputs)

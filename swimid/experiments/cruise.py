@@ -28,7 +28,16 @@ FAR_M = 1e9
 
 
 class Cruise(Trials):
-    """Trials file of a cruise experiment, which names a table of cruising speeds."""
+    """Trials file of a cruise experiment, which names a table of cruising speeds.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: cruise
+        robot: boxfish
+        table: speeds.csv
+        drag: drag.yaml
+    """
 
     about = "table of cruising speeds; drag is the result of fit-drag for this robot"
     models = (RecoilModel.name,)
@@ -145,7 +154,7 @@ class Cruise(Trials):
 
         units = {"terminal_speed_m_s": "m/s", SPEED: "m/s", "propulsive_force_N": "N"}
         extra = table_columns(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
-        return Run(cls.title(), robot.name, model, trial, extra=extra, units=units, quantities=compute)
+        return Run(model, trial, robot.name, extra=extra, units=units, quantities=compute)
 
 
 def find_drag_file(path: Path, file: parameters_format.ParameterFile) -> parameters_format.Source:

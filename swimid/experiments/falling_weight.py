@@ -55,7 +55,17 @@ class FallingWeightTrial(RigTrial):
 
 
 class FallingWeight(Trials):
-    """Trials file of a falling-weight experiment."""
+    """Trials file of a falling-weight experiment.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: falling-weight
+        robot: boxfish
+        trials:
+          - {log: w10.csv, pulling_mass_kg: 0.010}
+          - {log: w20.csv, pulling_mass_kg: 0.020, role: validate}
+    """
 
     about = "a weight pulls the robot; add pulling_mass_kg to each trial"
     models = ("falling-weight",)
@@ -144,7 +154,7 @@ class FallingWeight(Trials):
 
         units = {"terminal_speed_m_s": "m/s", "last_speed_m_s": "m/s", "distance_m": "m"}
         metadata = {"pulling_mass_kg": pulling}
-        return Run(cls.title(), robot.name, model, trial, metadata, units=units, quantities=compute)
+        return Run(model, trial, robot.name, metadata, units=units, quantities=compute)
 
 
 def _without_standstill(log: Log) -> tuple[Array, Array]:

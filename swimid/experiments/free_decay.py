@@ -35,7 +35,17 @@ MAX_CREEP = 0.2
 
 
 class FreeDecay(Trials):
-    """Trials file of a free-decay experiment: the robot is displaced and released."""
+    """Trials file of a free-decay experiment: the robot is displaced and released.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: free-decay
+        robot: boxfish
+        trials:
+          - {log: roll1.csv, start_s: 1.5}
+          - {log: roll2.csv, role: validate}
+    """
 
     about = "the robot is displaced and released"
     models = ("free-decay",)

@@ -46,7 +46,17 @@ SURGE_KEYS = (
 
 
 class FreeSwim(Trials):
-    """Trials file of a free-swimming experiment."""
+    """Trials file of a free-swimming experiment.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: free-swim
+        robot: tfish
+        trials:
+          - {log: slow.csv, drive: {frequency_hz: 1.0, amplitude_deg: 20}}
+          - {log: fast.csv, drive: {frequency_hz: 1.8, amplitude_deg: 20}, role: validate}
+    """
 
     about = "it swims in a plane; add drive: {frequency_hz: 1, amplitude_deg: 20}, or log the joint angles"
     models = ("multilink", "multibody", SurgeModel.name)

@@ -13,7 +13,17 @@ from swimid.swimmer import trials as swimmer
 
 
 class Multibody(Trials):
-    """Trials file for a robot of rigid links. The logs have joint angles, a pose, or both."""
+    """Trials file for a robot of rigid links. The logs have joint angles, a pose, or both.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: multibody
+        robot: sealion
+        trials:
+          - {log: stroke1.csv, drive: {stroke: characteristic}}
+          - {log: stroke2.csv, role: validate}
+    """
 
     about = "any motion of a robot with links or of a vehicle"
     models = ("multilink", "multibody")

@@ -24,7 +24,17 @@ MAX_FORCE_GAP = 4
 
 
 class Towed(Trials):
-    """Trials file of an experiment with a measured force on the towed robot."""
+    """Trials file of an experiment with a measured force on the towed robot.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: towed
+        robot: boxfish
+        trials:
+          - {log: tow1.csv}
+          - {log: tow2.csv, role: validate}
+    """
 
     about = "the robot is towed by a measured force"
     models = ("towed",)

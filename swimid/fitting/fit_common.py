@@ -19,7 +19,7 @@ import numpy as np
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.kernels import numba
-from swimid.files.provenance import Held, Input
+from swimid.files.provenance import Input
 from swimid.fitting import output_error
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
 from swimid.fitting.output_error import STEP_ERROR, FitResult
@@ -130,11 +130,11 @@ class Run:
 
     Attributes
     ----------
-    experiment, robot : str
-        Names of the experiment and of the robot, for the metadata of the log.
     model : Model
     trial : Trial
-        Sample times and inputs. It has no measured channels.
+        Sample times and inputs.
+    robot : str
+        Name of the robot in the metadata of the log. By default it is that of the parameter file.
     metadata : dict
         Further metadata of the log.
     extra : dict of str to ndarray, each shape (n,)
@@ -146,10 +146,9 @@ class Run:
         ``units``.
     """
 
-    experiment: str
-    robot: str
     model: Model
     trial: Trial
+    robot: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -983,7 +982,7 @@ def fit_model(
     freed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     robot: str = "",
-    inputs: Sequence[Path | Held] = (),
+    inputs: Sequence[Input] = (),
     output: str | Path | None = None,
     progress: Progress = automatic,
 ) -> Fitted:
@@ -1007,7 +1006,7 @@ def fit_model(
         Bounds that replace those of the model, in the units of the parameters.
     robot : str
         Name of the robot, for the parameter file.
-    inputs : sequence of Path or Held
+    inputs : sequence of paths or objects
         Sources of the trials for the provenance: the ``log.source`` of each log.
     output : path, optional
         Parameter file to write, together with its evidence file. By default nothing is written.

@@ -74,7 +74,7 @@ class TrialSet:
         cls,
         trials: Sequence[Mapping[str, Any]],
         *,
-        experiment: str | type[Trials],
+        experiment: str | Path | type[Trials],
         robot: str,
         name: str = "trials",
         **keys: Any,
@@ -198,7 +198,11 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
         data = yamlio.of_format(path, FORMAT, "trials file")
     kind = find_experiment(str(data.get("experiment")), own)
     if kind is None or (command and command not in kind.commands):
-        raise _not_allowed(data, path, [*find_experiments(own, command)])
+        names = [*find_experiments(own, command)]
+        commands: Sequence[str] = ()
+        if kind is not None:
+            commands = kind.commands
+        raise _not_allowed(data, path, names, command, commands)
     trials: Any = held or yamlio.validate(data, kind, path)
     trials._data = data
     line = yamlio.line_of(data, ["robot"])
@@ -219,18 +223,26 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
     return trials
 
 
-def _not_allowed(data: Any, path: Path, names: list[str]) -> InputError:
-    """Return the error for a trials file without an experiment, or with one that is none of ``names``."""
+def _not_allowed(
+    data: Any, path: Path, names: list[str], command: str, commands: Sequence[str]
+) -> InputError:
+    """Return the error for a trials file without an experiment, or with one that is none of ``names``.
+
+    ``commands`` are the commands that fit the experiment of the file; ``command`` is none of them.
+    """
     hint, what = None, "is missing"
     if "experiment" in data:
         experiment = str(data["experiment"])
         what = f"'{experiment}' is not allowed"
-        if close := nearest(experiment, names):
+        if commands:
+            hint = f"its command is: {' or '.join(f'swimid {name}' for name in commands)}"
+        elif close := nearest(experiment, names):
             hint = f"did you mean '{close}'?"
+        elif not command or command == "fit":
+            hint = "give the Python file of an experiment of your own with --experiment"
     line = yamlio.line_of(data, ["experiment"])
-    return InputError(
-        f"{what}; here: {', '.join(names)}", file=path, line=line, column="experiment", hint=hint
-    )
+    text = f"{what}; here: {', '.join(names) or 'those of --experiment'}"
+    return InputError(text, file=path, line=line, column="experiment", hint=hint)
 
 
 def same_recordings(trials: Sequence[tuple[TrialEntry, Path]]) -> list[list[int]]:

@@ -328,7 +328,8 @@ class Fitted(FileResult[ParameterFile]):
         """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
         if not self._inputs(Path()):
             return FileResult.next_step
-        return "swimid compare {trials} --params {file} -o {free[comparison.yaml]}"
+        own = "{own}" * (not self.file.effects)
+        return f"swimid compare {{trials}}{own} --params {{file}} -o {{free[comparison.yaml]}}"
 
     @property
     def parameters(self) -> pd.DataFrame:

@@ -134,10 +134,11 @@ def case_of_options(options: SimulateOptions) -> Case:
         return _swim(options, file)
     if options.readings:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
-    kind = next(iter(described.values()))
+    name, kind = next(iter(described.items()))
     run = kind.simulated(options, (path, file), _times(options))
+    robot = run.robot or options.robot or file.robot or "unknown"
     applied = Applied(run.model, file, path, options.chosen, [run.trial], options.own_effects)
-    metadata = _metadata(options, run.robot, experiment=run.experiment, **run.metadata)
+    metadata = _metadata(options, robot, experiment=name, **run.metadata)
     compute = None
     if run.quantities is not None:
         compute = _each(partial(run.quantities, applied))

@@ -382,9 +382,17 @@ def read_parameters(
         If the source is not a parameter file, or its model describes no experiment.
     """
     known = find_experiments(own)
-    models = tuple(dict.fromkeys(model for kind in known.values() for model in kind.models))
-    file = parameters_format.read(source, model=models)
-    return file, {name: kind for name, kind in known.items() if file.model in kind.models}
+    file = parameters_format.read(source)
+    described = {name: kind for name, kind in known.items() if file.model in kind.models}
+    if not described:
+        models = dict.fromkeys(model for kind in known.values() for model in kind.models)
+        raise InputError(
+            f"holds parameters of the model '{file.model}', not of {' or '.join(models)}",
+            file=parameters_format.place(source),
+            column="model",
+            hint="give the Python file of an experiment of your own with --experiment",
+        )
+    return file, described
 
 
 def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
