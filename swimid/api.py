@@ -132,10 +132,10 @@ def load(
     >>> load([drop], experiment="falling-weight", robot="boxfish").experiment
     'falling-weight'
     """
-    from swimid.logs.trials import TrialSet, own_experiments
+    from swimid.logs.trials import TrialSet, find_own_experiments
 
     if isinstance(trials, str | Path | TrialSet):
-        own = own_experiments(*filter(None, [experiment]))
+        own = find_own_experiments(experiment or "")
         if (experiment is not None and not own) or robot is not None or keys:
             raise UsageError("a trials file names its experiment, robot and keys itself")
         if isinstance(trials, TrialSet):

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 import swimid as package
 from swimid.errors import InputError, UsageError
 from swimid.files import yamlio
-from swimid.logs.experiments import Trials, built_in, experiments_of_file, find_experiments
+from swimid.logs.experiments import Trials, built_in, find_experiments, read_experiments
 from tests.conftest import ROOT
 
 #: The example of CONTRIBUTING.md: a body that coasts.
@@ -54,7 +54,7 @@ def coasting(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("name", built_in())
 def test_an_experiment_has_the_name_of_its_module_and_a_valid_example(name: str) -> None:
     kind = find_experiments()[name]
-    assert kind.title() == name
+    assert kind.title == name
     assert kind.about
     text = inspect.cleandoc(str(kind.__doc__)).split("Example::\n")[1]
     assert yamlio.validate(yaml.safe_load(text), kind, "example").experiment == name
@@ -97,7 +97,7 @@ class TestOwnExperiment:
 
     def test_from_python_it_is_a_class_or_a_file(self, coasting):
         file = coasting / "coasting_body.py"
-        (kind,) = experiments_of_file(file)
+        (kind,) = read_experiments(file)
         logs = [{"log": glide(start, seed)} for seed, start in enumerate((0.3, 0.8))]
         for own in (kind, file):
             trials = package.load(logs, experiment=own, robot="boxfish")
@@ -147,8 +147,13 @@ class TestMessages:
         path = coasting / "coasting_body.py"
         path.write_text(path.read_text(encoding="utf-8").replace(before, after), encoding="utf-8")
         with pytest.raises(InputError, match=words) as caught:
-            experiments_of_file(path)
+            read_experiments(path)
         assert "coasting_body.py" in str(caught.value)
+
+    def test_a_name_in_place_of_a_file(self, swimid, coasting):
+        ran = swimid("fit", coasting / "trials.yaml", "--experiment", "coasting-body")
+        assert ran.status == 3
+        assert "coasting-body: there is no such file" in ran.err
 
     def test_parameters_of_an_unknown_model(self, swimid, coasting):
         own = ("--experiment", coasting / "coasting_body.py")
@@ -161,4 +166,4 @@ class TestMessages:
 
 
 def test_a_base_class_is_no_experiment() -> None:
-    assert Trials.title() == ""
+    assert Trials.title == ""

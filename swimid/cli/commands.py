@@ -66,7 +66,7 @@ def import_log(
 
 #: Pydantic model of each file format of swimid that is not the format of a result, as ``module:attribute``.
 OTHERS = {
-    "trials": "swimid.logs.experiments:schema",
+    "trials": "swimid.logs.experiments:make_schema",
     "robot": "swimid.robots.file:schema_of",
     "setup": "swimid.tracking.setup:Setup",
     "mapping": "swimid.logs.mapping:Mapping",

@@ -77,7 +77,7 @@ class Arma(Trials):
         return Experiment.of(self, path, model, trials, logs)
 
     @classmethod
-    def simulated(cls, options: Any, params: Params, time_s: Array) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> Run:
         """Return a simulation from the input column of a log, or from the sine of the parameter file."""
         path, file = params
         model = ArxModel(file, path)

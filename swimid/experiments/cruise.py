@@ -116,7 +116,7 @@ class Cruise(Trials):
         return Experiment.of(self, path, model, trials, sources, robot, facts=facts)
 
     @classmethod
-    def simulated(cls, options: Any, params: Params, time_s: Array) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> Run:
         """Return a cruise with ``--fin``, ``--frequency-hz`` and ``--amplitude-deg``."""
         path, file = params
         fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg

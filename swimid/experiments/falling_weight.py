@@ -125,7 +125,7 @@ class FallingWeight(Trials):
         return made
 
     @classmethod
-    def simulated(cls, options: Any, params: Params, time_s: Array) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> Run:
         """Return a drop of the robot from rest, pulled by the weight of ``--pulling-mass-kg``."""
         path, file = params
         pulling = options.pulling_mass_kg

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from swimid.fitting.fit_common import fit_model, load_experiment
 from swimid.fitting.options import FitOptions
-from swimid.logs.trials import TrialSet, own_experiments
+from swimid.logs.experiments import read_experiments
+from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.results.parameters import Fitted
@@ -78,7 +79,7 @@ def fit(
     0.5
     """
     if not isinstance(trials, TrialSet):
-        trials = TrialSet.read(trials, own_experiments(*options.own_experiments))
+        trials = TrialSet.read(trials, read_experiments(*options.own_experiments))
     experiment = load_experiment(trials, command="fit")
     return fit_model(
         experiment.model,

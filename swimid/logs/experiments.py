@@ -126,6 +126,10 @@ class Trials(yamlio.Document):
 
     Attributes
     ----------
+    title : str
+        Name of the experiment, such as ``"free-decay"``; empty for a base class.
+    entry : class or None
+        Class with the keys of one trial; None if the experiment has one table.
     about : str
         Description in words, with the keys that a trial needs.
     models : tuple of str
@@ -136,7 +140,7 @@ class Trials(yamlio.Document):
         Columns that every log or table needs: at least one column of each group, in which ``*`` stands for
         any text.
     usual : sequence of sequences of str
-        Columns by which a log of the experiment is recognised, if these are not the columns in ``needs``.
+        Columns by which a log of the experiment is recognised. The default is ``needs``.
     asked : mapping
         Keys of a trial that only the user knows, with :data:`~swimid.files.yamlio.ASK` as value.
     robot_form : str
@@ -151,6 +155,8 @@ class Trials(yamlio.Document):
     #: Content of the trials file with its line numbers, for error messages.
     _data: Any = PrivateAttr(default=None)
 
+    title: ClassVar[str] = ""
+    entry: ClassVar[type[TrialEntry] | None] = None
     about: ClassVar[str]
     models: ClassVar[tuple[str, ...]]
     commands: ClassVar[tuple[str, ...]] = ("fit",)
@@ -165,25 +171,18 @@ class Trials(yamlio.Document):
     robot: str
 
     @classmethod
-    def title(cls) -> str:
-        """Return the name of the experiment, such as ``"free-decay"``; empty for a base class."""
-        return str(next(iter(get_args(cls.model_fields["experiment"].annotation)), ""))
-
-    @classmethod
-    def entry(cls) -> type[TrialEntry] | None:
-        """Return the class with the keys of one trial; None if the experiment has one table."""
-        field = cls.model_fields.get("trials")
-        return field and next(iter(get_args(field.annotation)))
-
-    @classmethod
-    def groups(cls) -> Sequence[Sequence[str]]:
-        """Return the groups of columns by which a log or a table of the experiment is recognised."""
-        return cls.usual or cls.needs
+    def __pydantic_init_subclass__(cls, **given: Any) -> None:
+        """Set the attributes that follow from the fields and from other attributes."""
+        super().__pydantic_init_subclass__(**given)
+        trials = cls.model_fields.get("trials")
+        cls.title = str(next(iter(get_args(cls.model_fields["experiment"].annotation)), ""))
+        cls.entry = trials and next(iter(get_args(trials.annotation)), None)
+        cls.usual = cls.usual or cls.needs
 
     @classmethod
     def has_columns(cls, columns: Collection[str]) -> bool:
         """Return whether a log or a table with these columns may be one of the experiment."""
-        return all(any(fnmatch.filter(columns, name) for name in group) for group in cls.groups())
+        return all(any(fnmatch.filter(columns, name) for name in group) for group in cls.usual)
 
     @abstractmethod
     def load(
@@ -214,7 +213,7 @@ class Trials(yamlio.Document):
         """
 
     @classmethod
-    def simulated(cls, options: Any, params: Params, time_s: Any) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Any) -> Run:
         """Return a simulation without a recording.
 
         Parameters
@@ -252,7 +251,7 @@ def find_experiment(name: str, own: Sequence[type[Trials]] = ()) -> type[Trials]
         Experiments of the user.
     """
     for kind in own:
-        if kind.title() == name:
+        if kind.title == name:
             return kind
     if name not in built_in():
         return None
@@ -263,47 +262,47 @@ def find_experiment(name: str, own: Sequence[type[Trials]] = ()) -> type[Trials]
 
 def find_experiments(own: Sequence[type[Trials]] = (), command: str = "") -> dict[str, type[Trials]]:
     """Return all experiments by name, or those that a command fits."""
-    names = dict.fromkeys([*built_in(), *(kind.title() for kind in own)])
+    names = dict.fromkeys([*built_in(), *(kind.title for kind in own)])
     found = {name: kind for name in names if (kind := find_experiment(name, own)) is not None}
     return {name: kind for name, kind in found.items() if not command or command in kind.commands}
 
 
-def experiments_of_file(path: str | Path) -> list[type[Trials]]:
-    """Return the experiments that a Python file defines.
+def read_experiments(*paths: str | Path) -> list[type[Trials]]:
+    """Return the experiments that Python files define.
 
     Parameters
     ----------
-    path : path
-        Python file, which is run. Its classes that are derived from :class:`Trials` are the experiments.
+    *paths : path
+        Python files, which are run. Their classes that are derived from :class:`Trials` are the experiments.
 
     Raises
     ------
     InputError
-        If the file cannot be run or defines no experiment, or if an experiment is incomplete or has the name
-        of another one. The error states file and line.
+        If a file cannot be run or defines no experiment, or if an experiment is incomplete or has the name of
+        another one. The error states file and line.
     """
-    path = Path(path)
     found: dict[str, type[Trials]] = {}
-    for kind in find_classes(run_file(path, "experiments"), Trials):
-        lacking = [name for name in ("about", "models") if not hasattr(kind, name)]
-        lacking += [f"{name}()" for name in sorted(kind.__abstractmethods__)]
-        faults = {
-            "needs a field 'experiment' with its name as a Literal": not kind.title(),
-            f"lacks {', '.join(lacking)}": lacking,
-            f"has a name that is used already: '{kind.title()}'": kind.title() in {*built_in(), *found},
-        }
-        for problem, fault in faults.items():
-            if fault:
+    for path in map(Path, paths):
+        kinds = find_classes(run_file(path, "experiments"), Trials)
+        if not kinds:
+            hint = "derive a class from swimid.logs.experiments.Trials"
+            raise InputError("defines no experiment", file=path, hint=hint)
+        for kind in kinds:
+            lacking = [name for name in ("about", "models") if not hasattr(kind, name)]
+            lacking += [f"{name}()" for name in sorted(kind.__abstractmethods__)]
+            faults = {
+                "needs a field 'experiment' with its name as a Literal": not kind.title,
+                f"lacks {', '.join(lacking)}": lacking,
+                f"has a name that is used already: '{kind.title}'": kind.title in {*built_in(), *found},
+            }
+            for problem in (problem for problem, fault in faults.items() if fault):
                 line = inspect.getsourcelines(kind)[1]
                 raise InputError(f"the experiment {kind.__name__} {problem}", file=path, line=line)
-        found[kind.title()] = kind
-    if not found:
-        hint = "derive a class from swimid.logs.experiments.Trials"
-        raise InputError("defines no experiment", file=path, hint=hint)
+            found[kind.title] = kind
     return list(found.values())
 
 
-def schema() -> Any:
+def make_schema() -> Any:
     """Return the type of the trials file of any experiment, from which the JSON Schema is made."""
     kinds = tuple(find_experiments().values())
     return Annotated[Union[kinds], Field(discriminator="experiment")]  # noqa: UP007 - made of a tuple

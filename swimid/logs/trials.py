@@ -20,9 +20,9 @@ from swimid.logs.experiments import (
     TrialEntry,
     Trials,
     check_used,
-    experiments_of_file,
     find_experiment,
     find_experiments,
+    read_experiments,
 )
 from swimid.logs.log import Log
 from swimid.notices import warn
@@ -102,7 +102,7 @@ class TrialSet:
         UsageError
             The experiment is unknown.
         """
-        own = own_experiments(experiment)
+        own = find_own_experiments(experiment)
         kind = own[0] if own else find_experiment(str(experiment))
         if kind is None:
             hint = suggestion(str(experiment), [*find_experiments()])
@@ -123,7 +123,7 @@ class TrialSet:
             logs.append(held)
             plain.append(entry)
         robot_format.locate(robot)
-        given = {"format": FORMAT, "experiment": kind.title(), "robot": robot, **keys}
+        given = {"format": FORMAT, "experiment": kind.title, "robot": robot, **keys}
         if plain:
             given["trials"] = plain
         table = given.get("table")
@@ -149,15 +149,11 @@ class TrialSet:
         return cls(read(path, own=own), Path(path))
 
 
-def own_experiments(*sources: Any) -> list[type[Trials]]:
-    """Return the experiments of the user among classes, names of experiments, and paths of Python files."""
-    found: list[type[Trials]] = []
-    for source in sources:
-        if isinstance(source, type):
-            found.append(source)
-        elif Path(source).suffix == ".py":
-            found += experiments_of_file(source)
-    return found
+def find_own_experiments(source: Any) -> list[type[Trials]]:
+    """Return the experiments of the user: a class, or those of a Python file; none for any other name."""
+    if isinstance(source, type):
+        return [source]
+    return read_experiments(source) if Path(source).suffix == ".py" else []
 
 
 def place(source: str | Path | TrialSet) -> Path:

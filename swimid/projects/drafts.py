@@ -135,11 +135,11 @@ class Project:
         """
         alone = self.kinds.get(group.first.kind)
         if alone is not None:
-            return [alone.title()]
+            return [alone.title]
         known = bool(group.columns) and ASK not in group.columns
-        found = {name: kind for name, kind in self.kinds.items() if kind.entry() is not None}
+        found = {name: kind for name, kind in self.kinds.items() if kind.entry is not None}
         names = [name for name, kind in found.items() if not known or kind.has_columns(group.columns)]
-        return sorted(names, key=lambda name: -len(found[name].groups()))
+        return sorted(names, key=lambda name: -len(found[name].usual))
 
     def all_groups(self) -> list[Group]:
         """Return the groups, each followed by its companions."""
@@ -518,7 +518,7 @@ def _idents(group: Group) -> list[str]:
 
 def _keys(kind: type[Trials] | None) -> set[str]:
     """Return the keys of a trial that a table of recordings may state; those of the drive are among them."""
-    entry = kind and kind.entry()
+    entry = kind and kind.entry
     if entry is None:
         return {"role"}
     keys = {*entry.model_fields} - UNSTATED

@@ -11,7 +11,7 @@ from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.files.yamlio import ASK
 from swimid.logs.experiments import find_experiments
-from swimid.logs.trials import own_experiments
+from swimid.logs.trials import find_own_experiments
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.projects import drafts
@@ -96,10 +96,10 @@ def init(
         place = robot_format.locate(robot)
         if robot not in robot_format.built_in():
             robot = drafts.relative(place, target)
-    own = own_experiments(options.experiment or "")
+    own = find_own_experiments(options.experiment or "")
     kinds, experiment = find_experiments(own), options.experiment
     if own:
-        experiment = own[0].title()
+        experiment = own[0].title
     if experiment not in (None, *kinds):
         hint = suggestion(str(experiment), [*kinds])
         raise UsageError(f"there is no experiment '{experiment}'", hint=hint)

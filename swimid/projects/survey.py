@@ -172,7 +172,7 @@ def _table(path: Path, kinds: Mapping[str, type[Trials]]) -> Recording:
         kind, about = "points", f"{about}, points {', '.join(points)}"
     else:
         for name, experiment in kinds.items():
-            if experiment.entry() is None and experiment.has_columns(columns):
+            if experiment.entry is None and experiment.has_columns(columns):
                 title = experiment.about.partition(";")[0]
                 kind, about, is_alone = name, f"{title}, {rows} runs", True
     metadata = table.metadata

@@ -24,10 +24,9 @@ from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.beat import find_beat
-from swimid.logs.experiments import StrokeDrive
+from swimid.logs.experiments import StrokeDrive, read_experiments
 from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.logs.sampling import DURATION_S, even_times
-from swimid.logs.trials import own_experiments
 from swimid.notices import warn
 from swimid.propulsion.trials import table_columns
 from swimid.results import numbers
@@ -128,14 +127,14 @@ def case_of_options(options: SimulateOptions) -> Case:
     path = place(options)
     if path is None:
         return _swim(options, None)
-    own = own_experiments(*options.own_experiments)
+    own = read_experiments(*options.own_experiments)
     file, described = catalogue.read_parameters(options.params, own)
     if file.model in ("multilink", "multibody"):
         return _swim(options, file)
     if options.readings:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
     name, kind = next(iter(described.items()))
-    run = kind.simulated(options, (path, file), _times(options))
+    run = kind.prepare_run(options, (path, file), _times(options))
     robot = run.robot or options.robot or file.robot or "unknown"
     applied = Applied(run.model, file, path, options.chosen, [run.trial], options.own_effects)
     metadata = _metadata(options, robot, experiment=name, **run.metadata)

@@ -15,8 +15,8 @@ from swimid.effects.base import Affected, Effect
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.fit_common import Experiment, load_experiment
 from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
-from swimid.logs.experiments import Trials, find_experiments
-from swimid.logs.trials import TrialSet, own_experiments
+from swimid.logs.experiments import Trials, find_experiments, read_experiments
+from swimid.logs.trials import TrialSet
 from swimid.notices import warn
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, Fit, ParameterFile
@@ -416,7 +416,7 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         missing.
     """
     own_files = getattr(options, "own_experiments", ())
-    own = own_experiments(*own_files)
+    own = read_experiments(*own_files)
     if not isinstance(trials, TrialSet):
         trials = TrialSet.read(trials, own)
     parameters, chosen = options.params, dict(getattr(options, "chosen", {}))
