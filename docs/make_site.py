@@ -55,7 +55,7 @@ PYTHON = {
     ),
     "Many at once": ("batch", "Batch", "compare_runs", "ComparedRuns"),
     "Results": ("load_result", "Result", "report", "export"),
-    "Models and effects": ("Model", "Parameter", "Channel", "Trial", "fit_model", "Effect"),
+    "Models and effects": ("Model", "Parameter", "Channel", "Trial", "Trials", "fit_model", "Effect"),
     "Errors and warnings": (
         "SwimidError", "InputError", "UsageError", "NoTrustworthyResult", "SwimidWarning",
     ),

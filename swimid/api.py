@@ -12,6 +12,7 @@ from swimid.errors import UsageError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from swimid.logs.experiments import Trials
     from swimid.logs.log import Log
     from swimid.logs.trials import TrialSet
     from swimid.robots.file import Robot
@@ -42,7 +43,8 @@ _NAMES_OF = {
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),
     "swimid.logs.tracks": ("Logged",),
-    # Base classes for models and effects that a user writes; classes of errors and warnings.
+    # Base classes for models, experiments and effects that a user writes; classes of errors and warnings.
+    "swimid.logs.experiments": ("Trials",),
     "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),
     "swimid.effects.base": ("Effect",),
     "swimid.errors": ("SwimidError", "InputError", "UsageError", "NoTrustworthyResult"),
@@ -91,7 +93,7 @@ def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
 def load(
     trials: str | Path | Sequence[Mapping[str, Any]] | pd.DataFrame | TrialSet,
     *,
-    experiment: str | None = None,
+    experiment: str | Path | type[Trials] | None = None,
     robot: str | Path | None = None,
     **keys: Any,
 ) -> TrialSet:
@@ -102,9 +104,9 @@ def load(
     trials : path, sequence of mappings, or DataFrame
         Path of a trials file; or, for each trial, its keys as in a trials file, with a DataFrame or a
         :class:`~swimid.logs.log.Log` as ``log``; or the table of a cruise experiment.
-    experiment : str, optional
-        ``"falling-weight"``, ``"towed"``, ``"free-decay"``, ``"cruise"``, ``"free-swim"``, ``"multibody"`` or
-        ``"arma"``. Omit it for a trials file, which states the experiment.
+    experiment : str, path or class, optional
+        Name of the experiment, such as ``"falling-weight"``; or an experiment of your own, as a class or as
+        the Python file with it. Omit the name for a trials file, which states it.
     robot : str or path, optional
         Name of a built-in robot, or path of a robot file. Omit it for a trials file, which states the robot.
     **keys
@@ -130,14 +132,15 @@ def load(
     >>> load([drop], experiment="falling-weight", robot="boxfish").experiment
     'falling-weight'
     """
-    from swimid.logs.trials import TrialSet
+    from swimid.logs.trials import TrialSet, find_own_experiments
 
     if isinstance(trials, str | Path | TrialSet):
-        if experiment is not None or robot is not None or keys:
+        own = find_own_experiments(experiment or "")
+        if (experiment is not None and not own) or robot is not None or keys:
             raise UsageError("a trials file names its experiment, robot and keys itself")
         if isinstance(trials, TrialSet):
             return trials
-        return TrialSet.read(trials)
+        return TrialSet.read(trials, own)
     if experiment is None or robot is None:
         raise UsageError("name the experiment and the robot of these trials")
     given: Any = trials

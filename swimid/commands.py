@@ -84,7 +84,8 @@ class CommandSpec:
     def returned(self) -> Any:
         """Import the function that the command calls, and return the type of its result."""
         function = inspect.unwrap(self.run())
-        return eval(function.__annotations__["return"], function.__globals__)
+        kind = function.__annotations__["return"]
+        return eval(kind, function.__globals__) if isinstance(kind, str) else kind
 
 
 @cache

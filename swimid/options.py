@@ -425,6 +425,12 @@ def bounds() -> Any:
     return option({}, metavar="NAME=LOW,HIGH", help="Change a parameter's bounds.")
 
 
+def own_experiments() -> Any:
+    """Return the declaration of the option ``--experiment``, which reads experiments that a user defines."""
+    help = "Python file with the experiment of one's own that the trials file names. Repeatable."
+    return option((), flag="--experiment", metavar="FILE", help=help, recorded=False)
+
+
 def cluster() -> Any:
     """Return the declaration of the option ``--cluster``, which moves the work to a cluster.
 

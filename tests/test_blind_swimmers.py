@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swimid.fitting.fit_common import load_experiment
 from swimid.results import parameters as parameter_format
-from swimid.swimmer import trials as swimmer_trials
 from tests.blind import swim_actuation as actuation
 from tests.blind import swim_body, swim_gap, swimmers
 from tests.blind.swim_case import Act, Trial
@@ -162,7 +162,7 @@ def test_the_play_is_as_wide_as_it_says() -> None:
 def test_a_case_is_read_and_its_clean_channels_are_the_models(robot: str, tmp_path: Path) -> None:
     """The nominal model of the package, at the true coefficients, makes the same noiseless channels."""
     label = swimmers.make_case(tmp_path, robot=robot, effect=None, size=1.0, rng=np.random.default_rng(5))
-    found = swimmer_trials.load(tmp_path / "trials.yaml")
+    found = load_experiment(tmp_path / "trials.yaml")
     assert [t.id for t in found.trials] == [t.id for t in label["trials"]]
     assert label["gap_over_floor"]["overall"] == 0.0
     model = found.model

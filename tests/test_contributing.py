@@ -24,6 +24,7 @@ BLOCK = re.compile(r"^`([\w./]+)`:\n\n```(\w+)\n(.*?)^```$", re.M | re.S)
 TOUCHED = {
     "Add an effect": ["swimid/effects/encoder_ripple.py"],
     "Add a model": ["swimid/rig/glide.py"],
+    "Add an experiment": ["swimid/experiments/coasting_body.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
     "Add a command": ["swimid/rig/fit_glide.py", "swimid/rig/options.py"],
 }
@@ -83,7 +84,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("title", TOUCHED)
 def test_files_touched(title: str) -> None:
-    """An effect, a model and a robot take one file each, a command two."""
+    """An effect, a model, an experiment and a robot take one file each, a command two."""
     named = [name for name, *_ in BLOCK.findall(_section(title))]
     assert [name for name in named if not name.startswith("tests/")] == TOUCHED[title]
 
@@ -112,7 +113,7 @@ def test_the_new_command_runs(copy: Path) -> None:
 def test_the_examples_work(copy: Path) -> None:
     """The tests that the manual writes for its examples pass, and its commands run."""
     names = [name for name, *_ in BLOCK.findall(TEXT) if name.startswith("tests/")]
-    assert _tested(copy, *names, "tests/test_commands.py").startswith("6 passed")
+    assert _tested(copy, *names, "tests/test_commands.py").startswith("7 passed")
     assert (copy / "koi.csv").exists()
 
 

@@ -437,7 +437,7 @@ class TestAverageModels:
     def test_runs_apart_are_the_fin_s(self):
         model, trial = recoil()
         whole = model.simulate(starts(model), trial)[SPEED]
-        apart = model.apart(trial)
+        apart = trial.split_rows()
         assert [t.id for t in apart] == [f"rect/{k}" for k in range(1, 6)]
         for k, run in enumerate(apart):
             assert model.simulate(starts(model), run)[SPEED] == pytest.approx([whole[k]], rel=1e-15)

@@ -20,12 +20,12 @@ from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error, uncertainty
+from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import Parameter
 from swimid.notices import Step
 from swimid.results import evidence, parameters
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
-from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.fit_graybox import fit_graybox
 from tests.blind import swim_actuation
 from tests.conftest import SAMPLES, Ran
@@ -192,7 +192,7 @@ class TestRecovery:
         assert list(told) == list(file.parameters)
         for name, e in file.parameters.items():
             assert (told[name]["value"], told[name]["stderr"]) == (e.value, e.stderr)
-        experiment = swimmer_trials.load(trials)
+        experiment = load_experiment(trials)
         values = np.array(
             [
                 file.value(p.name) if p.name in file.parameters else p.start
@@ -301,7 +301,7 @@ class TestLogs:
         run = swimmer.Run("d", drive, swimmer.simulate("dolphin", None, drive, 2.0))
         columns = ["x_m", "z_m", "pitch_rad", "joint2_rad"]
         path = swimmer.write_trials(tmp_path, "dolphin", [run], {}, 0, columns=columns, with_drive=False)
-        experiment = swimmer_trials.load(path, start_state="rest")
+        experiment = load_experiment(path, start_state="rest")
         (trial,) = experiment.trials
         still, moved = (motion(trial.time_s)[0] for motion in trial.swim.joints)
         assert not still.any()
@@ -336,7 +336,7 @@ class TestLogs:
 
     def test_a_start_from_rest_is_recognised_without_noise(self, tmp_path: Path) -> None:
         for noise in (dict.fromkeys(RATES, 0.0), dict.fromkeys(POSE, 0.0)):
-            experiment = swimmer_trials.load(_write(tmp_path, _runs(), noise))
+            experiment = load_experiment(_write(tmp_path, _runs(), noise))
             free = [p.name for p in experiment.model.parameters if p.free]
             assert not [name for name in free if name.startswith("initial")]
 
@@ -543,7 +543,7 @@ class TestWrongModels:
         for name, acts in (("right", []), ("wrong", [swim_actuation.play([0.05] * 3)])):
             folder = tmp_path / name
             gap_trials.write(folder, "tfish", acts, settings=TWELVE, scatter=0.0, seed=7)
-            experiment = swimmer_trials.load(folder / "trials.yaml")
+            experiment = load_experiment(folder / "trials.yaml")
             result = output_error.fit(experiment.model, experiment.trials, max_iterations=75)
             spent[name] = result.evaluations
             if name == "right":
@@ -733,7 +733,7 @@ class TestPublishedFish:
         """95 % intervals cover the truth over 50 seeds of noise. Fits start at the truth."""
         repeats = 50
         trials = _write(tmp_path, _published("mid-link"), dict.fromkeys(noise, 0.0))
-        experiment = swimmer_trials.load(trials, start_state="rest", max_step=0.01)
+        experiment = load_experiment(trials, start_state="rest", max_step=0.01)
         begin = _starting_at(experiment.model.parameters, swimmer.TFISH)
         inside = dict.fromkeys(swimmer.TFISH, 0)
         sums = []
@@ -804,16 +804,16 @@ def test_a_track_of_one_marker_has_an_estimated_heading(tmp_path: Path) -> None:
     """Logs of the sample without heading start in the direction of the track, which is then estimated."""
     folder = tmp_path / "gap"
     shutil.copytree(SAMPLES / "gap", folder)
-    whole = swimmer_trials.load(SAMPLES / "gap" / "trials.yaml")
+    whole = load_experiment(SAMPLES / "gap" / "trials.yaml")
     for log in folder.glob("run*.csv"):
         rows = [line.split(",") for line in log.read_text().splitlines() if not line.startswith("#")]
         at = rows[0].index("yaw_rad")
         log.write_text("".join(",".join(row[:at] + row[at + 1 :]) + "\n" for row in rows))
-    found = swimmer_trials.load(folder / "trials.yaml")
+    found = load_experiment(folder / "trials.yaml")
     assert "start_yaw" in {p.name for p in found.model.parameters if p.free}
     for trial, known in zip(found.trials, whole.trials, strict=True):
         off = trial.swim.posed()[2] - known.swim.posed()[2]
         assert abs((off + np.pi) % (2 * np.pi) - np.pi) < np.pi / 4
     # not where its place is not fitted
-    partial = swimmer_trials.load(folder / "trials.yaml", channels=["y_m"])
+    partial = load_experiment(folder / "trials.yaml", channels=["y_m"])
     assert "start_yaw" not in {p.name for p in partial.model.parameters if p.free}

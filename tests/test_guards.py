@@ -141,7 +141,7 @@ def test_the_cost_of_many_trials_and_columns_is_linear(tmp_path: Path) -> None:
         f"t_s,{','.join(f'c{k}_m' for k in range(5000))}\n" + f"0{',1' * 5000}\n1{',2' * 5000}\n"
     )
     began = time.perf_counter()
-    assert len(trials.read(tmp_path / "trials.yaml").trials) == 1000  # type: ignore[attr-defined]
+    assert len(trials.read(tmp_path / "trials.yaml").trials) == 1000
     assert len(log.read(tmp_path / "wide.csv").columns) == 5001
     assert time.perf_counter() - began < 20.0
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.drives import Beat
+from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import Array, SwimInput, Trial, chosen
 from swimid.fitting.output_error import FitResult
 from swimid.swimmer import trials as swimmer
@@ -148,7 +149,7 @@ def pendulum(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     folder = tmp_path_factory.mktemp("pendulum")
     windows, published = real_logs.read_pendulum(real_data, 2)
     file = real_logs.write_pendulum(folder, windows, EXAMPLES / "double-pendulum.yaml")
-    experiment = swimmer.load(file, start_state="estimate")
+    experiment = load_experiment(file, start_state="estimate")
     return output_error.fit(experiment.model, experiment.trials), published
 
 
@@ -237,7 +238,7 @@ def fish(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> FitResult
     file = real_logs.write_fish(
         folder, real_logs.read_fish(real_data), EXAMPLES / "msu-fish.yaml", lag_rad=real_logs.LAG_RAD
     )
-    experiment = swimmer.load(
+    experiment = load_experiment(
         file, channels=("u_m_s", "yaw_rate_rad_s"), start_state="estimate", max_step=0.012
     )
     parameters = chosen(experiment.model.parameters, freed=("drive_phase",))

@@ -12,6 +12,7 @@ from hypothesis import given
 
 from swimid.errors import InputError, SwimidError, UsageError
 from swimid.fitting import drives
+from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import SwimInput, Trial
 from swimid.notices import SwimidWarning
 from swimid.robots import file as robot_format
@@ -288,7 +289,7 @@ def test_driven_joint_without_its_column(tmp_path: Path) -> None:
         "format: swimid-trials/1\nexperiment: free-swim\nrobot: eel.yaml\ntrials: [{log: run.csv}]\n"
     )
     with pytest.raises(InputError) as caught:
-        experiment.load(trials)
+        load_experiment(trials)
     assert caught.value.file == str(tmp_path / "run.csv")
     assert "'neck'" in caught.value.reason
     assert "joint1_rad" in str(caught.value)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from swimid.fitting import global_search, output_error
+from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
 from swimid.notices import SwimidWarning
 from swimid.rig import model
 from swimid.rig import model as rig_model
-from swimid.rig import trials as rig_experiment
 from tests.conftest import Ran
 from tests.generators import real_logs
 from tests.generators import rig as generator
@@ -100,7 +100,7 @@ def test_every_simulation_of_a_fit_is_counted(rng: np.random.Generator) -> None:
 
 def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
     """The answer is unchanged, and the test needs fewer simulations than the search."""
-    experiment = rig_experiment.load(samples / "rig" / "trials.yaml")
+    experiment = load_experiment(samples / "rig" / "trials.yaml")
     counted = [0]
 
     class Counting(rig_model.RigModel):
@@ -126,7 +126,7 @@ def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
     """The likelihood of the answer is at least that of the truth, which is within four standard errors."""
-    experiment = rig_experiment.load(generator.write_slide(tmp_path, np.random.default_rng(seed)))
+    experiment = load_experiment(generator.write_slide(tmp_path, np.random.default_rng(seed)))
     choices = chosen(
         experiment.model.parameters,
         fixed={"quadratic_drag": 0.0},
@@ -149,7 +149,7 @@ def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
 
 @pytest.mark.slow
 def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path) -> None:
-    experiment = rig_experiment.load(generator.write_slide(tmp_path, np.random.default_rng(3)))
+    experiment = load_experiment(generator.write_slide(tmp_path, np.random.default_rng(3)))
     choices = chosen(
         experiment.model.parameters,
         fixed={"quadratic_drag": 0.0},
@@ -223,7 +223,7 @@ def test_a_real_drive_with_dry_friction(real_data: Path, tmp_path: Path) -> None
     (tmp_path / "t.yaml").write_text(
         "format: swimid-trials/1\nexperiment: towed\nrobot: cart.yaml\ntrials: [{log: d.csv}]\n"
     )
-    experiment = rig_experiment.load(tmp_path / "t.yaml")
+    experiment = load_experiment(tmp_path / "t.yaml")
     choices = chosen(
         experiment.model.parameters,
         fixed={"quadratic_drag": 0.0},

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from swimid.swimmer import trials as experiment
+from swimid.fitting.fit_common import load_experiment
 from tests.generators import sealion
 
 NO_DRAG = {"area_m2": [0.0, 0.0, 0.0]}
@@ -365,7 +365,7 @@ def test_trials_are_read_and_the_truth_is_not_among_them(tmp_path: Path) -> None
     assert not any("water_volume" in p.read_text() for p in folder.iterdir())
     told = yaml.safe_load((tmp_path / "trials-truth.yaml").read_text())
     assert told["trials"]["stroke"]["coefficients"]["z_drag"] == 1.65
-    trials = experiment.load(path).trials
+    trials = load_experiment(path).trials
     assert [(t.id, t.role) for t in trials] == [("stroke", "fit"), ("pitch", "validate")]
     assert list(trials[0].measured) == ["x_m", "z_m", "pitch_rad"]
     again = tmp_path / "again"
@@ -418,7 +418,7 @@ def test_a_fit_of_the_file_recovers_its_coefficients() -> None:
 
 @pytest.mark.slow
 def test_the_whole_set_is_one_experiment(tmp_path: Path) -> None:
-    found = experiment.load(sealion.write(tmp_path / "trials", 3))
+    found = load_experiment(sealion.write(tmp_path / "trials", 3))
     assert [t.role for t in found.trials] == ["fit"] * 6 + ["validate"]
     for trial in found.trials:
         assert trial.time_s[0] == 0.0

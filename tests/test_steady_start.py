@@ -12,6 +12,7 @@ import yaml
 
 from swimid.errors import InputError
 from swimid.fitting.drives import Beat
+from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import SwimInput, Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
@@ -76,7 +77,7 @@ def test_a_trial_without_a_drive_cannot_begin_in_steady_swimming(tmp_path: Path)
         "trials: [{id: a, log: a.csv, start_state: steady}]\n"
     )
     with pytest.raises(InputError, match="has no 'drive'"):
-        swimmer.load(trials)
+        load_experiment(trials)
 
 
 @pytest.mark.slow

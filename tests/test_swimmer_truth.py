@@ -252,7 +252,7 @@ def test_trials_are_written_in_the_format(tmp_path: Path) -> None:
     again = swimmer.write_trials(
         tmp_path / "two", "tfish", runs, NOISE, 5, columns=["x_m", "y_m", "yaw_rad", *NOISE]
     )
-    trials = trials_format.read(path, trials_format.FreeSwim)
+    trials = trials_format.read(path, "fit-graybox")
     assert [t.role for t in trials.trials] == ["fit", "validate"]
     assert trials.trials[0].drive is not None
     assert trials.trials[0].drive.frequency_hz == 1.4

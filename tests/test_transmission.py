@@ -19,6 +19,7 @@ from swimid.effects.structure import JointLocked
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.fitting.drives import Beat
+from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import SwimInput, Trial
 from swimid.notices import SwimidWarning
 from swimid.results.parameters import Estimate, ParameterFile
@@ -87,7 +88,7 @@ def swims(columns: dict[str, np.ndarray], folder: Path, robot: Path, drive: dict
 
 def simulated(trials: Path) -> dict[str, np.ndarray]:
     """Simulate the trial with the coefficients of the robot file."""
-    loaded = experiment.load(trials, start_state="rest")
+    loaded = load_experiment(trials, start_state="rest")
     values = np.array([p.start for p in loaded.model.parameters])
     return loaded.model.simulate(values, loaded.trials[0])
 
@@ -382,7 +383,7 @@ class TestErrors:
         log = {name: run[name] for name in ("t_s", "x_m", "y_m", "yaw_rad", "joint1_rad")}
         trials = swims(log, tmp_path, fish(tmp_path, by_ratio(*RATIOS), {"tendon": {}}), None)
         with pytest.raises(InputError, match="'tendon' needs this column, or 'cmd_tendon_rad'") as caught:
-            experiment.load(trials)
+            load_experiment(trials)
         assert caught.value.column == "joint_tendon_rad"
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
@@ -16,12 +17,12 @@ from pydantic import BaseModel
 from swimid.blackbox import model as arma
 from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, SwimidError
-from swimid.logs import trials as trials_format
+from swimid.experiments.free_swim import FreeSwim
+from swimid.fitting.fit_common import load_experiment
+from swimid.logs.experiments import FreeSwimTrial, find_experiments
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
-from swimid.propulsion import trials as propulsion
 from swimid.results.parameters import ParameterFile
-from swimid.rig import trials as rig
-from swimid.swimmer import trials as swimmer
 
 RATE_HZ = 20.0
 TIME = np.arange(0.0, 14.0, 1.0 / RATE_HZ)
@@ -156,13 +157,13 @@ STROKE = {
 LOG = {"trials.log": "one-late.csv"}
 READERS = {
     "falling weight": Reader(
-        rig.load,
+        load_experiment,
         _trials(experiment="falling-weight", pulling_mass_kg=0.05),
         {**OF_TRIAL, **LOG, **WATER, "trials.pulling_mass_kg": 0.07, "trials.driving_force_N": 1.0},
     ),
-    "towed": Reader(rig.load, _trials(experiment="towed"), {**OF_TRIAL, **LOG, **WATER}, {}),
+    "towed": Reader(load_experiment, _trials(experiment="towed"), {**OF_TRIAL, **LOG, **WATER}, {}),
     "free decay": Reader(
-        rig.load,
+        load_experiment,
         _trials(experiment="free-decay", log="decay.csv"),
         {**OF_TRIAL, **WATER, "trials.log": "decay-late.csv"},
         refused={
@@ -171,7 +172,7 @@ READERS = {
         },
     ),
     "cruise": Reader(
-        propulsion.load,
+        load_experiment,
         {
             "format": "swimid-trials/1",
             "experiment": "cruise",
@@ -183,7 +184,7 @@ READERS = {
         refused={"robot": "no fin"},
     ),
     "surge": Reader(
-        propulsion.load,
+        partial(load_experiment, command="fit-propulsion"),
         _trials(experiment="free-swim", drive=DRIVE),
         {**OF_TRIAL, **LOG, **BEAT, "trials.coefficients": {"d_p": 0.02}, "trials.start_state": "steady"},
         refused={
@@ -197,7 +198,7 @@ READERS = {
         },
     ),
     "swimmer, beat": Reader(
-        swimmer.load,
+        partial(load_experiment, command="fit-graybox"),
         _trials(experiment="free-swim", robot="tfish", drive=DRIVE),
         {
             **OF_TRIAL,
@@ -209,7 +210,7 @@ READERS = {
         },
     ),
     "swimmer, stroke": Reader(
-        swimmer.load,
+        partial(load_experiment, command="fit-graybox"),
         _trials(experiment="multibody", robot="sealion", drive={"stroke": "characteristic"}),
         {**OF_TRIAL, **LOG, **STROKE, "robot": "tfish", "trials.start_state": "steady"},
         refused={"robot": "no stroke", "trials.start_state": "robots in space are not supported"},
@@ -220,7 +221,7 @@ READERS = {
         {**OF_TRIAL, **LOG, "input": "force_N", "output": "heading_rate_rad_s"},
     ),
     "black box": Reader(
-        lambda path: arma.load(path, _arma_file(), path),
+        lambda path: load_experiment(path, params=(path, _arma_file())),
         {**_trials(experiment="arma"), "input": "cmd1_rad", "output": "u_m_s"},
         {**OF_TRIAL, **LOG, "input": "force_N", "output": "heading_rate_rad_s"},
         refused={
@@ -293,7 +294,7 @@ def changed(document: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
 
 
 def of_experiment(reader: Reader) -> set[str]:
-    return keys_of(trials_format.EXPERIMENTS[reader.document["experiment"]])
+    return keys_of(find_experiments()[reader.document["experiment"]])
 
 
 CASES = [(name, key) for name, reader in READERS.items() for key in reader.values]
@@ -311,7 +312,7 @@ class TestEveryKey:
                 wanted -= (beat - stroke) | {"trials.coefficients"}
             assert wanted == set(reader.values), f"{name}: a key without a case here, or a case without a key"
             seen.add(reader.document["experiment"])
-        assert seen == set(trials_format.EXPERIMENTS)
+        assert seen == set(find_experiments())
 
     @pytest.mark.parametrize(("name", "key"), CASES)
     def test_is_used_or_refused(self, tmp_path, name, key):
@@ -327,18 +328,19 @@ class TestEveryKey:
             before = fingerprint(reader.load(path))
         assert (after == before) == (key in reader.same)
 
-    def test_a_key_that_nobody_declares_is_refused(self, tmp_path, monkeypatch):
-        class Newer(trials_format.FreeSwimTrial):
+    def test_a_key_that_nobody_declares_is_refused(self, tmp_path):
+        class Newer(FreeSwimTrial):
             tide_m: float | None = None
 
-        class FreeSwim(trials_format.FreeSwim):
+        class Tidal(FreeSwim):
+            experiment: Literal["tidal"]
             trials: list[Newer]
 
-        monkeypatch.setitem(trials_format.EXPERIMENTS, "free-swim", FreeSwim)
-        monkeypatch.setattr(propulsion, "FreeSwim", FreeSwim)
         document = changed(READERS["surge"].document, "trials.tide_m", 0.5)
+        path = write_case(tmp_path, document | {"experiment": "tidal"})
+        trials = TrialSet.read(path, [Tidal])
         with pytest.raises(InputError, match=r"line \d+.*'a' sets 'tide_m', which has no effect here"):
-            propulsion.load(write_case(tmp_path, document))
+            load_experiment(trials, command="fit-propulsion")
 
 
 class TestStretchesOfOneLog:

@@ -30,13 +30,13 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
 from swimid.fitting import uncertainty as rt
-from swimid.fitting.fit_common import Experiment, read_log
+from swimid.fitting.fit_common import read_log
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.logs import sampling
 from swimid.logs import trials as trials_format
+from swimid.logs.experiments import TrialEntry
 from swimid.logs.log import TIME, Log
 from swimid.logs.sampling import SAME_RATE, Held, find_held, quantum, step_of, usual_step
-from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import TrialSet
 from swimid.notices import warn
 from swimid.results import numbers
@@ -573,43 +573,6 @@ def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:
     return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
 
 
-#: Keys of a trials file that the experiment ``arma`` uses. Other keys have no effect on the experiment.
-USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
-
-
-def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Path) -> Experiment:
-    """Read trials of the experiment ``arma`` for comparison with the model of a parameter file.
-
-    The columns of input and output are those to which the model was fitted.
-
-    Raises
-    ------
-    InputError
-        The trials file names other columns, or a file cannot be used.
-    """
-    path = trials_format.place(source)
-    entries = trials_format.read(source, trials_format.Arma, uses=USES)
-    robot = trials_format.robot_of(entries, path)
-    model = ArxModel(file, parameters_path)
-    read = [model.source] * (model.sine is None)
-    for key, columns in (("input", read), ("output", [model.output])):
-        named = getattr(entries, key)
-        if columns and named is not None and named != columns[0]:
-            words = f"these trials name the {key} '{named}', the parameters are of '{columns[0]}'"
-            raise InputError(words, file=path, column=key)
-    inputs: list[Input] = []
-    if not entries._in_memory:
-        inputs.append(path)
-    trials = []
-    for entry in entries.trials:
-        log = read_log(entry, path.parent, required=(*read, model.output))
-        log, _ = at_own_rate(log, next(iter(read), None), model.output)
-        inputs.append(log.source)
-        measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
-        trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
-    return Experiment("arma", robot, model, trials, inputs)
-
-
 # ------------------------------------------------------------ records for rwls
 
 
@@ -686,14 +649,14 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     entries: list[TrialEntry] = []
     origins: list[int] = []
     files: list[Input] = []
-    listed: trials_format.Arma | None = None
+    listed: Any = None
     for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
         file = isinstance(source, str | Path)
         if isinstance(source, TrialSet) or (file and Path(source).suffix.lower() in (".yaml", ".yml")):
             if listed is not None:
                 raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
             path = trials_format.place(source)
-            listed = trials_format.read(source, trials_format.Arma, uses=USES)
+            listed = trials_format.read(source, "rwls")
             files += [path] * (not listed._in_memory)
             found = [e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials]
         else:
@@ -769,7 +732,7 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
     return sum(shares), logs
 
 
-def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns:
+def _columns(options: RwlsOptions, listed: Any) -> Columns:
     """Return the input and output columns that the options name, or else those that the trials file names."""
     source, output = options.input_column, options.output_column
     if listed is not None:

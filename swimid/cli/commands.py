@@ -66,7 +66,7 @@ def import_log(
 
 #: Pydantic model of each file format of swimid that is not the format of a result, as ``module:attribute``.
 OTHERS = {
-    "trials": "swimid.logs.trials:AnyTrials",
+    "trials": "swimid.logs.experiments:make_schema",
     "robot": "swimid.robots.file:schema_of",
     "setup": "swimid.tracking.setup:Setup",
     "mapping": "swimid.logs.mapping:Mapping",
@@ -119,7 +119,7 @@ def _other(name: str) -> Any:
     """Return the pydantic model of a file format that is not the format of a result."""
     module, _, attribute = OTHERS[name].partition(":")
     found = getattr(importlib.import_module(module), attribute)
-    return found() if name == "robot" else found
+    return found if isinstance(found, type) else found()
 
 
 # ---------------------------------------------------------------- doctor

@@ -128,7 +128,9 @@ def begun(loaded: Loaded) -> Begun:
         # prior they would absorb any gap.
         own -= OWN.keys()
     model.parameters = refitted(model.parameters, given, applied.values(), own=own)
-    runs = [run for trial in experiment.trials for run in model.apart(trial)]
+    runs = experiment.trials
+    if model.timed_runs:
+        runs = [run for trial in runs for run in trial.split_rows()]
     known = set()
     if not own_data and model.name != arx.NAME:
         stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}

@@ -50,6 +50,7 @@ class DiagnoseOptions(
         metavar="FILE",
         help="Try the effects of this Python file as well. Repeatable.",
     )
+    own_experiments: tuple[Path, ...] = fits.own_experiments()
     jobs: int | None = fits.jobs("Effects refitted at the same time. Default: one for each processor core.")
     seed: int = option(0, ge=0, help="Of the random draws behind intervals.")
     max_causes: int = option(3, ge=1, le=5, help="Largest number of effects that act together.")

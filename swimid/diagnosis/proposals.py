@@ -21,7 +21,7 @@ from swimid.diagnosis import settings
 from swimid.fitting.drives import Beat, Cycle, eased, straight
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Rig, SurgeInput, SwimInput, Trial
-from swimid.logs.trials import Drive
+from swimid.logs.experiments import Drive
 
 if TYPE_CHECKING:
     from swimid.swimmer.model import Swimmer

@@ -283,10 +283,6 @@ class Affected(Model):
         """Return the measured channels of a trial that are inputs of the model."""
         return self.model.given(trial)
 
-    def apart(self, trial: Trial) -> list[Trial]:
-        """Return one trial for each row of a table of timed cruising (see :meth:`Model.apart`)."""
-        return self.model.apart(trial)
-
     def hooks(self, values: Array, trial: Trial) -> Hooks:
         """Return the combined hooks of all effects for one trial at the given parameter values."""
         hooks, at = NONE, len(self.model.parameters)

@@ -5,20 +5,16 @@ from __future__ import annotations
 import copy
 import functools
 import importlib
-import importlib.util
 import inspect
 import pkgutil
-import sys
-import traceback
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-from swimid import reading
 from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, suggestion
+from swimid.files.user_code import find_classes, last_line, run_file
 from swimid.fitting.model import Model, Trial
 
 #: Names of the simulation hooks that an effect may use in :attr:`Effect.needs`.
@@ -30,7 +26,7 @@ def catalogue() -> tuple[Effect, ...]:
     """Return every effect of this package in the order of `STAGES`, and by name within a stage."""
     effects: list[Effect] = []
     for module in pkgutil.iter_modules([str(Path(__file__).parent)], "swimid.effects."):
-        kinds = _kinds(importlib.import_module(module.name))
+        kinds = find_classes(importlib.import_module(module.name), Effect)
         effects += [kind() for kind in kinds if not inspect.isabstract(kind)]
     return tuple(sorted(effects, key=lambda e: (STAGES.index(e.stage), e.name)))
 
@@ -98,63 +94,23 @@ def from_file(path: str | Path) -> list[Effect]:
         or has the name of another effect. The error states file and line.
     """
     path = Path(path)
-    module = _run(path)
+    module = run_file(path, "effects")
     effects: dict[str, Effect] = {}
     taken = [e.name for e in catalogue()]
-    for kind in _kinds(module):
+    for kind in find_classes(module, Effect):
         if inspect.isabstract(kind) and not hasattr(kind, "name"):
             continue
         _check(kind, path, [*taken, *effects])
         try:
             effects[kind.name] = kind()
         except Exception as error:
-            line = _raised(error, path) or inspect.getsourcelines(kind)[1]
+            line = last_line(error, path) or inspect.getsourcelines(kind)[1]
             problem = f"the effect {kind.__name__} cannot be made: {error}"
             raise InputError(problem, file=path, line=line) from error
     if not effects:
         hint = "derive a class from swimid.effects.base.Effect"
         raise InputError("defines no effect", file=path, hint=hint)
     return list(effects.values())
-
-
-def _kinds(module: ModuleType) -> list[type[Effect]]:
-    """Return the public subclasses of Effect that a module defines, in the order of definition."""
-    return [
-        kind
-        for name, kind in vars(module).items()
-        if inspect.isclass(kind)
-        and issubclass(kind, Effect)
-        and kind.__module__ == module.__name__
-        and not name.startswith("_")
-    ]
-
-
-def _run(path: Path) -> ModuleType:
-    """Run a user's Python file as a module. Errors are raised as InputError with file and line."""
-    if not path.is_file():
-        raise InputError("there is no such file", file=path)
-    name = f"swimid_effects_of_{path.stem}_{abs(hash(path.resolve()))}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise InputError("is no Python file", file=path, hint="effects are classes in a file ending in .py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    reading.note(path)
-    try:
-        with reading.watch():
-            spec.loader.exec_module(module)
-    except SyntaxError as error:
-        raise InputError(f"is no valid Python: {error.msg}", file=path, line=error.lineno) from error
-    except Exception as error:
-        problem = f"cannot be run: {type(error).__name__}: {error}"
-        raise InputError(problem, file=path, line=_raised(error, path)) from error
-    return module
-
-
-def _raised(error: Exception, path: Path) -> int | None:
-    """Return the last line number in the given file that the traceback of an error contains, or None."""
-    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
-    return lines[-1] if lines else None
 
 
 def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:

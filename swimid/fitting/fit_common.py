@@ -9,7 +9,7 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +19,7 @@ import numpy as np
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.kernels import numba
-from swimid.files.provenance import Held, Input
+from swimid.files.provenance import Input
 from swimid.fitting import output_error
 from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
@@ -33,10 +33,11 @@ from swimid.fitting.uncertainty import (
     sentences,
 )
 from swimid.logs import log as log_format
+from swimid.logs import trials as trials_format
+from swimid.logs.experiments import TrialEntry, Trials
 from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held, white_noise_sd
-from swimid.logs.trials import Trial as TrialEntry
-from swimid.logs.trials import Trials
+from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, automatic, recorded, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -88,11 +89,96 @@ class Experiment:
     #: Path of the robot file; None if the result does not refer to it.
     robot_path: Path | None = None
 
+    @classmethod
+    def of(
+        cls,
+        entries: Trials,
+        path: Path,
+        model: Model,
+        trials: list[Trial],
+        sources: Sequence[Input],
+        robot: Robot | None = None,
+        **more: Any,
+    ) -> Experiment:
+        """Return the experiment of a trials file.
 
-def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]:
-    """Return the input files of an experiment for the provenance: trials file, robot file and logs."""
-    files = [locate(entries.robot, path.parent), *logs]
-    return files if entries._in_memory else [path, *files]
+        Parameters
+        ----------
+        entries : Trials
+            Content of the trials file.
+        path : Path
+            Trials file.
+        model : Model
+        trials : list of Trial
+        sources : sequence of paths or objects
+            Logs, and other inputs besides the trials file and the robot file.
+        robot : Robot, optional
+            By default the robot that the trials file names.
+        **more
+            Further attributes.
+
+        Raises
+        ------
+        InputError
+            If the robot file is wrong.
+        """
+        inputs = [locate(entries.robot, path.parent), *sources]
+        if not entries._in_memory:
+            inputs.insert(0, path)
+        robot = robot or robot_format.read(entries.robot, path.parent)
+        return cls(entries.experiment, robot, model, trials, inputs, **more)
+
+
+@dataclass(frozen=True)
+class Run:
+    """Simulation of an experiment without a recording.
+
+    Attributes
+    ----------
+    model : Model
+    trial : Trial
+        Sample times and inputs.
+    robot : str
+        Name of the robot in the metadata of the log. By default it is that of the parameter file.
+    metadata : dict
+        Further metadata of the log.
+    extra : dict of str to ndarray, each shape (n,)
+        Columns of the log in addition to the channels.
+    units : dict of str to str
+        Names of the quantities of the simulation, with their units.
+    quantities : callable or None
+        Function from the model with its effects and a parameter vector to the quantities, in the order of
+        ``units``.
+    """
+
+    model: Model
+    trial: Trial
+    robot: str = ""
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    quantities: Callable[[Any, Array], list[float]] | None = None
+
+
+def load_experiment(source: str | Path | TrialSet, *, command: str = "", **options: Any) -> Experiment:
+    """Read a trials file with its logs, and return the model with its trials.
+
+    Parameters
+    ----------
+    source : path or TrialSet
+    command : str
+        Command that fits the trials. By default any experiment is read, for a simulation.
+    **options
+        Options of the command that the experiment may use.
+
+    Raises
+    ------
+    InputError
+        If the trials file, the robot file or a log is wrong, or if the command does not fit the experiment.
+    """
+    entries = trials_format.read(source, command)
+    experiment: Experiment = entries.load(trials_format.place(source), command=command, **options)
+    return experiment
 
 
 def read_log(
@@ -949,7 +1035,7 @@ def fit_model(
     freed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     robot: str = "",
-    inputs: Sequence[Path | Held] = (),
+    inputs: Sequence[Input] = (),
     output: str | Path | None = None,
     progress: Progress = automatic,
 ) -> Fitted:
@@ -973,7 +1059,7 @@ def fit_model(
         Bounds that replace those of the model, in the units of the parameters.
     robot : str
         Name of the robot, for the parameter file.
-    inputs : sequence of Path or Held
+    inputs : sequence of paths or objects
         Sources of the trials for the provenance: the ``log.source`` of each log.
     output : path, optional
         Parameter file to write, together with its evidence file. By default nothing is written.

@@ -271,6 +271,24 @@ class Trial:
             found.update(name.encode() + same.tobytes())
         return found.hexdigest()
 
+    def split_rows(self) -> list[Trial]:
+        """Return one trial for each sample, named ``id/1``, ``id/2``, ..., for a table of timed runs."""
+
+        def row(columns: Mapping[str, Any], k: int) -> dict[str, Any]:
+            return {name: np.broadcast_to(v, len(self.time_s))[k : k + 1] for name, v in columns.items()}
+
+        return [
+            replace(
+                self,
+                id=f"{self.id}/{k + 1}",
+                time_s=self.time_s[k : k + 1],
+                measured=row(self.measured, k),
+                inputs=row(self.inputs, k),
+                value_sd=row(self.value_sd, k),
+            )
+            for k in range(len(self.time_s))
+        ]
+
     @property
     def steady(self) -> tuple[Array, Array]:
         """Frequency (Hz) and amplitude (rad) of the steady beat; NaN without a steady beat.
@@ -729,10 +747,6 @@ class Model(ABC):
     def coarser(self) -> Model | None:
         """Return the model with twice the integration step, for searches; None if that saves no time."""
         return None
-
-    def apart(self, trial: Trial) -> list[Trial]:
-        """Return one trial for each row of a table of timed cruising; other trials are returned unchanged."""
-        return [trial]
 
     # -------------------------------------------------------- parameters
 

@@ -1,6 +1,7 @@
 """Logs of trials: reading, import from other programs, cleaning, and examination without a model.
 
 The module ``log`` reads and writes the log of one trial. ``trials`` reads the file that lists the trials.
+``experiments`` has the base class of experiments and finds all of them.
 ``plot`` draws logs. ``options`` defines the options of the commands of this package.
 
 Modules for the import: ``import_log`` is the command. ``foreign`` has the readers of file formats, and units.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.errors import UsageError
 from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
@@ -809,3 +811,28 @@ def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
         weights = np.linalg.lstsq(np.vander(near, 4, increasing=True), x[first[i] : last[i]], rcond=None)[0]
         rates[i] = weights[1] / half
     return rates
+
+
+# ---------------------------------------------------------------- times of a simulation
+
+#: Default duration of a simulation, s.
+DURATION_S = 15.0
+#: Maximum number of samples or integration steps of a simulation.
+MAX_SAMPLES = 20_000_000
+
+
+def even_times(duration_s: float, rate_hz: float, step_s: float = math.inf) -> Array:
+    """Return sample times from 0 to the last one within the duration of a simulation, s.
+
+    Raises
+    ------
+    UsageError
+        If there is no second sample, or if there are too many samples or integration steps.
+    """
+    if duration_s * rate_hz < 1.0:
+        text = f"{duration_s:g} s at {rate_hz:g} samples a second are less than one sampling interval"
+        raise UsageError(text, hint=f"take --sample-rate-hz {1.0 / duration_s:.3g} or more")
+    if (count := duration_s * max(rate_hz, 1.0 / step_s)) > MAX_SAMPLES:
+        text = f"{duration_s:g} s at this rate and step are {count:.3g} samples; {MAX_SAMPLES:,} are allowed"
+        raise UsageError(text, hint="shorten --duration-s, lower --sample-rate-hz, or raise --dt")
+    return np.arange(math.floor(duration_s * rate_hz + 1e-9) + 1) / rate_hz

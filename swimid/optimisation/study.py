@@ -90,7 +90,7 @@ class Performance:
         """
         file = None
         if options.params is not None:
-            file = catalogue.read_parameters(options.params)
+            file, _ = catalogue.read_parameters(options.params)
             if file.model not in ("multilink", "multibody"):
                 raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
         made = cls(catalogue.load_robot(options, file), given_drive(options), options)

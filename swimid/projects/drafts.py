@@ -20,14 +20,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import yamlio
 from swimid.files.yamlio import ASK
+from swimid.logs.experiments import FORMAT as TRIALS
+from swimid.logs.experiments import Trials
 from swimid.logs.foreign import UNITS, canonical, open_table
 from swimid.logs.mapping import FORMAT as MAPPING
 from swimid.logs.mapping import guess_mapping
 from swimid.logs.point_files import tracked_points
-from swimid.logs.trials import FORMAT as TRIALS
-from swimid.logs.trials import FallingWeightTrial, FreeSwimTrial, Trial
 from swimid.notices import Progress, silent
-from swimid.projects.survey import CRUISE, Recording, several
+from swimid.projects.survey import Recording, several
 from swimid.robots.file import built_in
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup
@@ -43,52 +43,10 @@ MAX_SETUPS = 4
 MAX_FRAME_DIFFERENCE = 2
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """Experiment of a trials file: the columns of its logs, the keys of a trial, and the command for it."""
-
-    command: str
-    #: Description, with the keys that a trial needs.
-    about: str
-    #: Patterns of columns; a log must have a column for each.
-    columns: tuple[str, ...]
-    #: Keys of a trial that only the user knows.
-    asked: Mapping[str, Any] = field(default_factory=dict)
-    linked: bool = False
-
-
 #: Keys of the drive that a table of recordings may state.
 DRIVE_KEYS = ("frequency_hz", "amplitude_deg", "bias_deg")
-_DRIVE = {"drive": {"frequency_hz": ASK, "amplitude_deg": ASK}}
-EXPERIMENTS = {
-    "falling-weight": Experiment(
-        "fit-drag",
-        "a weight pulls the robot; add pulling_mass_kg to each trial",
-        ("x_m",),
-        {"pulling_mass_kg": ASK},
-    ),
-    "towed": Experiment("fit-drag", "the robot is towed by a measured force", ("force_N", "x_m|u_m_s")),
-    "free-decay": Experiment(
-        "fit-drag", "the robot is displaced and released", ("x_m|z_m|roll_rad|pitch_rad|yaw_rad",)
-    ),
-    "free-swim": Experiment(
-        "fit-graybox",
-        "it swims in a plane; add drive: {frequency_hz: 1, amplitude_deg: 20}, or log the joint angles",
-        ("x_m", "y_m", "yaw_rad"),
-        _DRIVE,
-        linked=True,
-    ),
-    "multibody": Experiment(
-        "fit-graybox",
-        "any motion of a robot with links or of a vehicle",
-        (r"joint\w*_rad|(x|y|z)_m|(roll|pitch|yaw)_rad",),
-        linked=True,
-    ),
-    "arma": Experiment(
-        "rwls", "a black-box model from one column to another; add input and output", (".*", ".*")
-    ),
-    "cruise": Experiment("fit-propulsion", "a table of cruising speeds", tuple(sorted(CRUISE))),
-}
+#: Keys of a trial that a table of recordings cannot state.
+UNSTATED = {"id", "log", "drive", "coefficients"}
 
 
 @dataclass
@@ -129,16 +87,6 @@ class Group:
         """First recording of the group, from which its files are drafted."""
         return self.recordings[0]
 
-    def experiments(self) -> list[str]:
-        """Return the names of the experiments whose columns the logs have; all if columns are unknown."""
-        names = [name for name in EXPERIMENTS if (name == "cruise") == (self.first.kind == "cruise")]
-        if not self.columns or ASK in self.columns:
-            return names
-        return [name for name in names if all(map(self._has, EXPERIMENTS[name].columns))]
-
-    def _has(self, pattern: str) -> bool:
-        return any(re.fullmatch(pattern, column) for column in self.columns)
-
 
 @dataclass
 class Project:
@@ -152,6 +100,10 @@ class Project:
         Text of each file, by name.
     pictures : dict of str to SetupDraft
         Drafts of setups, by the name of the setup file. Each writes a picture beside its file.
+    kinds : dict of str to class
+        All experiments, by name.
+    experiment_file : Path or None
+        Python file with experiments of the user.
     missing : list of str
         What must be done before the files can be used, besides the answers: sentences with a command.
     inertial : list of (Path, Path, str)
@@ -163,6 +115,8 @@ class Project:
     folder: Path
     robot: str | None
     experiment: str | None
+    kinds: Mapping[str, type[Trials]]
+    experiment_file: Path | None = None
     groups: list[Group] = field(default_factory=list)
     files: dict[str, str] = field(default_factory=dict)
     pictures: dict[str, SetupDraft] = field(default_factory=dict)
@@ -173,6 +127,19 @@ class Project:
     def relative(self, path: Path) -> str:
         """Return a path relative to the folder of the project, with slashes."""
         return relative(path, self.folder)
+
+    def fitting(self, group: Group) -> list[str]:
+        """Return the experiments whose columns the logs of a group have; all if the columns are unknown.
+
+        Those that need most columns come first.
+        """
+        alone = self.kinds.get(group.first.kind)
+        if alone is not None:
+            return [alone.title]
+        known = bool(group.columns) and ASK not in group.columns
+        found = {name: kind for name, kind in self.kinds.items() if kind.entry is not None}
+        names = [name for name, kind in found.items() if not known or kind.has_columns(group.columns)]
+        return sorted(names, key=lambda name: -len(found[name].usual))
 
     def all_groups(self) -> list[Group]:
         """Return the groups, each followed by its companions."""
@@ -193,8 +160,8 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
     A film of which a tracker's table is there is not tracked again.
     """
     found: dict[Any, list[Recording]] = {}
-    order = ("cruise", "log", "points", "table", "choice", "film")
-    usable = [one for one in recordings if one.kind in order]
+    order = ("", "log", "points", "table", "choice", "film")
+    usable = [one for one in recordings if one.is_alone or one.kind in order]
     rates: dict[Path, float] = {}
     tracked: set[Path] = set()
     films = [one for one in usable if one.kind == "film"]
@@ -205,9 +172,9 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
             # A table of a thinned copy of the film has another number of rows, and another rate.
             if abs(one.rows - film.rows) <= MAX_FRAME_DIFFERENCE:
                 rates[one.path] = film.rate_hz
-    for one in sorted(usable, key=lambda one: order.index(one.kind)):
+    for one in sorted(usable, key=lambda one: order.index("" if one.is_alone else one.kind)):
         if one.path not in tracked:
-            alone = one.path if one.kind in ("cruise", "choice") else None
+            alone = one.path if one.is_alone or one.kind == "choice" else None
             found.setdefault((one.alike, alone), []).append(one)
     groups: list[Group] = []
     for members in found.values():
@@ -253,7 +220,7 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
     """Add the files for all groups to a project: setups, mappings, points, trials, plan and robot."""
     groups = project.groups = pair_groups(groups)
     for group in groups:
-        DRAFTS[group.first.kind](project, group, progress)
+        DRAFTS.get(group.first.kind, _of_log)(project, group, progress)
         _add_companions(project, group, progress)
     _add_plan(project)
     logs = _logs_of(project)
@@ -262,14 +229,14 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
         project.optional.append(f"swimid track imu {shlex.join(words)}")
     for group in groups:
         _add_trials(project, group, [logs[one.path] for one in group.recordings], notes)
-    fitting = {name for group in groups if group.robot == ASK for name in group.fitting} - {"arma"}
-    if fitting:
-        linked = [EXPERIMENTS[name].linked for name in fitting]
+    names = {name for group in groups if group.robot == ASK for name in group.fitting}
+    forms = {project.kinds[name].robot_form for name in names} - {""}
+    if forms:
         joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for group in groups for name in group.columns]
         count = max((int(hit[1]) for hit in joints if hit), default=1)
-        names = ["body", *(f"segment{k}" for k in range(1, count)), "tail"]
+        links = ["body", *(f"segment{k}" for k in range(1, count)), "tail"]
         project.files["robot.yaml"] = rendered(
-            "robot.yaml", rigid=not all(linked), linked=any(linked), links=names
+            "robot.yaml", rigid="body" in forms, linked="links" in forms, links=links
         )
 
 
@@ -387,8 +354,6 @@ DRAFTS = {
     "points": _of_points,
     "table": _of_table,
     "choice": _of_choice,
-    "log": _of_log,
-    "cruise": _of_log,
 }
 
 
@@ -485,22 +450,11 @@ def _logs_of(project: Project) -> dict[Path, str]:
 
 def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Recording]) -> None:
     """Add the trials file of a group, whose recordings have these logs."""
-    fitting = group.experiments()
+    fitting, kinds = project.fitting(group), project.kinds
+    group.experiment = experiment = _choose_experiment(project, group, fitting, notes)
+    kind = kinds.get(experiment)
+    group.fitting = fitting if kind is None else [experiment]
     metadata = [one.metadata for one in group.recordings]
-    stated = {one.get("experiment") for one in metadata} - {None}
-    experiment = ASK
-    if len(stated) == 1 and stated <= {*fitting}:
-        experiment = str(stated.pop())
-    elif project.experiment in fitting:
-        experiment = str(project.experiment)
-    elif fitting == ["cruise"]:
-        experiment = "cruise"
-    elif "free-swim" in fitting and all(
-        "drive" in _keys_of(one, notes, "free-swim") for one in group.recordings
-    ):
-        experiment = "free-swim"
-    group.fitting = fitting if experiment == ASK else [experiment]
-    group.experiment = experiment
     robots = {one.get("robot") for one in metadata} - {None}
     robot = project.robot or (str(robots.pop()) if len(robots) == 1 else ASK)
     group.robot = robot
@@ -511,24 +465,47 @@ def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Rec
         f"experiment: {experiment}" + f"   # {', '.join(fitting)}" * (experiment == ASK),
         f"robot: {robot}" + f"   # {', '.join(built_in())}, or robot.yaml" * (robot == ASK),
     ]
-    if group.first.kind == "cruise":
+    if kind is not None and group.first.is_alone:
         table = project.relative(group.first.path)
-        lines += [f"table: {_flow(table)}", f"drag: {ASK}   # result of fit-drag for this robot"]
+        lines += [f"# {kind.about}", f"table: {_flow(table)}", *(f"{key}: {ASK}" for key in kind.asked)]
     else:
         lines.append("# Hold out one trial or more with 'role: validate'. Without one no fit is called good.")
-        asked = EXPERIMENTS[experiment].asked if experiment != ASK else {}
         commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
-        if experiment == ASK:
-            lines += [f"#   {name}: {EXPERIMENTS[name].about}" for name in fitting]
-        entries = [{**asked, **_keys_of(one, notes, experiment)} for one in group.recordings]
+        asked: Mapping[str, Any] = {}
+        if kind is None:
+            lines += [f"#   {name}: {kinds[name].about}" for name in fitting]
+        else:
+            asked = kind.asked
+        entries = [{**asked, **_keys_of(one, notes, kind)} for one in group.recordings]
         if commands and any("drive" in entry for entry in entries):
             lines.append(f"# The drive is in the logs: {', '.join(commands)}.")
             entries = [{key: entry[key] for key in entry if key != "drive"} for entry in entries]
         files = {one.path.name for group in project.all_groups() for one in group.recordings}
-        lines += [*_unused(notes, experiment, files), "trials:"]
+        lines += [*_unused(notes, kind, files), "trials:"]
         for log, ident, entry in zip(logs, _idents(group), entries, strict=True):
             lines.append(f"  - {_flow({'id': ident, 'log': log, **entry})}")
     project.files[f"{group.name}.trials.yaml"] = "\n".join(lines) + "\n"
+
+
+def _choose_experiment(project: Project, group: Group, fitting: list[str], notes: list[Recording]) -> str:
+    """Return the experiment of a group among those that its columns fit; ``ASK`` if it is not known.
+
+    The logs or the user state it, or they state the keys that only one experiment asks for.
+    """
+    stated = {str(one.metadata["experiment"]) for one in group.recordings if one.metadata.get("experiment")}
+    given = [*stated] * (len(stated) == 1) + [str(project.experiment)]
+    if group.first.is_alone:
+        given = fitting
+    for name in given:
+        if name in fitting:
+            return name
+    complete = []
+    for name in fitting:
+        kind = project.kinds[name]
+        keys = [_keys_of(one, notes, kind).keys() for one in group.recordings]
+        if kind.asked and all(kind.asked.keys() <= one for one in keys):
+            complete.append(name)
+    return complete[0] if len(complete) == 1 else ASK
 
 
 def _idents(group: Group) -> list[str]:
@@ -539,12 +516,13 @@ def _idents(group: Group) -> list[str]:
     return [f"{one.path.parent.name}-{one.path.stem}" for one in group.recordings]
 
 
-def _keys(experiment: str) -> set[str]:
+def _keys(kind: type[Trials] | None) -> set[str]:
     """Return the keys of a trial that a table of recordings may state; those of the drive are among them."""
-    trials: dict[str, type[Trial]] = {"falling-weight": FallingWeightTrial, "free-swim": FreeSwimTrial}
-    trial = trials.get(experiment)
-    keys = {"role", *(trial.model_fields if trial else ())} - {"id", "log", "drive", "coefficients"}
-    return keys | set(DRIVE_KEYS if trial is FreeSwimTrial else ())
+    entry = kind and kind.entry
+    if entry is None:
+        return {"role"}
+    keys = {*entry.model_fields} - UNSTATED
+    return keys | set(DRIVE_KEYS if "drive" in entry.model_fields else ())
 
 
 def _key_of(header: str, keys: Iterable[str]) -> tuple[str, float] | None:
@@ -566,11 +544,11 @@ def _key_of(header: str, keys: Iterable[str]) -> tuple[str, float] | None:
     return None
 
 
-def _unused(notes: list[Recording], experiment: str, files: set[str]) -> list[str]:
+def _unused(notes: list[Recording], kind: type[Trials] | None, files: set[str]) -> list[str]:
     """Return a comment line for each table of recordings that has columns which are no keys of the trials."""
     lines = []
     for table in notes:
-        keys = sorted(_keys(experiment))
+        keys = sorted(_keys(kind))
         others = [name for name, cells in table.cells.items() if not files >= {*cells}]
         unused = [name for name in others if name != table.columns[0] and not _key_of(name, keys)]
         if unused:
@@ -579,9 +557,9 @@ def _unused(notes: list[Recording], experiment: str, files: set[str]) -> list[st
     return lines
 
 
-def _keys_of(one: Recording, notes: list[Recording], experiment: str) -> dict[str, Any]:
+def _keys_of(one: Recording, notes: list[Recording], kind: type[Trials] | None) -> dict[str, Any]:
     """Return the keys of a trial that the metadata of its log, or a table of recordings, states."""
-    keys = sorted(_keys(experiment))
+    keys = sorted(_keys(kind))
     found = {key: value for key, value in one.metadata.items() if key in keys and value is not None}
     for table in notes:
         stated = {name: hit for name in table.cells if (hit := _key_of(name, keys)) is not None}

@@ -7,12 +7,15 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.files.yamlio import ASK
+from swimid.logs.experiments import find_experiments
+from swimid.logs.trials import find_own_experiments
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.projects import drafts
-from swimid.projects.drafts import EXPERIMENTS, RUN, Project
+from swimid.projects.drafts import RUN, Project
 from swimid.projects.options import InitOptions
 from swimid.projects.survey import Recording, survey
 from swimid.results.evidence import Table
@@ -76,7 +79,7 @@ def init(
     InputError
         The folder does not exist or is empty, or the robot does not exist.
     UsageError
-        The folder of the project has content.
+        The folder of the project has content, or there is no such experiment.
 
     Examples
     --------
@@ -93,8 +96,17 @@ def init(
         place = robot_format.locate(robot)
         if robot not in robot_format.built_in():
             robot = drafts.relative(place, target)
-    recordings = survey(source, target if output else None, progress)
-    project = Project(target, robot, options.experiment)
+    own = find_own_experiments(options.experiment or "")
+    kinds, experiment = find_experiments(own), options.experiment
+    if own:
+        experiment = own[0].title
+    if experiment not in (None, *kinds):
+        hint = suggestion(str(experiment), [*kinds])
+        raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
+    recordings = survey(source, kinds, target if output else None, progress)
+    project = Project(target, robot, experiment, kinds)
+    if own:
+        project.experiment_file = Path(str(options.experiment))
     written: list[Path] = []
     with atomic.together():
         if output is not None:
@@ -153,13 +165,15 @@ def _commands(project: Project) -> list[str]:
     for group in project.groups:
         trials = f"{group.name}.trials.yaml"
         if group.experiment == ASK:
-            fits = dict.fromkeys(EXPERIMENTS[name].command for name in group.fitting)
+            fits = dict.fromkeys(project.kinds[name].commands[0] for name in group.fitting)
             commands.append(f"# state the experiment in {trials}, then take its command: {', '.join(fits)}")
-        fit = EXPERIMENTS[group.fitting[0]].command
+        fit, own = project.kinds[group.fitting[0]].commands[0], ""
+        if project.experiment_file is not None and group.experiment == project.experiment:
+            own = f" --experiment {shlex.quote(project.relative(project.experiment_file))}"
         model, results = f"{group.name}.yaml", f"{group.name}.yaml {group.name}.comparison.yaml"
         commands += [
-            f"swimid {fit} {trials} -o {model}",
-            f"swimid compare {trials} --params {model} -o {group.name}.comparison.yaml",
+            f"swimid {fit} {trials}{own} -o {model}",
+            f"swimid compare {trials}{own} --params {model} -o {group.name}.comparison.yaml",
             f"swimid report {results} -o {group.name}.html",
         ]
     if project.optional:

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from swimid.options import Options, option
-
-#: Names of the experiments of trials files.
-Experiment = Literal["falling-weight", "towed", "free-decay", "cruise", "free-swim", "multibody", "arma"]
 
 
 class InitOptions(
@@ -32,7 +27,9 @@ class InitOptions(
     """
 
     robot: str | None = option(None, metavar="NAME|FILE", help="Robot of the trials, built in or a file.")
-    experiment: Experiment | None = option(None, help="Experiment of the trials.")
+    experiment: str | None = option(
+        None, metavar="NAME|FILE", help="Experiment of the trials, or the Python file of one's own."
+    )
 
 
 class SampleOptions(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from swimid.errors import InputError
 from swimid.logs import log
+from swimid.logs.experiments import Trials
 from swimid.logs.foreign import Peek, formats, is_text, open_table
 from swimid.logs.point_files import tracked_points
 from swimid.notices import Progress, recorded, silent
@@ -27,8 +28,6 @@ BESIDE = re.compile(r".*(\.evidence\.json|\.partial|\.lock|\.markers\.png|~)|\..
 MIN_PICTURES = 10
 #: Minimum number of rows of a table that counts as a recording.
 MIN_ROWS = 10
-#: Columns of a cruise table. Mean speed may take the place of the time.
-CRUISE = {"fin", "frequency_hz", "amplitude_deg", "distance_m"}
 
 
 @dataclass(frozen=True)
@@ -38,8 +37,8 @@ class Recording:
     Attributes
     ----------
     kind : str
-        ``film``, ``log`` (in the log format), ``points`` (of a tracker), ``table``, ``cruise``, ``notes``
-        (a table that names recordings), ``choice`` (several topics), ``swimid`` (a YAML file of swimid),
+        ``film``, ``log`` (in the log format), ``points`` (of a tracker), ``table``, ``notes`` (a table that
+        names recordings), ``choice`` (several topics), ``swimid`` (a YAML file of swimid),
         ``damaged`` or ``other``.
     about : str
         Content in words, or the reason why it cannot be read.
@@ -55,6 +54,8 @@ class Recording:
         Whether the rows of a table have times.
     profile : str
         Name of the format of a table with a profile; empty otherwise.
+    is_alone : bool
+        Whether the file is the table of a whole experiment. Its kind is then the name of the experiment.
     """
 
     path: Path
@@ -66,17 +67,25 @@ class Recording:
     rows: int = 0
     has_times: bool = False
     profile: str = ""
+    is_alone: bool = False
     metadata: dict[str, Any] = field(default_factory=dict, compare=False)
     #: Rows of a small table as text, by column.
     cells: dict[str, list[str]] = field(default_factory=dict, compare=False)
 
 
-def survey(folder: Path, left_out: Path | None = None, progress: Progress = silent) -> list[Recording]:
+def survey(
+    folder: Path,
+    kinds: Mapping[str, type[Trials]],
+    left_out: Path | None = None,
+    progress: Progress = silent,
+) -> list[Recording]:
     """Return the recordings of a folder and of its subfolders, in the order of their names.
 
     Parameters
     ----------
     folder : Path
+    kinds : mapping of str to class
+        Experiments by name, of which some have one table instead of logs.
     left_out : Path, optional
         Folder that is passed over: that of the project.
 
@@ -93,7 +102,7 @@ def survey(folder: Path, left_out: Path | None = None, progress: Progress = sile
     found = []
     with progress("looking", total=len(paths)) as step, recorded():
         for path in paths:
-            found.append(recognised(path))
+            found.append(recognised(path, kinds))
             step()
     names = {name for one in found for name in (one.path.name, one.path.stem) if one.kind != "notes"}
     return [_with_role(one, names) for one in found]
@@ -112,7 +121,7 @@ def _paths(folder: Path, left_out: Path | None) -> Iterator[Path]:
         yield from (here / name for name in sorted(files) if not BESIDE.fullmatch(name))
 
 
-def recognised(path: Path) -> Recording:
+def recognised(path: Path, kinds: Mapping[str, type[Trials]]) -> Recording:
     """Return what a file or a folder of pictures is."""
     ending = path.suffix.lower()
     readable = {end for form in formats().values() for end in form.endings} | {*TABLES}
@@ -124,7 +133,7 @@ def recognised(path: Path) -> Recording:
             if form is not None:
                 return Recording(path, "swimid", form[1])
         elif ending in readable:
-            return _table(path)
+            return _table(path, kinds)
     except InputError as error:
         if several(error):
             return Recording(path, "choice", f"{error.reason}. {error.hint}")
@@ -149,9 +158,9 @@ def _film(path: Path) -> Recording:
     return Recording(path, "film", about, ("film", size, rate), rate_hz=rate, rows=video.claimed)
 
 
-def _table(path: Path) -> Recording:
+def _table(path: Path, kinds: Mapping[str, type[Trials]]) -> Recording:
     table = open_table(path, kind="")
-    kind = "table"
+    kind, is_alone = "table", False
     columns = tuple(table.columns)
     points = tracked_points(table.columns)
     title = formats()[table.profile].title if table.profile else "table"
@@ -161,8 +170,11 @@ def _table(path: Path) -> Recording:
         kind = "log"
     elif points and table.profile:
         kind, about = "points", f"{about}, points {', '.join(points)}"
-    elif set(columns) >= CRUISE and {"time_s", "mean_speed_m_s"} & {*columns}:
-        kind, about = "cruise", f"table of cruising speeds, {len(table.columns['fin'])} runs"
+    else:
+        for name, experiment in kinds.items():
+            if experiment.entry is None and experiment.has_columns(columns):
+                title = experiment.about.partition(";")[0]
+                kind, about, is_alone = name, f"{title}, {rows} runs", True
     metadata = table.metadata
     if kind == "log":
         metadata = log.metadata_of(table.comments, path, strict=False)
@@ -172,7 +184,7 @@ def _table(path: Path) -> Recording:
     alike = (kind, table.profile, columns, tuple(table.units.items()), metadata.get("experiment"))
     return Recording(
         path, kind, about, alike, columns, rows=rows, has_times=log.TIME in columns, profile=table.profile,
-        metadata=metadata, cells=cells,
+        metadata=metadata, cells=cells, is_alone=is_alone,
     )  # fmt: skip
 
 

@@ -120,7 +120,7 @@ def fit_propulsion(
     ('caution', ['SWM030'])
     """
     with recorded(repeat=True) as notices:
-        experiment = propulsion_trials.load(trials, drag=options.drag)
+        experiment = fit_common.load_experiment(trials, command="fit-propulsion", drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         fit = _fit_recoil_law

@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -260,24 +258,6 @@ class RecoilModel(Model):
             carried = sum(flow(time)[0][:, 0] - flow(np.zeros(1))[0][0, 0] for flow in hooks.flow)
             speed = speed + carried / time
         return hooks.seen({SPEED: speed}, trial.time_s)
-
-    def apart(self, trial: Trial) -> list[Trial]:
-        """Split the trial of a fin into one trial for each cruise run, named ``fin/1``, ``fin/2``, ..."""
-
-        def cut(columns: Mapping[str, Any], k: int) -> dict[str, Any]:
-            return {name: np.broadcast_to(v, len(trial.time_s))[k : k + 1] for name, v in columns.items()}
-
-        return [
-            replace(
-                trial,
-                id=f"{trial.id}/{k + 1}",
-                time_s=trial.time_s[k : k + 1],
-                measured=cut(trial.measured, k),
-                inputs=cut(trial.inputs, k),
-                value_sd=cut(trial.value_sd, k),
-            )
-            for k in range(len(trial.time_s))
-        ]
 
 
 class SurgeModel(Model):

@@ -1,14 +1,14 @@
-"""Functions that read the trials of ``fit-propulsion``: cruise tables and logs of straight free swimming."""
+"""Functions that read cruise tables, make the recoil-law model of a robot, and average logs over beats."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -16,70 +16,21 @@ from scipy.integrate import cumulative_trapezoid
 from swimid.errors import InputError, file_errors, suggestion
 from swimid.files import tabular
 from swimid.files.provenance import Held
-from swimid.fitting.fit_common import Experiment, inputs_of, read_log
-from swimid.fitting.model import Array, CruiseInput, SurgeInput, Trial
-from swimid.logs import trials as trials_format
-from swimid.logs.beat import find_beat, stated_against_found
-from swimid.logs.log import FREQUENCY_RTOL, Log
-from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive, TrialSet
+from swimid.fitting.model import Array
+from swimid.logs.log import Log
 from swimid.notices import warn
-from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, plate_inertia
+from swimid.propulsion.model import RecoilModel, plate_inertia
 from swimid.results import parameters as parameters_format
 from swimid.robots.file import Robot
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Standard deviation of the stop-watch times of cruise runs, s (boxfish paper, section 3.4), and relative
-#: standard deviation of the average speed between repeated runs with the same setting.
-TIME_SD_S, SPEED_RSD = 0.1, 0.01
 #: Names of the rig models whose parameter files can be used as a drag file.
 RIGS = ("falling-weight", "towed", "free-decay")
-#: Minimum number of complete tail beats in a free-swim trial.
-MIN_BEATS = 4
-#: Keys of a trials file that each propulsion experiment uses. Other keys have no effect on the experiment.
-#: The keys of stroke drives are included, although strokes are not supported, so that they get a specific
-#: error message.
-USES = {
-    "cruise": frozenset({"format", "experiment", "robot", "table", "drag"}),
-    "free-swim": trials_format.EVERYWHERE
-    | {"trials.drive"}
-    | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
-}
 
 
-def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None = None) -> Experiment:
-    """Read the trials file of a cruise experiment or of a free-swim experiment.
-
-    Parameters
-    ----------
-    drag : path, ParameterFile or result of fit_drag, optional
-        Parameters of the falling-weight rig. They replace ``drag`` of the trials file.
-
-    Raises
-    ------
-    InputError
-        If one of the files is wrong.
-    """
-    path = trials_format.place(source)
-    entries = trials_format.read(source, Cruise, FreeSwim, uses=USES)
-    robot = trials_format.robot_of(entries, path)
-    if isinstance(entries, FreeSwim):
-        return _free_swim(path, entries, robot)
-    assert isinstance(entries, Cruise)
-    if drag is None and entries.drag:
-        drag = path.parent / entries.drag
-    if drag is None:
-        raise InputError(
-            "no drag file is given",
-            file=path,
-            column="drag",
-            hint="run fit-drag first, then give --drag drag.yaml",
-        )
-    return _cruise(path, entries, robot, drag)
-
-
-# ------------------------------------------------------------ cruise
+# ---------------------------------------------------------------- model of the recoil law
 
 
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
@@ -136,123 +87,7 @@ def recoil_model(
     return RecoilModel(drag_area_kg_m=area, moving_mass_kg=body.inertial_mass_kg + added, fins=inertias)
 
 
-def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
-    drag = parameters_format.read(source, model=RIGS)
-    table = read_table(path.parent / entries.table if entries._held is None else entries._held)
-    model = recoil_model(robot, table.fin, source, path=table.path)
-    middle = (float(np.median(table.frequency_hz)), float(np.deg2rad(0.7 * np.median(table.amplitude_deg))))
-    trials = []
-    for fin, inertia in model.fins.items():
-        rows = np.array([f == fin for f in table.fin])
-        speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
-        # Compute standard deviations of the speeds. Only their ratios between runs matter, because the fit
-        # estimates the size of the noise.
-        spread = np.hypot(speed**2 / distance * TIME_SD_S, SPEED_RSD * speed)
-        inputs = {
-            "frequency_hz": table.frequency_hz[rows],
-            "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
-            "distance_m": distance,
-        }
-        trial = Trial(fin, "fit", np.arange(len(speed), dtype=float), {SPEED: speed}, inputs)
-        weights = {SPEED: np.nan_to_num(spread, nan=1.0)}
-        trials.append(replace(trial, cruise=CruiseInput(fin, inertia, middle), value_sd=weights))
-    read = [*inputs_of(path, entries, [table.source]), parameters_format.origin(source)]
-    facts = {"drag": drag, "drag_path": parameters_format.place(source)}
-    return Experiment("cruise", robot, model, trials, read, facts=facts)
-
-
-# ------------------------------------------------------------ straight free swimming
-
-
-def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
-    trials, logs, turning = [], [], []
-    beat_facts: dict[str, dict[str, float | str | None]] = {}
-    waveforms: dict[tuple[str, float], str] = {}
-    for entry in entries.trials:
-        drive = entry.drive
-        if not isinstance(drive, Drive):
-            raise InputError(
-                f"the trial '{entry.id}' has no 'drive' with a beat",
-                file=path,
-                column="drive",
-                hint="give its waveform, frequency_hz and amplitude_deg",
-            )
-        log = read_log(
-            entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
-        )
-        logs.append(log.source)
-        seen = np.isfinite(log["yaw_rad"])
-        beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
-        used = "the measured frequency is used"
-        beat_facts[entry.id] = stated_against_found(entry.id, drive.frequency_hz, beat, used)
-        if drive.bias_deg != 0:
-            turning.append(entry.id)
-            continue
-        waveforms.setdefault(_waveform(drive), entry.id)
-        frequency = drive.frequency_hz
-        if beat is not None:
-            frequency = beat.frequency_hz
-        time, speed = beat_averages(log, 1.0 / frequency)
-        # Use only tail beats with the full amplitude, because the thrust law is valid for these only. Assume
-        # no initial ramp of the amplitude unless the trial states one.
-        ramp = 0.0
-        if "ramp_s" in drive.model_fields_set:
-            ramp = drive.ramp_s
-        full = time - 0.5 / frequency >= ramp - 1e-9
-        time, speed = time[full], speed[full]
-        whole = int(np.isfinite(speed).sum())
-        if whole < MIN_BEATS:
-            after = f" after the drive's ramp of {ramp:g} s" * (not full.all())
-            raise InputError(
-                f"holds {whole} whole beats{after}; at least {MIN_BEATS} are needed", file=log.path
-            )
-        steady = SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
-        trials.append(Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady))
-    if turning:
-        warn(
-            "SWM018",
-            f"{len(turning)} trials with a turning bias left out of the straight-swimming fit: "
-            f"{', '.join(turning)}",
-        )
-    if not trials:
-        raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
-    if len(waveforms) > 1:
-        (one, first), (other, second) = list(waveforms.items())[:2]
-        raise InputError(
-            f"'{first}' has the waveform {one[0]} (asymmetry {one[1]:g}), '{second}' {other[0]} (asymmetry "
-            f"{other[1]:g}), which give different thrusts",
-            file=path,
-            column="drive.waveform",
-            hint="write a trials file for each",
-        )
-    if any(t.surge.amplitude_rad <= 0 for t in trials):
-        raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
-    trials = _pooled_frequencies(trials)
-    model = SurgeModel(
-        amplitudes_rad=[t.surge.amplitude_rad for t in trials],
-        frequencies_hz=[t.surge.frequency_hz for t in trials],
-        speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
-    )
-    waveform, asymmetry = next(iter(waveforms))
-    facts = {"beats": beat_facts, "waveform": waveform, "asymmetry": asymmetry}
-    return Experiment("free-swim", robot, model, trials, inputs_of(path, entries, logs), facts=facts)
-
-
-def _waveform(drive: Drive) -> tuple[str, float]:
-    """Return the name of the waveform of a drive and its asymmetry.
-
-    A Hopf oscillator without asymmetry counts as a sine, which it gives on its limit cycle.
-    """
-    if drive.waveform == "a-cpg" and drive.asymmetry != 0:
-        return "a-cpg", drive.asymmetry
-    return "sine", 0.0
-
-
-def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
-    """Replace the beat frequency of each trial by the median over trials with nearly the same frequency."""
-    values = np.array([t.surge.frequency_hz for t in trials])
-    pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
-    return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
+# ---------------------------------------------------------------- averages over beats
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -423,3 +258,13 @@ def _numbers(rows: list[Row], name: str, path: Path) -> Array:
             raise InputError(what, file=path, line=line, column=name, hint=hint)
         values[row] = value
     return values
+
+
+def table_columns(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
+    """Return the columns of a table of cruises, without the speed, from the inputs of a trial."""
+    return {
+        "fin": [fin] * len(inputs["frequency_hz"]),
+        "frequency_hz": inputs["frequency_hz"],
+        "amplitude_deg": np.rad2deg(inputs["amplitude_rad"]),
+        "distance_m": inputs["distance_m"],
+    }

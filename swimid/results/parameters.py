@@ -255,6 +255,23 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
     return parameters
 
 
+def robot_of(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
+    """Return the robot of a parameter file, and the folder to which its path is relative.
+
+    The robot is the name of a built-in robot or the path of a robot file.
+
+    Raises
+    ------
+    InputError
+        If neither the file nor the user names a robot.
+    """
+    if robot is not None:
+        return robot, None
+    if file.robot is None:
+        raise InputError("this key is missing", file=path, column="robot", hint="give the robot: --robot")
+    return file.robot, path.parent
+
+
 def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path) -> list[float]:
     """Return the values of the named parameters of a file. Each must be present and identifiable.
 
@@ -311,7 +328,8 @@ class Fitted(FileResult[ParameterFile]):
         """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
         if not self._inputs(Path()):
             return FileResult.next_step
-        return "swimid compare {trials} --params {file} -o {free[comparison.yaml]}"
+        own = "{own}" * (not self.file.effects)
+        return f"swimid compare {{trials}}{own} --params {{file}} -o {{free[comparison.yaml]}}"
 
     @property
     def parameters(self) -> pd.DataFrame:

@@ -187,11 +187,14 @@ class Result:
             params = [place for name, place in given.items() if Path(name).name == Path(str(about)).name]
             if not given or ("{params}" in step and not params):
                 return ""
-            words |= {"trials": typed(next(iter(given.values()))), "params": "".join(map(typed, params[:1]))}
+            own = [place for place in given.values() if place.endswith(".py")]
+            trials = next(place for place in given.values() if place not in own)
+            words |= {"trials": typed(trials), "params": "".join(map(typed, params[:1]))}
+            words["own"] = "".join(f" --experiment {typed(place)}" for place in own)
         return step.format(**words)
 
     def _inputs(self, folder: Path) -> dict[str, str]:
-        """Return the path of each YAML file among the inputs of the result from a folder, by its name.
+        """Return the paths of YAML and Python files among the inputs of the result from a folder, by name.
 
         The names of inputs are relative to the folder of the result. The folder is searched for that has
         these files with their content. The result is empty if there is none.
@@ -201,7 +204,7 @@ class Result:
         digests = {
             name: digest
             for name, digest in known.items()
-            if name.endswith((".yaml", ".yml")) and not name.startswith("swimid/robots/")
+            if name.endswith((".yaml", ".yml", ".py")) and not name.startswith("swimid/robots/")
         }
         for base in (Path(), *self.path.absolute().parents):
             files = {name: base / paths.get(name, name) for name in digests}

@@ -51,7 +51,6 @@ from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.parameters import Estimate, Fit, Fitted, ParameterFile
-from swimid.rig import trials as rig_experiment
 from swimid.rig.model import ALIKE, COORDINATES, falling_weight_closed_form, terminal_speed
 from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
@@ -156,7 +155,10 @@ def fit_drag(
     ('kg', True, 'good')
     """
     with recorded(repeat=True) as notices:
-        experiment = rig_experiment.load(trials, coordinate=options.coordinate)
+        coordinate = options.coordinate
+        experiment = fit_common.load_experiment(trials, command="fit-drag", coordinate=coordinate)
+        if coordinate is not None and experiment.name != "free-decay":
+            warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )

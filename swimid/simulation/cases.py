@@ -9,32 +9,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swimid.blackbox.model import ArxModel
-from swimid.errors import InputError, UsageError, suggestion
+from swimid.errors import UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import Cycle
-from swimid.fitting.model import Array, CruiseInput, RigInput, SwimInput, Trial
+from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.beat import find_beat
+from swimid.logs.experiments import StrokeDrive, read_experiments
 from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
-from swimid.logs.trials import StrokeDrive
+from swimid.logs.sampling import DURATION_S, even_times
 from swimid.notices import warn
-from swimid.propulsion import trials as propulsion
-from swimid.propulsion.model import SPEED, RecoilModel
+from swimid.propulsion.trials import table_columns
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
-from swimid.rig import model as rig
-from swimid.robots import file as robot_format
-from swimid.robots.file import Robot
 from swimid.simulation import catalogue
 from swimid.simulation.catalogue import Applied, Compute
 from swimid.simulation.options import DriveOptions, SimulateOptions
@@ -42,12 +39,8 @@ from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Energetics, Swimmer
 from swimid.swimmer.planar.model import Body
 
-#: Default duration of a simulation, s, and default sample rate of its log, Hz.
-DURATION_S, RATE_HZ = 15.0, 50.0
-#: Maximum number of samples or integration steps of a simulation.
-MAX_SAMPLES = 20_000_000
-#: Length of a course on which the start from rest has a negligible effect on the mean speed, m.
-FAR_M = 1e9
+#: Default sample rate of a simulation, Hz.
+RATE_HZ = 50.0
 #: Parameters of a beat, and parameters of a stroke, each with its unit.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
 STROKE = {"frequency_hz": "Hz", "scale": "1"}
@@ -118,24 +111,7 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
     duration = options.duration_s or DURATION_S
     if options.duration_s is None and stroke is not None and math.isfinite(stroke.cycles):
         duration = stroke.cycles / stroke.frequency_hz
-    return _grid(duration, options.sample_rate_hz or RATE_HZ, options.dt)
-
-
-def _grid(duration_s: float, rate_hz: float, step_s: float = math.inf) -> Array:
-    """Return sample times from 0 to the last one within the duration of a simulation, s.
-
-    Raises
-    ------
-    UsageError
-        If there is no second sample, or if there are too many samples or integration steps.
-    """
-    if duration_s * rate_hz < 1.0:
-        text = f"{duration_s:g} s at {rate_hz:g} samples a second are less than one sampling interval"
-        raise UsageError(text, hint=f"take --sample-rate-hz {1.0 / duration_s:.3g} or more")
-    if (count := duration_s * max(rate_hz, 1.0 / step_s)) > MAX_SAMPLES:
-        text = f"{duration_s:g} s at this rate and step are {count:.3g} samples; {MAX_SAMPLES:,} are allowed"
-        raise UsageError(text, hint="shorten --duration-s, lower --sample-rate-hz, or raise --dt")
-    return np.arange(math.floor(duration_s * rate_hz + 1e-9) + 1) / rate_hz
+    return even_times(duration, options.sample_rate_hz or RATE_HZ, options.dt)
 
 
 def case_of_options(options: SimulateOptions) -> Case:
@@ -151,22 +127,21 @@ def case_of_options(options: SimulateOptions) -> Case:
     path = place(options)
     if path is None:
         return _swim(options, None)
-    file = catalogue.read_parameters(options.params)
+    own = read_experiments(*options.own_experiments)
+    file, described = catalogue.read_parameters(options.params, own)
     if file.model in ("multilink", "multibody"):
         return _swim(options, file)
     if options.readings:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
-    if file.model == "arma":
-        return _arma(options, file, path)
-    if file.model not in ("falling-weight", RecoilModel.name):
-        raise UsageError(
-            f"the model '{file.model}' can be simulated for recorded trials only",
-            hint="give them with --trials",
-        )
-    robot = robot_format.read(*catalogue.robot_of_parameters(file, path, options.robot))
-    if file.model == RecoilModel.name:
-        return _cruise(options, file, path, robot)
-    return _falling_weight(options, file, path, robot)
+    name, kind = next(iter(described.items()))
+    run = kind.prepare_run(options, (path, file), _times(options))
+    robot = run.robot or options.robot or file.robot or "unknown"
+    applied = Applied(run.model, file, path, options.chosen, [run.trial], options.own_effects)
+    metadata = _metadata(options, robot, experiment=name, **run.metadata)
+    compute = None
+    if run.quantities is not None:
+        compute = _each(partial(run.quantities, applied))
+    return Case(applied, applied.values(), run.trial, metadata, run.extra, run.units, compute)
 
 
 def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
@@ -196,11 +171,9 @@ def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Inpu
         if swims is not None:
             cases.append(_swimming(applied, applied.values(trial), swims, trial, metadata))
             continue
-        extra: dict[str, Any] = {}
+        extra: dict[str, Any] = dict(trial.inputs)
         if experiment.model.timed_runs:
-            extra = _table(trial.id, trial.inputs)
-        elif experiment.name in ("towed", "arma"):
-            extra = dict(trial.inputs)
+            extra = table_columns(trial.id, trial.inputs)
         cases.append(Case(applied, applied.values(trial), trial, metadata, extra))
     return cases, experiment.inputs
 
@@ -372,7 +345,7 @@ def _recorded(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Arr
     rate = options.sample_rate_hz
     if rate is None:
         return log.time_s[log.time_s <= end], swim
-    return begin + _grid(end - begin, rate), swim
+    return begin + even_times(end - begin, rate), swim
 
 
 def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
@@ -614,107 +587,3 @@ def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[s
     if speed_m_s is not None and speed_m_s > 0:
         found["cost_of_transport_J_m"] = positive / speed_m_s
     return found
-
-
-# ------------------------------------------------------------ other models
-
-
-def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
-    """Return the simulation case of a robot on a rig, pulled by a falling weight."""
-    if options.pulling_mass_kg is None:
-        raise UsageError("a falling weight needs --pulling-mass-kg")
-    pulling = options.pulling_mass_kg
-    mass, area = robot.body.inertial_mass_kg, robot.body.frontal_area_m2
-    known = "drag_coefficient" in file.parameters
-    if mass is None or (known and area is None):
-        text = "needs body.inertial_mass_kg, and body.frontal_area_m2 for a drag coefficient"
-        raise InputError(f"the robot '{robot.name}' {text}")
-    force = pulling * robot.fluid.gravity_m_s2
-    inertia = mass + pulling + robot.rig.pulley_inertia_kg
-    model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
-    factor = 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
-    on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
-    trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
-    applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)
-
-    def compute(values: Array) -> list[float]:
-        simulated, hooks = applied.model.motion(values, trial), applied.hooks(values, trial)
-        top = math.nan
-        if not (hooks.force or hooks.flow):
-            balance = hooks.changed(model.equation(values, trial), "coefficients")
-            top = rig.terminal_speed(balance, balance["force"])
-        return [top, float(simulated[model.speed][-1]), float(simulated["x_m"][-1])]
-
-    units = {"terminal_speed_m_s": "m/s", "last_speed_m_s": "m/s", "distance_m": "m"}
-    metadata = _metadata(options, robot.name, experiment="falling-weight", pulling_mass_kg=pulling)
-    return Case(applied, applied.values(), trial, metadata, {}, units, _each(compute))
-
-
-def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
-    model = ArxModel(file, path)
-    metadata = _metadata(options, options.robot or file.robot or "unknown", experiment="arma")
-    if options.input is not None:
-        wanted: tuple[str, ...] = ()
-        if not model.sine:
-            wanted = (model.source,)
-        log = log_format.read(options.input, required=wanted, optional=(model.output,))
-        measured = {model.output: log[model.output]} if model.output in log else {}
-        trial = Trial("run", "fit", log.time_s, measured, inputs={name: log[name] for name in wanted})
-        metadata["input"] = options.input.name
-    elif model.sine is not None:
-        times = _grid(options.duration_s or DURATION_S, 1.0 / model.sample_time_s)
-        trial = Trial("run", "fit", times, {})
-    else:
-        raise UsageError(f"this model runs on the column '{model.source}': give a log with --input run.csv")
-    applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)
-    return Case(applied, applied.values(), trial, metadata, trial.inputs)
-
-
-def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
-    """Return the simulation case of a cruising robot, with the recoil law of a fin."""
-    fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg
-    if fin is None or frequency is None or amplitude is None:
-        raise UsageError("cruising needs --fin, --frequency-hz and --amplitude-deg")
-    unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
-    drag, place = catalogue.drag_file(file, path), robot_format.locate(robot.name)
-    model = propulsion.recoil_model(robot, [fin, *unknown], drag, unknown=unknown, path=place)
-    distance = options.distance_m or FAR_M
-    inputs = {
-        "frequency_hz": np.array([frequency]),
-        "amplitude_rad": np.deg2rad([amplitude]),
-        "distance_m": np.array([distance]),
-    }
-    trial = Trial(fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=CruiseInput(fin, model.fins[fin]))
-    far = replace(trial, id=f"{fin} (far)", inputs={**inputs, "distance_m": np.array([FAR_M])})
-    applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)
-    values = applied.values()
-    for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
-        if values[model.index(name)] != law:
-            raise UsageError(
-                f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
-            )
-
-    def compute(values: Array) -> list[float]:
-        mean, terminal = (float(applied.model.motion(values, one)[SPEED][0]) for one in (trial, far))
-        if options.distance_m is None:
-            mean = math.nan
-        hooks, force = applied.hooks(values, far), math.nan
-        if not hooks.flow:
-            c = hooks.changed(model.resistance(), "coefficients")
-            force = c["dry"] + terminal * (c["linear"] + terminal * c["quadratic"])
-        return [terminal, mean, force]
-
-    units = {"terminal_speed_m_s": "m/s", SPEED: "m/s", "propulsive_force_N": "N"}
-    extra = _table(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
-    metadata = _metadata(options, robot.name, experiment="cruise")
-    return Case(applied, values, trial, metadata, extra, units, _each(compute))
-
-
-def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
-    """Return the columns of a table of cruises, except the column of the speed."""
-    return {
-        "fin": [fin] * len(inputs["frequency_hz"]),
-        "frequency_hz": inputs["frequency_hz"],
-        "amplitude_deg": np.rad2deg(inputs["amplitude_rad"]),
-        "distance_m": inputs["distance_m"],
-    }

@@ -6,24 +6,21 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Affected, Effect
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.fitting.fit_common import Experiment
+from swimid.fitting.fit_common import Experiment, load_experiment
 from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
-from swimid.logs import trials as trials_format
+from swimid.logs.experiments import Trials, find_experiments, read_experiments
 from swimid.logs.trials import TrialSet
 from swimid.notices import warn
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.robots import file as robot_format
-
-if TYPE_CHECKING:
-    from swimid.propulsion.model import SurgeModel
 
 #: Step of a finite difference as a fraction of the standard error of the parameter, and maximum step as a
 #: fraction of the absolute value or the typical scale of the parameter, whichever is larger.
@@ -361,19 +358,6 @@ def _stated(p: Parameter, file: ParameterFile) -> Parameter:
     return replace(p, start=estimate.value, lower=lower, upper=upper)
 
 
-#: Experiments whose trials each model can simulate, by the name of the model.
-EXPERIMENTS = {
-    "multilink": ("free-swim", "multibody"),
-    "multibody": ("free-swim", "multibody"),
-    "falling-weight": ("falling-weight",),
-    "towed": ("towed",),
-    "free-decay": ("free-decay",),
-    "propulsion": ("cruise",),
-    "surge-propulsion": ("free-swim",),
-    "arma": ("arma",),
-}
-
-
 class Loaded(NamedTuple):
     """Experiment, and the parameters for its simulation."""
 
@@ -381,15 +365,34 @@ class Loaded(NamedTuple):
     applied: Applied
 
 
-def read_parameters(source: parameters_format.Source) -> ParameterFile:
+def read_parameters(
+    source: parameters_format.Source, own: Sequence[type[Trials]] = ()
+) -> tuple[ParameterFile, dict[str, type[Trials]]]:
     """Read the parameters of a model that can be simulated.
+
+    Returns
+    -------
+    file : ParameterFile
+    experiments : dict of str to class
+        Experiments that the model describes, by name.
 
     Raises
     ------
     InputError
-        If the source is not a parameter file, or its model cannot be simulated.
+        If the source is not a parameter file, or its model describes no experiment.
     """
-    return parameters_format.read(source, model=tuple(EXPERIMENTS))
+    known = find_experiments(own)
+    file = parameters_format.read(source)
+    described = {name: kind for name, kind in known.items() if file.model in kind.models}
+    if not described:
+        models = dict.fromkeys(model for kind in known.values() for model in kind.models)
+        raise InputError(
+            f"holds parameters of the model '{file.model}', not of {' or '.join(models)}",
+            file=parameters_format.place(source),
+            column="model",
+            hint="give the Python file of an experiment of your own with --experiment",
+        )
+    return file, described
 
 
 def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
@@ -403,7 +406,8 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         start values of the model), ``robot`` (robot for which the parameters are accepted), ``readings``
         (interpretations of the source, which replace those of the parameter file), ``dt`` (integration step
         of a robot with links, s), ``own_effects`` (Python files with effects of the user), and, if the
-        command has them, ``chosen`` (values that replace those of the file) and ``start_state``.
+        command has them, ``own_experiments`` (Python files with experiments of the user), ``chosen`` (values
+        that replace those of the file) and ``start_state``.
 
     Raises
     ------
@@ -411,65 +415,34 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         If a file is invalid, the model does not describe the experiment, the robot differs, or columns are
         missing.
     """
+    own_files = getattr(options, "own_experiments", ())
+    own = read_experiments(*own_files)
+    if not isinstance(trials, TrialSet):
+        trials = TrialSet.read(trials, own)
     parameters, chosen = options.params, dict(getattr(options, "chosen", {}))
-    readings, max_step = dict(options.readings), options.dt
+    given = {
+        "readings": dict(options.readings),
+        "max_step": options.dt,
+        "start_state": getattr(options, "start_state", "auto"),
+    }
     if parameters is None:
-        experiment = _of_trials(trials, readings, max_step)
+        experiment = load_experiment(trials, **given)
         return Loaded(experiment, Applied(experiment.model, chosen=chosen))
-    trials_path, path = trials_format.place(trials), parameters_format.place(parameters)
-    file = read_parameters(parameters)
-    entries: Any = trials_format.read(trials)
-    if entries.experiment not in EXPERIMENTS[file.model]:
+    path = parameters_format.place(parameters)
+    file, described = read_parameters(parameters, [*own, type(trials.entries)])
+    if trials.experiment not in described:
         raise InputError(
-            f"holds trials of the experiment '{entries.experiment}'; parameters of the model "
-            f"'{file.model}' describe: {', '.join(EXPERIMENTS[file.model])}",
-            file=trials_path,
+            f"holds trials of the experiment '{trials.experiment}'; parameters of the model "
+            f"'{file.model}' describe: {', '.join(described)}",
+            file=trials.path,
             column="experiment",
         )
     if options.robot is None:
-        _check_robot(entries.robot, trials_path, file, path)
-    if file.model in ("multilink", "multibody"):
-        readings = {**file.settings.get("readings", {}), **readings}
-        start = getattr(options, "start_state", "auto")
-        if start == "auto":
-            start = file.settings.get("start_state", "auto")
-        experiment = _swimmer(trials, readings=readings, start_state=start, max_step=max_step)
-    elif file.model in ("falling-weight", "towed", "free-decay"):
-        experiment = _rig(trials, file)
-    elif file.model == "arma":
-        from swimid.blackbox import model as arma
-
-        experiment = arma.load(trials, file, path)
-    else:
-        experiment = _propulsion(trials, file, path)
+        _check_robot(trials.entries.robot, trials.path, file, path)
+    experiment = load_experiment(trials, params=(path, file), **given)
     applied = Applied(experiment.model, file, path, chosen, experiment.trials, options.own_effects)
-    inputs = [*experiment.inputs, parameters_format.origin(parameters), *options.own_effects]
+    inputs = [*experiment.inputs, parameters_format.origin(parameters), *own_files, *options.own_effects]
     return Loaded(replace(experiment, model=applied.model, inputs=inputs), applied)
-
-
-def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step: float) -> Experiment:
-    """Load trials without a parameter file.
-
-    The experiment determines the model. A robot with links gets a model with links.
-    """
-    entries: Any = trials_format.read(trials)
-    if entries.experiment == "arma":
-        raise UsageError(
-            "a black-box model has no values but those of a fit: give them with --params",
-            hint="swimid rwls makes them",
-        )
-    robot = trials_format.robot_of(entries, trials_format.place(trials))
-    if entries.experiment == "multibody" or (
-        entries.experiment == "free-swim" and (robot.multilink is not None or robot.multibody is not None)
-    ):
-        return _swimmer(trials, readings=readings, max_step=max_step)
-    if entries.experiment in ("cruise", "free-swim"):
-        from swimid.propulsion import trials as propulsion
-
-        return propulsion.load(trials)
-    from swimid.rig import trials as rig
-
-    return rig.load(trials)
 
 
 def load_robot(options: Any, file: ParameterFile | None) -> Applied:
@@ -492,7 +465,7 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
     path, folder, readings = None, None, dict(options.readings)
     if file is not None:
         path = parameters_format.place(options.params)
-        name, folder = robot_of_parameters(file, path, options.robot)
+        name, folder = parameters_format.robot_of(file, path, options.robot)
         readings = {**file.settings.get("readings", {}), **readings}
     elif options.robot is None:
         raise UsageError("name a parameter file (--params) or a robot (--robot)")
@@ -509,23 +482,6 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
         text = f"with these parameters, {error.reason}"
         raise InputError(text, file=place, column=error.column) from error
     return applied
-
-
-def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
-    """Return the robot of a parameter file, and the folder to which its path is relative.
-
-    The robot is the name of a built-in robot or the path of a robot file.
-
-    Raises
-    ------
-    InputError
-        If neither the file nor the user names a robot.
-    """
-    if robot is not None:
-        return robot, None
-    if file.robot is None:
-        raise InputError("this key is missing", file=path, column="robot", hint="give the robot: --robot")
-    return file.robot, path.parent
 
 
 def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) -> None:
@@ -550,82 +506,6 @@ def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) 
             file=path,
             column="robot",
         )
-
-
-def _swimmer(trials: str | Path | TrialSet, **options: Any) -> Experiment:
-    from swimid.swimmer import trials as swimmer
-
-    return swimmer.load(trials, **options)
-
-
-def _rig(trials: str | Path | TrialSet, file: ParameterFile) -> Experiment:
-    from swimid.rig import trials as rig
-
-    coordinate = None
-    if file.model == "free-decay" and file.fit is not None and len(file.fit.channels) == 1:
-        coordinate = next(iter(file.fit.channels))
-    experiment = rig.load(trials, coordinate=coordinate)
-    rounding = file.settings.get("encoder_rounding")
-    if rounding in experiment.variants:
-        experiment = replace(experiment, trials=experiment.variants[str(rounding)])
-    return experiment
-
-
-def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
-    """Return the drag parameters with which the parameters of the recoil law were estimated.
-
-    Raises
-    ------
-    InputError
-        If the drag file is neither at the path that the fit recorded nor in the folder of the parameter file.
-    """
-    if file._drag is not None:
-        return file._drag
-    named = file.settings.get("drag_file")
-    if named is None:
-        raise InputError("this key is missing", file=path, column="settings.drag_file")
-    # the path is relative to the folder in which the fit was run
-    places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
-    place = next((p for p in places if p.is_file()), None)
-    if place is None:
-        raise InputError(
-            f"the drag file {named} it was made with is not there",
-            file=path,
-            column="settings.drag_file",
-            hint="put it beside this file",
-        )
-    return place
-
-
-def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
-    """Set the reference amplitude and frequency of a surge model from its parameter file, in place."""
-    for key in ("reference_amplitude_rad", "reference_frequency_hz"):
-        if key not in file.settings:
-            raise InputError("this key is missing", file=path, column=f"settings.{key}")
-        setattr(model, key, float(file.settings[key]))
-
-
-def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) -> Experiment:
-    from swimid.propulsion import trials as propulsion
-    from swimid.propulsion.model import RecoilModel, SurgeModel
-
-    if file.model == RecoilModel.name:
-        # if the parameter file names no drag file, use the drag file of the trials file
-        named = file.settings.get("drag_file") is not None
-        return propulsion.load(trials, drag=drag_file(file, path) if named else None)
-    experiment = propulsion.load(trials)
-    assert isinstance(experiment.model, SurgeModel)
-    set_references(experiment.model, file, path)
-    for key in ("waveform", "asymmetry"):
-        fitted, here = file.settings.get(key), experiment.facts[key]
-        if fitted is not None and fitted != here:
-            raise InputError(
-                f"these trials were driven with the {key} {here}, those of the parameters with {fitted}: "
-                "each has a thrust of its own",
-                file=trials_format.place(trials),
-                column=f"drive.{key}",
-            )
-    return experiment
 
 
 def is_possible(model: Model, values: Array) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+import swimid.options as fits
 from swimid.options import Options, Source, option
 from swimid.swimmer import options as swimmers
 
@@ -56,6 +57,7 @@ class CompareOptions(
     start_state: swimmers.SwimStart = swimmers.start_state()
     chosen: Mapping[str, float] = chosen()
     own_effects: tuple[Path, ...] = own_effects()
+    own_experiments: tuple[Path, ...] = fits.own_experiments()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()
 
@@ -117,4 +119,5 @@ class SimulateOptions(
         None, help="Simulate these recorded trials' own drives and start states; -o is then a folder."
     )
     trial: str | None = option(None, metavar="ID", help="Only this one of --trials; -o is then a log.")
+    own_experiments: tuple[Path, ...] = fits.own_experiments()
     animate: Path | None = option(None, written=True, help="Film of the links: .mp4 or .gif.")

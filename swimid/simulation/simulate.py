@@ -265,7 +265,10 @@ class Simulation(Result):
 
 
 #: Options of ``simulate`` that are allowed together with recorded trials.
-WITH_TRIALS = ("params", "robot", "dt", "chosen", "own_effects", "readings", "trials", "trial", "animate")
+WITH_TRIALS = (
+    *("params", "robot", "dt", "chosen", "own_effects", "own_experiments", "readings", "trials", "trial"),
+    "animate",
+)
 #: Quantities in the table of several simulations of a robot in a plane.
 TABLE_QUANTITIES = ("mean_speed_m_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "turning_radius_m")
 

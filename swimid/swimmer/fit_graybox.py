@@ -187,8 +187,9 @@ class Posed:
         cls, trials: str | Path | TrialSet, options: FitGrayboxOptions, output: Path | None = None
     ) -> Posed:
         """Read the trials, and prepare model and parameters as the options say."""
-        experiment = swimmer.load(
+        experiment = fit_common.load_experiment(
             trials,
+            command="fit-graybox",
             readings=options.readings,
             channels=options.channels,
             start_state=options.start_state,

@@ -16,17 +16,16 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting import drives, fit_common
 from swimid.fitting.drives import Cycle
-from swimid.fitting.fit_common import Experiment, inputs_of, read_log
+from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import Array, SwimInput, Trial
-from swimid.logs import trials as trials_format
 from swimid.logs.beat import (
     compare_course,
     find_beat,
     is_in_degrees,
     stated_against_found,
 )
+from swimid.logs.experiments import Drive, FreeSwimTrial, Params, StrokeDrive
 from swimid.logs.log import Log, unwrapped
-from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
@@ -53,13 +52,6 @@ MAX_RAMP_SHARE = 0.3
 MIN_JOINT_SAMPLES, MIN_BEAT_SAMPLES = 5, 17
 #: Number of drive phases that are tried as start values for a trial that begins in steady swimming.
 N_PHASES = 12
-#: Keys of the trials file that each kind of experiment uses.
-USES = dict.fromkeys(
-    ("free-swim", "multibody"),
-    trials_format.EVERYWHERE
-    | {"trials.coefficients", "trials.drive", "trials.start_state"}
-    | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
-)
 
 
 def robot_model(
@@ -125,26 +117,37 @@ class Recording:
 
 
 def load(
-    source: str | Path | TrialSet,
+    entries: Any,
+    path: Path,
     *,
+    command: str = "",
+    params: Params | None = None,
     readings: Mapping[str, str] | None = None,
     channels: Sequence[str] = (),
     start_state: str = "auto",
     max_step: float = STEP_S,
 ) -> Experiment:
-    """Read a free-swim or multibody trials file of a robot with links, with the robot and the logs.
+    """Read the logs of a free-swim or multibody trials file, and return the model of the robot with links.
 
     Parameters
     ----------
-    source : path or TrialSet
+    entries : Trials
+        Content of the trials file.
+    path : Path
+        Trials file.
+    command : str
+        Command that fits the trials.
+    params : (Path, ParameterFile), optional
+        Parameters, which state the readings and the start state of their fit.
     readings : mapping, optional
-        Interpretations of the robot's source that replace those of the file.
+        Interpretations of the robot's source that replace those of the parameters and of the robot file.
     channels : sequence of str
         Columns to fit. By default these are the pose if it is logged, otherwise the velocities, and the
         logged angles of passive joints and of driven joints behind a servo or a shared actuator.
     start_state : {"auto", "rest", "estimate", "steady"}
-        State at the first sample. ``auto`` takes the key ``start_state`` of each trial. Without that key, the
-        opening of the log decides. ``steady`` is the limit cycle under the trial's drive.
+        State at the first sample. ``auto`` takes the state of the parameters, or else the key ``start_state``
+        of each trial. Without that key, the opening of the log decides. ``steady`` is the limit cycle under
+        the trial's drive.
     max_step : float, s
         Maximum integration step.
 
@@ -155,9 +158,11 @@ def load(
     UsageError
         For a channel that the robot does not have.
     """
-    path = trials_format.place(source)
-    entries = trials_format.read(source, FreeSwim, Multibody, uses=USES)
-    assert isinstance(entries, FreeSwim | Multibody)
+    if params is not None:
+        settings = params[1].settings
+        readings = {**settings.get("readings", {}), **(readings or {})}
+        if start_state == "auto":
+            start_state = settings.get("start_state", "auto")
     robot, model = robot_model(entries.robot, path.parent, readings=readings, max_step=max_step)
     known = [c.name for c in model.channels]
     for name in channels:
@@ -171,15 +176,9 @@ def load(
         "beats": beats,
         "profiles": {entry.id: _profile(entry) for entry in entries.trials},
     }
-    return Experiment(
-        entries.experiment,
-        robot,
-        model,
-        trials,
-        inputs_of(path, entries, [r.log.source for r in recordings]),
-        facts=facts,
-        robot_path=robot_format.locate(entries.robot, path.parent),
-    )
+    robot_path = robot_format.locate(entries.robot, path.parent)
+    sources = [r.log.source for r in recordings]
+    return Experiment.of(entries, path, model, trials, sources, robot, facts=facts, robot_path=robot_path)
 
 
 # ---------------------------------------------------------------- one trial
