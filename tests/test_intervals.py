@@ -101,6 +101,24 @@ def test_trials_that_agree_have_the_classical_standard_errors(rng: np.random.Gen
     assert np.linalg.inv(root.T @ root) == pytest.approx(result.covariance, rel=1e-6)
 
 
+def test_the_parameter_that_differs_is_named_with_its_standard_deviation() -> None:
+    condition = unlike.Condition((20,) * 8, {"drag_coefficient": 0.03}, fixed=unlike.REPEAT)
+    trials = [d.trial(str(k)) for k, d in enumerate(unlike.draw(condition, np.random.default_rng(1)))]
+    found = fit(unlike.Falling(unlike.REPEAT), trials).differences
+    assert found is not None
+    assert found.are_likely
+    assert max(found.chance, key=lambda name: found.chance[name]) == "drag_coefficient"
+    assert 0.5 * 0.021 < found.sd["drag_coefficient"] < 2.0 * 0.021
+
+
+def test_trials_that_agree_are_hardly_ever_said_to_differ(rng: np.random.Generator) -> None:
+    alarms = 0
+    for _ in range(40):
+        result = fit(Line(), line_trials([1.0] * 5, [0.1 * rng.normal(size=60) for _ in range(5)]))
+        alarms += result.differences is not None and result.differences.are_likely
+    assert alarms <= stats.binom.ppf(0.99, 40, 0.01)
+
+
 def test_slow_noise_widens_the_interval(rng: np.random.Generator) -> None:
     """One hundred errors with a memory of fifty samples are few independent ones."""
     inside = []
@@ -114,7 +132,9 @@ def test_slow_noise_widens_the_interval(rng: np.random.Generator) -> None:
 def test_repeats_that_differ_hold_the_truth() -> None:
     """Two repeats whose drag differs by 3 %: the classical interval holds the truth in half of the cases."""
     condition = unlike.CONDITIONS["drag 3 %, 2 repeats"]
-    hits = [unlike.measure(condition, np.random.default_rng([3, s]))["drag_coefficient"] for s in range(25)]
+    found = [unlike.measure(condition, np.random.default_rng([3, s])) for s in range(25)]
+    hits = [share for one in found for name, share in one.items() if name.startswith("drag_coefficient")]
+    assert len(hits) == 25
     assert sum(hits) >= stats.binom.ppf(0.01, 25, 0.95)
 
 

@@ -109,7 +109,7 @@ def compute_trend_p(own: OwnValues, setting: Array) -> float:
     """
     variances, values, turn = _contrasts(own)
     slope_column = turn @ np.asarray(setting, dtype=float)
-    between, _ = _reml(variances, values, slope_column)
+    between = _reml(variances, values, slope_column)
     weight = 1.0 / (variances + between)
     information = float(np.sum(slope_column**2 * weight))
     if information <= 0 or len(values) < 2:
@@ -128,31 +128,26 @@ def _contrasts(own: OwnValues) -> tuple[Array, Array, Array]:
     return np.maximum(variances, 0.0), turn @ own.value, turn
 
 
-def _reml(variances: Array, values: Array, column: Array) -> tuple[float, float]:
+def _reml(variances: Array, values: Array, column: Array) -> float:
     """Estimate the between-trial variance of a parameter by restricted maximum likelihood (REML).
 
-    The second result is the increase in twice the restricted log-likelihood, compared with zero variance. If
-    ``column`` is not zero, the slope of the values over ``column`` is estimated together with the variance.
+    The slope of the values over ``column`` is estimated together with the variance.
     """
     floor = 1e-12 * float(np.max(values**2, initial=0.0)) + 1e-300
 
     def minus(between: float) -> float:
         whole = variances + between + floor
-        left, extra = values, 0.0
-        if column.any():
-            information = float(np.sum(column**2 / whole))
-            left = values - column * float(np.sum(column * values / whole)) / max(information, 1e-300)
-            extra = math.log(max(information, 1e-300))
-        return float(np.sum(np.log(whole) + left**2 / whole)) + extra
+        information = max(float(np.sum(column**2 / whole)), 1e-300)
+        left = values - column * float(np.sum(column * values / whole)) / information
+        return float(np.sum(np.log(whole) + left**2 / whole)) + math.log(information)
 
     top = 4.0 * float(np.max(values**2, initial=0.0)) + floor
     grid = np.concatenate(([0.0], np.geomspace(1e-10 * top, top, 60)))
     best = int(np.argmin([minus(b) for b in grid]))
     if best == 0:
-        return 0.0, 0.0
+        return 0.0
     low, high = grid[best - 1], grid[min(best + 1, len(grid) - 1)]
-    between = float(optimize.minimize_scalar(minus, bounds=(low, high), method="bounded").x)
-    return between, minus(0.0) - minus(between)
+    return float(optimize.minimize_scalar(minus, bounds=(low, high), method="bounded").x)
 
 
 # ---------------------------------------------------------------- the outlier among the trials

@@ -659,7 +659,12 @@ def refuse_interrupted(result: FitResult) -> None:
 
 
 def insist_identified(result: FitResult, hint: str) -> None:
-    """Raise :class:`NoTrustworthyResult` if a fit has shared parameters but identifies none of them."""
+    """Raise :class:`NoTrustworthyResult` if a fit has shared parameters but identifies none of them.
+
+    A fit of trials that differ is returned, because its checks say what differs.
+    """
+    if result.differences is not None and result.differences.are_likely:
+        return
     if result.shared and all(result.status[label] != "estimated" for label in result.shared):
         text = f"none of {', '.join(result.shared)} can be identified from these trials"
         raise NoTrustworthyResult(text, hint=hint)
@@ -856,15 +861,15 @@ def _agreement(result: FitResult) -> list[ev.Check]:
     if not hidden:
         return [*found, ev.check(name, "yes", True, limit)]
     value = f"not of {', '.join(hidden)}"
-    reason = f"these trials cannot show whether {_listed(hidden)} differ from trial to trial"
+    reason = f"differences of {_listed(hidden)} between these trials would not show"
     if differ.trials == 1:
         value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
     share = numbers.percent(ASSUMED_DIFFERENCE)
     worst = max(hidden, key=lambda n: differ.hidden[n] / (result.stderr(n) or math.inf))
     error = numbers.number(NORMAL * differ.hidden[worst], 2, result.parameter(worst).unit)
     text = (
-        f"their intervals hold only for equal values in all trials; if {worst} differs by {share}, its "
-        f"interval is ± {error}. Fit repeats of one setting, or more settings"
+        f"intervals hold only for equal values in all trials; if {worst} differs by {share}, its interval is "
+        f"± {error}. Fit repeats of one setting, or more settings"
     )
     return [*found, warned_check("SWM028", name, value, False, limit, text, reason)]
 

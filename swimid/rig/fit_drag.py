@@ -235,10 +235,10 @@ def _fit_best(
         best, facts["start_state"], omitted = fit_start_states(plain)
     else:
         omitted = find_omitted(plain)
-    checks = [omission_check(best, omitted)]
+    result = output_error.complete(best)
+    checks = [omission_check(result, omitted)]
     if experiment.name == "towed":
         checks.append(sign_check(best))
-    result = output_error.complete(best)
     return result, facts, checks + trial_checks(plain, result)
 
 
@@ -369,6 +369,7 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
             and find_moved(stated, other.fit)
         ):
             found.append(other)
+    found = [replace(omitted, fit=output_error.with_intervals(omitted.fit)) for omitted in found]
     return sorted(found, key=lambda omitted: omitted.criterion)
 
 
@@ -450,12 +451,13 @@ def find_moved(stated: FitResult, other: FitResult) -> list[str]:
 def find_material(stated: FitResult, other: FitResult) -> list[str]:
     """Return the coefficients of the body that move materially from the fit ``stated`` to another fit.
 
-    They move out of both 95 % intervals and by more than :data:`MATERIAL_SHARE`. A coefficient that is fixed
-    in the other fit has no interval there.
+    They move by more than 1.96 standard errors of their difference, as of independent estimates, and by more
+    than :data:`MATERIAL_SHARE`. A coefficient that is fixed in the other fit has no error there.
     """
 
     def is_material(label: str) -> bool:
-        limit = max(1.96 * (other.stderr(label) or 0.0), MATERIAL_SHARE * abs(stated.value(label)))
+        error = math.hypot(stated.stderr(label) or 0.0, other.stderr(label) or 0.0)
+        limit = max(1.96 * error, MATERIAL_SHARE * abs(stated.value(label)))
         return label not in OF_SENSOR and abs(other.value(label) - stated.value(label)) > limit
 
     return [*filter(is_material, find_moved(stated, other))]

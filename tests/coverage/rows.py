@@ -125,5 +125,7 @@ def row(quantity: str, values: list[float]) -> Row | None:
         low, high = float(interval.low), float(interval.high)
     else:
         half = float(stats.t.ppf(0.975, n - 1) * known.std(ddof=1) / np.sqrt(n))
-        low, high = max(mean - half, 0.0), min(mean + half, 1.0)
+        low, high = max(mean - half, 0.0), mean + half
+        if mean <= 1.0:
+            high = min(high, 1.0)
     return Row(quantity, n, mean, low, high, wanted(quantity))
