@@ -52,10 +52,7 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
     """
     experiment, applied = loaded
     try:
-        done = [
-            compare_series.compare_trial(experiment, applied, trial, refit=True)
-            for trial in experiment.trials
-        ]
+        done, _ = compare_series.compare_trials(applied, experiment.trials, refit=True)
     except NoTrustworthyResult:
         # The simulation diverges with the given parameters, so they have no errors. A refit may still work.
         return {}

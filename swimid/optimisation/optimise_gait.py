@@ -160,6 +160,7 @@ def optimise_gait(
         runs = options.starts * MAX_STEPS + options.draws * DRAW_STEPS * known
         simulated_s = runs * (2 * len(options.vary) + 1) * options.duration_s
         performance.model.prepare(progress, simulated_s=simulated_s, checkpoint=study.checkpoint)
+        problem.performance = performance = performance.at_step(options.vary)
         file = _find(problem, options, study, progress)
         if known:
             performance.applied.warn_without_error("the intervals")

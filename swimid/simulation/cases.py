@@ -20,7 +20,7 @@ from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import Cycle
-from swimid.fitting.model import Array, CruiseInput, RigInput, SwimInput, Trial
+from swimid.fitting.model import Array, CruiseInput, Model, RigInput, SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.beat import find_beat
@@ -36,7 +36,7 @@ from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
-from swimid.simulation.catalogue import Applied, Compute
+from swimid.simulation.catalogue import Applied
 from swimid.simulation.options import DriveOptions, SimulateOptions
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Energetics, Swimmer
@@ -51,6 +51,9 @@ FAR_M = 1e9
 #: Parameters of a beat, and parameters of a stroke, each with its unit.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
 STROKE = {"frequency_hz": "Hz", "scale": "1"}
+#: Type of a function from a model and parameter vectors to quantities, shape (vectors, quantities). An
+#: undefined quantity is NaN.
+Quantities = Callable[[Applied, Sequence[Array]], Array]
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,8 @@ class Case:
     units : dict of str to str
         Names of the quantities of the simulation, with their units.
     quantities : callable or None
-        Function from parameter vectors to the quantities of the simulation, in the order of ``units``.
+        Function from model and parameter vectors to the quantities of the simulation, in the order of
+        ``units``.
     """
 
     applied: Applied
@@ -79,12 +83,19 @@ class Case:
     metadata: Mapping[str, Any]
     extra: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    quantities: Compute | None = None
+    quantities: Quantities | None = None
 
     @property
     def id(self) -> str:
         """Identifier of the simulated trial."""
         return self.trial.id
+
+    def at_step(self, model: Model) -> Case:
+        """Return the same simulation by the model with another integration step."""
+        metadata = dict(self.metadata)
+        if model.swimmer is not None:
+            metadata["dt_s"] = model.swimmer.max_step
+        return replace(self, applied=self.applied.at_step(model), metadata=metadata)
 
     @property
     def per_run(self) -> bool:
@@ -214,7 +225,6 @@ def _swimming(
     """Return the simulation case of a trial of a robot with links."""
     if trial.swim.drive is not None:
         metadata["drive"] = drive_block(trial)
-    metadata["dt_s"] = model.max_step
     extra, quantities = commands(model, trial, values), _swim_quantities(model, trial, values)
     return Case(applied, values, trial, metadata, extra, units_of(model), quantities)
 
@@ -401,12 +411,12 @@ def beat_frequency(
     return None
 
 
-def _each(compute: Callable[[Array], list[float]]) -> Compute:
+def _each(compute: Callable[[Applied, Array], list[float]]) -> Quantities:
     """Return a function that calls ``compute`` for each of several parameter vectors."""
-    return lambda vectors: np.array([compute(values) for values in vectors])
+    return lambda applied, vectors: np.array([compute(applied, values) for values in vectors])
 
 
-def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
+def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities | None:
     """Return the function that computes the quantities of the last beats or strokes of a simulation.
 
     Return None if there is no beat, or if no whole cycle fits into the trial.
@@ -418,7 +428,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
     if run is None:
         return None
 
-    return lambda vectors: quantities_of(model, [run] * len(vectors), vectors)
+    return lambda applied, vectors: quantities_of(applied.model.swimmer, [run] * len(vectors), vectors)
 
 
 # ------------------------------------------------------------ quantities of a run
@@ -637,7 +647,7 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
     trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
     applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)
 
-    def compute(values: Array) -> list[float]:
+    def compute(applied: Applied, values: Array) -> list[float]:
         simulated, hooks = applied.model.motion(values, trial), applied.hooks(values, trial)
         top = math.nan
         if not (hooks.force or hooks.flow):
@@ -694,7 +704,7 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )
 
-    def compute(values: Array) -> list[float]:
+    def compute(applied: Applied, values: Array) -> list[float]:
         mean, terminal = (float(applied.model.motion(values, one)[SPEED][0]) for one in (trial, far))
         if options.distance_m is None:
             mean = math.nan
