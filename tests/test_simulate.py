@@ -40,10 +40,10 @@ multilink:
   elements:
     - {kind: added-mass, link: body, sway_kg: 0.60, inertia_kg_m2: 2.0e-3}
     - {kind: added-mass, link: peduncle, sway_kg: 0.08, inertia_kg_m2: 3.0e-5}
-    - {kind: drag, link: body, strips: 6, normal_area_m2: 0.012, normal_coefficient: c_d, axial_area_m2: 0.024,
-       axial_coefficient: 0.01}
-    - {kind: drag, link: fin, strips: 4, normal_area_m2: 0.004, normal_coefficient: c_d, axial_area_m2: 0.008,
-       axial_coefficient: 0.01}
+    - {kind: drag, link: body, strips: 6, normal_area_m2: 0.012, normal_coefficient: c_d,
+       axial_area_m2: 0.024, axial_coefficient: 0.01}
+    - {kind: drag, link: fin, strips: 4, normal_area_m2: 0.004, normal_coefficient: c_d,
+       axial_area_m2: 0.008, axial_coefficient: 0.01}
     - {kind: trailing-edge, link: fin, added_mass_kg_m: 5.0}
 """
 

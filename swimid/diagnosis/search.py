@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -26,7 +26,7 @@ from swimid.diagnosis.context import FINE, ROUGH, STEPS, Fit, FitContext
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.posterior import TENTH, UNSURE, Candidate, Posterior, Record
+from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
 from swimid.diagnosis.proposals import Limits
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.diagnosis.readings import OtherReading
@@ -34,14 +34,17 @@ from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
 from swimid.files.atomic import Checkpoint
+from swimid.fitting.fit_common import step_check
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import map_in_processes
+from swimid.fitting.steps import STEP_ERROR, Step, choose_step
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
 
-#: Maximum change of a simulated sample for which a doubled integration step counts as accurate, as a fraction
-#: of the range of the channel. If a tenth of the noise is larger, that is the maximum.
-SMALL_CHANGE = 1e-4
+#: Maximum change of a simulated sample when the integration step is halved, if the noise of a channel is
+#: smaller: as a fraction of the range of the channel, and in the search for effects as a fraction of the
+#: change by the effect.
+SMALL_CHANGE, SMALL_EFFECT = 1e-4, 0.05
 #: Search for larger sets of effects: number of hypotheses to which a further effect is added (PARENTS), and
 #: number of the resulting sets that are fitted (SETS).
 PARENTS, SETS = 4, 10
@@ -218,27 +221,63 @@ class State:
         return self.posterior.none <= UNSURE and any(e.adds_to is not None for e in self.base.effects)
 
 
-def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
-    """Return the model with twice the integration step, or None if that is too inaccurate.
-
-    It is too inaccurate if a sample changes by more than a small fraction of its noise or of the range.
+def step_of(
+    model: Model,
+    vectors: Sequence[Array],
+    trials: Sequence[Trial],
+    changes: Sequence[Mapping[str, float]] = (),
+) -> Step:
+    """Choose the integration step of a model by the noise of the trials.
 
     Parameters
     ----------
     vectors : sequence of ndarray
         Parameter values of each trial.
+    changes : sequence of mapping of str to float, optional
+        Changes of the samples of each trial by an effect, by channel. The search for effects allows a small
+        fraction of them.
     """
-    quick = model.coarser()
-    if quick is None:
-        return None
-    for values, trial in zip(vectors, trials, strict=True):
-        fine, rough = model.simulate(values, trial), quick.simulate(values, trial)
-        for channel in trial.measured:
-            noise = white_noise_sd(trial.measured[channel] - fine[channel], 0.0)
-            little = max(TENTH * noise, SMALL_CHANGE * float(np.ptp(fine[channel])))
-            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= little:
-                return None
-    return quick
+    runs = list(zip(vectors, trials, strict=True))
+    noise = []
+    for k, (trial, seen) in enumerate(zip(trials, model.simulate_many(runs), strict=True)):
+        own = {}
+        for name in trial.measured:
+            allowed = SMALL_CHANGE * float(np.ptp(seen[name]))
+            if changes:
+                allowed = SMALL_EFFECT * changes[k][name]
+            own[name] = max(white_noise_sd(trial.measured[name] - seen[name], 0.0), allowed / STEP_ERROR)
+        noise.append(own)
+    return choose_step(model, runs, noise)
+
+
+def step_of_search(context: FitContext, fit: Fit, effects: Sequence[Effect]) -> Step:
+    """Choose the integration step by the fitted model, and by the model with each effect on the commands.
+
+    A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. Its
+    change of the samples may have an error of :data:`SMALL_EFFECT`, because the step is chosen again for the
+    model with the causes.
+    """
+    trials = context.trials
+    vectors = [fit.problem.vector(fit.theta, k) for k in range(len(trials))]
+    found = step_of(context.model, vectors, trials)
+    without = context.model.simulate_many(list(zip(vectors, trials, strict=True)))
+    for effect in effects:
+        tries = effect.tries(effect.parameters(context.model, trials))
+        affected = context.affected((effect,))
+        if not tries or affected.model is not context.model:
+            continue
+        own = [np.concatenate((values, tries[len(tries) // 2])) for values in vectors]
+        if not affected.hooks(own[0], trials[0]).command:
+            continue
+        simulated = affected.simulate_many(list(zip(own, trials, strict=True)))
+        changes = [
+            {name: float(np.max(np.abs(seen[name] - plain[name]))) for name in trial.measured}
+            for trial, seen, plain in zip(trials, simulated, without, strict=True)
+        ]
+        needed = step_of(affected, own, trials, changes)
+        if needed.halvings > found.halvings:
+            found = needed
+    return found
 
 
 def prepared(
@@ -598,6 +637,23 @@ class Search:
                 self.step(h.tried.effect.name)
             self._refitted(h, refit)
 
+    def refine(self, best: Hypothesis) -> bool:
+        """Repeat all fits with a smaller integration step if the best hypothesis needs it.
+
+        Return whether the step was too large.
+        """
+        context, fit = self.context, best.fit
+        vectors = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
+        needed = step_of(context.affected(fit.acting), vectors, context.trials)
+        if not needed.halvings:
+            step_check([trial.id for trial in context.trials], needed.changes)
+            return False
+        self.context = context = context.finer(needed.halvings)
+        fit = context.fit(fit.effects, self.noise_model, [fit.theta], tolerance=FINE)
+        self.learn(self.judged(fit, best.tried))
+        self.finish()
+        return True
+
     def finish(self, improbable: float = HOPELESS, tolerance: float = FINE) -> None:
         """Complete the early-stopped fits of hypotheses that are not improbable.
 
@@ -740,18 +796,19 @@ def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext
     """
     fine, trials = given.model, given.trials
     start = [np.array([p.start for p in given.parameters])] * len(trials)
-    model = coarser(fine, start, trials) or fine
+    # The search may take twice the given step if that is accurate enough.
+    model = step_of(fine.coarser() or fine, start, trials).model
     context = given.replaced(model, trials)
     noise_model, fit = weigh(context)
     dropouts = look(context.trials, fit.problem.simulations(fit.theta))
     if dropouts.count:
         context = given.replaced(model, dropouts.without(trials))
         noise_model, fit = weigh(context)
-    # The doubled integration step was accurate at the start values of the parameters. It may be inaccurate at
-    # the fitted values.
-    own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
-    if model is not fine and coarser(fine, own, context.trials) is None:
-        context = given.replaced(fine, context.trials)
+    # The step was small enough at the start values of the parameters. It may be too large at the fitted
+    # values, or for effects.
+    needed = step_of_search(context, fit, effects)
+    if needed.halvings:
+        context = context.finer(needed.halvings)
         noise_model, fit = weigh(context)
     if context.model is not fine and fine.swimmer is not None:
         # The model with the original step is not simulated any more.
@@ -800,6 +857,7 @@ def run(
         if dropouts.count:
             simulated = state.base.problem.simulations(state.base.theta)
             state.dropouts = dropouts.confirmed(look(given.trials, simulated))
+        context = state.context
         state.left = remainder.find(context, state.base, state.noise_model, rng=rng)
         columns, _ = random_effect_columns(context, state.base, effects)
         state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
@@ -851,6 +909,8 @@ def chosen(
         if search.likeliest(found).names == best.names:
             break
         best = search.likeliest(found)
+    if search.refine(best):
+        return chosen(search, dropouts, allowed, most, progress)
     return rounds(search, best, found, dropouts)
 
 

@@ -350,7 +350,7 @@ def _fit_with_step(task: _Task) -> FitResult:
         for s in result.series:
             noise[s.trial][s.channel] = s.sd
         chosen = steps.choose_step(result.model, runs, list(noise.values()), halvings=halvings)
-        spent += len(runs)
+        spent += sum(bool(changes) for changes in chosen.changes)
         result = replace(result, step_error=steps.STEP_ERROR * chosen.change, evaluations=spent)
         if not chosen.halvings:
             return result

@@ -79,15 +79,15 @@ def choose_step(
     changes: list[dict[str, float]] = [{} for _ in runs]
     levels, models = [0] * len(runs), [model]
     rest = list(range(len(runs)))
-    rough = model.simulate_many(runs)
+    rough: list[dict[str, Array]] = []
     while rest and (finer := models[-1].refined()) is not None:
+        rough = rough or model.simulate_many(runs)
         fine = finer.simulate_many([runs[k] for k in rest])
         for k, one, other in zip(rest, rough, fine, strict=True):
             changes[k] = _changes(runs[k][1], one, other, noise[k])
-        last = len(models) > halvings
-        pairs = [(k, one) for k, one in zip(rest, fine, strict=True) if _largest(changes[k]) > 1.0]
-        rest, rough = [k for k, _ in pairs], [one for _, one in pairs]
-        if last:
+        left = [j for j, k in enumerate(rest) if _largest(changes[k]) > 1.0]
+        rest, rough = [rest[j] for j in left], [fine[j] for j in left]
+        if len(models) > halvings:
             break
         models.append(finer)
         for k in rest:
