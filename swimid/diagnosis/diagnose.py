@@ -219,7 +219,7 @@ def diagnose(
             raise NoTrustworthyResult("no trial has the role 'fit'")
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        search.prepared(model, experiment.trials, progress, keep)
+        model.prepare(progress, effects=True)
         as_given = _as_given(loaded)
         jobs = options.jobs or os.cpu_count() or 1
         context = FitContext(

@@ -62,11 +62,6 @@ SAME_COSINE = 0.95
 TURNS, STAYS = 6, 0.02
 #: Maximum number of effects in one hypothesis.
 COMBINED = 3
-#: Approximate number of simulations of each trial in a diagnosis (RUNS), and number of those among them with
-#: effects that add forces or elements (AFFECTED). The trials of ``sample_logs/gap`` need 13,300 and 3,620.
-RUNS, AFFECTED = 13000, 3600
-#: Approximate number of simulations of each trial in the fit of one hypothesis.
-FITTED = 250
 
 Key = frozenset[int]
 
@@ -280,25 +275,6 @@ def step_of_search(context: FitContext, fit: Fit, effects: Sequence[Effect]) -> 
     return found
 
 
-def prepared(
-    model: Model,
-    trials: Sequence[Trial],
-    progress: Progress = silent,
-    checkpoint: Checkpoint | None = None,
-    *,
-    share: float = 1.0,
-) -> None:
-    """Compile a model if that saves time.
-
-    Parameters
-    ----------
-    share : float
-        Fraction of the simulations of a diagnosis that the model runs.
-    """
-    lasting = share * sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
-    model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
-
-
 @dataclass(eq=False)
 class Search:
     """Search over all hypotheses for one set of trials with one noise model.
@@ -367,17 +343,13 @@ class Search:
             misfits = parent.misfits - candidates.own_gains(self.context, parent.fit, self.noise_model, own)
         return Hypothesis(fit, misfits, found.inside, found.slow, score, tried)
 
-    def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
-        """Compile the models of other interpretations of the robot if that saves time.
+    def prepare(self, acting: Iterable[Sequence[Effect]]) -> None:
+        """Compile the models of all interpretations of the robot among sets of effects.
 
-        Parameters
-        ----------
-        acting : iterable of sequences of Effect
-            Sets of effects. Each other interpretation among them has a model of its own.
+        Worker processes would compile them several times.
         """
-        models = (self.context.affected(effects).model for effects in acting)
-        for model in {id(m): m for m in models if m is not self.context.model}.values():
-            prepared(model, self.context.trials, checkpoint=self.checkpoint, share=share)
+        for effects in acting:
+            self.context.affected(effects).model.prepare(effects=True)
 
     def penalty(self, fit: Fit) -> float:
         """Return the BIC penalty for the parameters of the effects in a fit."""
@@ -406,7 +378,7 @@ class Search:
         The screening simulates each effect at several sizes and linearises the model about each of them.
         """
         if parent.key not in self.screens:
-            self.prepared([parent.fit.acting])
+            self.prepare([parent.fit.acting])
             rest = [e for e in self.effects if e.joins(parent.fit.effects)]
             found = Screen([])
             for readings in (False, True):
@@ -438,10 +410,7 @@ class Search:
                     promised[key] = expected, parent, t
         order = sorted(promised.values(), key=lambda p: p[0])
         new = [(p, t) for _, p, t in order[:most] if p.key | {id(t.effect)} not in self.pool]
-        acting = [(*parent.fit.acting, tried.effect) for parent, tried in new]
-        apart = [effects for effects in acting if context.affected(effects).model.together == 1]
-        self.prepared(apart, share=FITTED / RUNS)
-
+        self.prepare((*parent.fit.acting, tried.effect) for parent, tried in new)
         names = [self._name((*parent.fit.effects, tried.effect)) for parent, tried in new]
         kept = [self.checkpoint.get(name) for name in names]
 
@@ -563,7 +532,7 @@ class Search:
         not count as noise.
         """
         context, noise_model, fit = self.context, self.noise_model, leading.fit
-        self.prepared([fit.acting])
+        self.prepare([fit.acting])
         whole = tells_noise(context)
         # Estimate the between-trial variation first: standard deviations and optimum are updated in turn
         # until they converge. The generic description would absorb the variation, so it comes last.

@@ -173,8 +173,7 @@ def performance_map(
         keep = study.checkpoint
         points = points_of(axes)
         uncertain = performance.applied.uncertain()[0]
-        runs = len(points) * (1 + 2 * len(uncertain))
-        performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
+        performance.model.prepare(progress)
         performance = performance.at_step({name: (axis[0], axis[-1]) for name, axis in axes.items()})
         cells = Cells(performance, bool(uncertain))
         found = _simulate(cells, points, options, keep, progress)

@@ -131,6 +131,7 @@ def compare(
         experiment, applied = catalogue.load(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
+        applied.model.prepare(progress)
         with progress("comparing", total=len(experiment.trials)) as step:
             done, chosen = compare_series.compare_trials(
                 applied,

@@ -333,6 +333,7 @@ def simulate(
     for place in targets:
         if place == output or place.parent.is_dir():
             allow(atomic.check_writable(place, inputs=inputs))
+    asked[0].applied.model.prepare(progress)
     done = []
     with progress("simulating", total=len(asked)) as step:
         for case in asked:
