@@ -8,6 +8,7 @@ import platform
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -34,7 +35,9 @@ from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.model import Assembly as SpatialAssembly
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
-from tests.generators import lagrange
+from tests.blind import swim_actuation
+from tests.conftest import ROOT
+from tests.generators import gap_trials, lagrange
 from tests.lifted import Lifted
 
 ENGINES: dict[type[Swimmer], ModuleType] = {
@@ -414,6 +417,25 @@ def test_the_environment_alone_chooses_the_engine(
     if mode == "never":
         model.prepare(effects=True)
         assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_diagnosis_with_an_empty_cache_folder_gives_the_same_bytes_as_the_next_one(tmp_path: Path) -> None:
+    """Both runs have the same engine, whether or not they compile it."""
+    play = swim_actuation.servo_backlash(np.random.default_rng(1), 2.0, "tfish")
+    swims = ((1.0, 20.0, 0.0), (1.4, 25.0, 5.0))
+    gap_trials.write(tmp_path, "tfish", [play], settings=swims, duration_s=2.0, seed=1)
+    given = {k: v for k, v in os.environ.items() if k != "SWIMID_LANES"}
+    given |= {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "SOURCE_DATE_EPOCH": "1700000000"}
+    given["PYTHONPATH"] = str(ROOT)
+    words = ["diagnose", "trials.yaml", "--params", "params.yaml", "--effects", "servo-backlash"]
+    files = []
+    for _ in range(2):
+        run_it = [sys.executable, "-m", "swimid", *words, "-o", "gap.yaml", "--force", "-q"]
+        subprocess.run(run_it, cwd=tmp_path, env=given, check=True)
+        files.append([(tmp_path / name).read_bytes() for name in ("gap.yaml", "gap.evidence.json")])
+    assert files[0] == files[1]
+    assert list((tmp_path / "cache").rglob("lanes_*.nbc"))
 
 
 def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -230,17 +230,18 @@ def step_of(
         Parameter values of each trial.
     changes : sequence of mapping of str to float, optional
         Changes of the samples of each trial by an effect, by channel. The search for effects allows a small
-        fraction of them.
+        fraction of them, and at least the noise.
     """
     runs = list(zip(vectors, trials, strict=True))
     noise = []
     for k, (trial, seen) in enumerate(zip(trials, model.simulate_many(runs), strict=True)):
         own = {}
         for name in trial.measured:
-            allowed = SMALL_CHANGE * float(np.ptp(seen[name]))
+            sd = white_noise_sd(trial.measured[name] - seen[name], 0.0)
+            allowed = max(STEP_ERROR * sd, SMALL_CHANGE * float(np.ptp(seen[name])))
             if changes:
-                allowed = SMALL_EFFECT * changes[k][name]
-            own[name] = max(white_noise_sd(trial.measured[name] - seen[name], 0.0), allowed / STEP_ERROR)
+                allowed = max(sd, SMALL_EFFECT * changes[k][name])
+            own[name] = allowed / STEP_ERROR
         noise.append(own)
     return choose_step(model, runs, noise)
 
@@ -248,9 +249,9 @@ def step_of(
 def step_of_search(context: FitContext, fit: Fit, effects: Sequence[Effect]) -> Step:
     """Choose the integration step by the fitted model, and by the model with each effect on the commands.
 
-    A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. Its
-    change of the samples may have an error of :data:`SMALL_EFFECT`, because the step is chosen again for the
-    model with the causes.
+    A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. The
+    samples may change by :data:`SMALL_EFFECT` of the effect, or by their noise, because the step is chosen
+    again for the model with the causes.
     """
     trials = context.trials
     vectors = [fit.problem.vector(fit.theta, k) for k in range(len(trials))]
