@@ -81,9 +81,7 @@ def model_of(name: str) -> tuple[Swimmer, Trial]:
 def kernels_of(name: str) -> Swimmer:
     """A built-in robot with its kernels, not compiled."""
     catalogue.catalogue()
-    model, _ = model_of(name)
-    model.kernels.make()
-    return model
+    return model_of(name)[0]
 
 
 def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
@@ -129,7 +127,8 @@ def bench_effects() -> None:
     given = np.array([lanes.stated().get(p.name, p.start) for p in lanes.parameters])
     swims = [replace(trial, id=f"swim {k}", measured=scalar.simulate(given, trial)) for k in range(2)]
     effects = [*catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3)]
-    lanes.prepare(simulated_s=math.inf, affected_s=math.inf)
+    scalar.kernels.used = False
+    lanes.prepare(effects=True)
     print(
         f"{BATCH} runs of {DURATION_S:g} s, ms CPU{'scalar':>26}{'as it runs':>12}"
         f"{'ratio':>8}{'off lanes':>11}"
@@ -223,7 +222,7 @@ def bench_commands(count: int = 6) -> None:
         Kernel(model.engine, model.tree.tables, len(model.coefficients)).compiled()
         for what, words in commands.items():
             command = [*start, *words]
-            scalar, lanes = (child(command, folder, SWIMID_LANES=mode) for mode in ("never", "always"))
+            scalar, lanes = (child(command, folder, SWIMID_LANES=mode) for mode in ("never", ""))
             print(
                 f"  {what:<44}{scalar[1]:>8.1f} ({scalar[0]:.1f}){lanes[1]:>9.1f} ({lanes[0]:.1f})"
                 f"{scalar[1] / lanes[1]:>8.2f}",

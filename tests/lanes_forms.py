@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import operator
 import re
-import struct
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,17 +12,6 @@ import numpy as np
 
 from swimid.swimmer import lanes
 from swimid.swimmer.lanes import Kernel, Symbol
-
-
-def bits(number: float) -> int:
-    """Return the bits of a double as an integer."""
-    return struct.unpack("<q", struct.pack("<d", number))[0]
-
-
-def double(number: int) -> float:
-    """Return the double with the last 64 bits of an integer."""
-    return struct.unpack("<d", (number & (2**64 - 1)).to_bytes(8, "little"))[0]
-
 
 ACTS = {
     "two to": lambda x: 2.0 ** (x - lanes.ROUNDER),
@@ -76,14 +64,36 @@ def arithmetic(kernel: Kernel) -> tuple[int, int]:
     return packed, single
 
 
+def emitted(program: list[tuple[Any, ...]]) -> Any:
+    """Return a Python function that runs a program of a generated module on the work array."""
+
+    def run(work: np.ndarray, lane: int, *given: float) -> None:
+        found: list[Any] = []
+        for kind, *of in program:
+            if kind == "load":
+                found.append(work[of[0] + lane])
+                continue
+            if kind == "given":
+                found.append(given[of[0]])
+                continue
+            places = of[:1] * (kind == "store")
+            values = [found[a] if isinstance(a, int) else a for a in of[len(places) :]]
+            if places:
+                work[places[0] + lane], result = values[0], None
+            else:
+                result = ACTS[kind](*values)
+            found.append(result)
+
+    return run
+
+
 def uncompiled(kernel: Kernel) -> Any:
     """Return the generated module as Python, not compiled."""
     text = lanes.source_of(kernel.traced).replace("import numba", "")
-    text = text.replace("from swimid.swimmer.lanes import bits, double", "")
+    text = text.replace("from swimid.swimmer.lanes import emitted", "")
     names: dict[str, Any] = {
         "numba": SimpleNamespace(njit=lambda **_: lambda function: function),
-        "bits": bits,
-        "double": double,
+        "emitted": emitted,
     }
     exec(compile(text, "lanes", "exec"), names)
     return SimpleNamespace(integrate=names["integrate"])

@@ -152,11 +152,9 @@ def test_two_answers_of_one_question_cannot_be_combined(others: dict[str, OtherR
 def test_the_compiled_form_serves_readings_that_differ_in_numbers(fish: Experiment) -> None:
     """Drag at other points is other numbers in the same tables; in strips it is more rows."""
     _, model = swimmer_trials.robot_model("tfish")
-    model.kernels.make(effects=False)
-    model.kernels.use_own = True
     for answers, shared in (({"areas": "as-printed"}, True), ({"drag_point": "strips"}, False)):
         other = model.read_otherwise(robot_format.read("tfish", readings=answers))
-        assert (other.kernels.own is model.kernels.own, other.kernels.use_own) == (shared, shared)
+        assert (other.kernels is model.kernels) == shared
 
 
 # ---------------------------------------------------------------- which are tried

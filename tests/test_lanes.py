@@ -8,6 +8,7 @@ import platform
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -34,7 +35,9 @@ from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.model import Assembly as SpatialAssembly
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
-from tests.generators import lagrange
+from tests.blind import swim_actuation
+from tests.conftest import ROOT
+from tests.generators import gap_trials, lagrange
 from tests.lifted import Lifted
 
 ENGINES: dict[type[Swimmer], ModuleType] = {
@@ -169,9 +172,8 @@ def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) ->
 def fish() -> Swimmer:
     """Return the tendon fish with a compiled kernel."""
     model = MultilinkModel(robot_format.read("tfish"))
-    model.kernels.own = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-    model.kernels.own.compiled()
-    model.kernels.use_own = True
+    model.kernels.used = True
+    model.prepare()
     return model
 
 
@@ -180,7 +182,6 @@ def test_different_runs_of_one_batch_agree_with_the_engine(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
     """Eleven runs of different length, step, start, drive and coefficients fill two batches."""
-    assert fish.kernels.own is not None
     compare(MultilinkModel, fish.kernels.own, spread(MultilinkModel, fish.tree, fish.kernels.own, rng))
 
 
@@ -188,7 +189,6 @@ def test_different_runs_of_one_batch_agree_with_the_engine(
 def test_a_run_that_breaks_down_does_not_change_the_others(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
-    assert fish.kernels.own is not None
     runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:5]
     start, step, drive, tables = runs[2]
     runs[2] = (start, step, drive, {**tables, "drag": -2e3 * tables["drag"] - 1e3 * (tables["drag"] != 0)})
@@ -247,7 +247,7 @@ def test_a_single_run_takes_the_kernel_too(fish: MultilinkModel) -> None:
     """A simulation does not depend on the other runs of its batch."""
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
-    runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(5)]
+    runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(8)]
     together = fish.simulate_many(runs)
     for values, trial in runs:
         fish.forget([trial])
@@ -266,7 +266,7 @@ def test_a_run_that_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel
 
     for side_by_side in (False, True):
         model = Failing(robot_format.read("tfish"))
-        model.kernels.own, model.kernels.use_own = fish.kernels.own, side_by_side
+        model.kernels.own, model.kernels.used = fish.kernels.own, side_by_side
         start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
         seen = model.simulate_many([(start, t) for t in trials()])
         assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
@@ -292,7 +292,6 @@ def test_derivatives_with_shared_coefficients_agree_with_the_engine(fish: Multil
 def test_memory_is_reused_after_its_results_are_released(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
-    assert fish.kernels.own is not None
     runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:4]
     first = dict(fish.kernels.own.run(runs))
     kept = {k: states.copy() for k, (states, _) in first.items()}
@@ -328,7 +327,6 @@ def test_equal_effects_share_their_runs() -> None:
 
 
 def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) -> None:
-    assert fish.kernels.own is not None
     start = np.array([fish.stated()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
     assert fish.kernels.own.fits(tables)
@@ -407,40 +405,49 @@ def test_a_branch_on_a_value_cannot_be_traced() -> None:
         bool(state)
 
 
-def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Little work stays on the scalar engine, much work compiles at once, other work for later."""
-    kernel = fish.kernels.own
-    assert kernel is not None
-    asked: list[str] = []
-    monkeypatch.setattr(lanes, "compile_later", lambda text: asked.append("later"))
-    monkeypatch.setattr(kernel, "compiled", lambda: asked.append("now"))
-    per_s = 1.0 / (lanes.OPERATION_S * len(kernel.traced.operations))
-    for mode, there, seconds, runs_together, did in (
-        ("never", True, 1e4, False, []),
-        ("always", False, 0.0, True, ["now"]),
-        ("auto", True, 0.1, False, []),
-        ("auto", True, 2.0, True, ["now"]),
-        ("auto", False, 2.0, False, ["later"]),
-        ("auto", False, 60.0, True, ["now"]),
-    ):
-        asked.clear()
-        monkeypatch.setenv("SWIMID_LANES", mode)
-        monkeypatch.setattr(lanes, "on_disk", lambda text, there=there: there)
-        assert kernel.worth(seconds * per_s) is runs_together
-        assert asked == did
+@pytest.mark.parametrize(("mode", "together"), [("never", 1), ("", lanes.LANES)])
+def test_the_environment_alone_chooses_the_engine(
+    mode: str, together: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The choice depends neither on the compiled modules on disk nor on the work ahead."""
+    monkeypatch.setenv("SWIMID_LANES", mode)
+    monkeypatch.setattr(lanes, "folder", lambda: tmp_path)
+    model = MultilinkModel(robot_format.read("tfish"))
+    assert model.together == together
+    if mode == "never":
+        model.prepare(effects=True)
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_diagnosis_with_an_empty_cache_folder_gives_the_same_bytes_as_the_next_one(tmp_path: Path) -> None:
+    """Both runs have the same engine, whether or not they compile it."""
+    play = swim_actuation.servo_backlash(np.random.default_rng(1), 2.0, "tfish")
+    swims = ((1.0, 20.0, 0.0), (1.4, 25.0, 5.0))
+    gap_trials.write(tmp_path, "tfish", [play], settings=swims, duration_s=2.0, seed=1)
+    given = {k: v for k, v in os.environ.items() if k != "SWIMID_LANES"}
+    given |= {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "SOURCE_DATE_EPOCH": "1700000000"}
+    given["PYTHONPATH"] = str(ROOT)
+    words = ["diagnose", "trials.yaml", "--params", "params.yaml", "--effects", "servo-backlash"]
+    files = []
+    for _ in range(2):
+        run_it = [sys.executable, "-m", "swimid", *words, "-o", "gap.yaml", "--force", "-q"]
+        subprocess.run(run_it, cwd=tmp_path, env=given, check=True)
+        files.append([(tmp_path / name).read_bytes() for name in ("gap.yaml", "gap.evidence.json")])
+    assert files[0] == files[1]
+    assert list((tmp_path / "cache").rglob("lanes_*.nbc"))
 
 
 def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another process compiles it. Then it is on disk, and is not compiled again."""
+    """A compiled module is on disk, so that no later process compiles it."""
     monkeypatch.setattr(lanes, "folder", lambda: tmp_path)
     text = (
         "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
     )
     assert not lanes.on_disk(text)
     module = lanes.imported(text)
-    lanes.compile_file(module.__file__)
+    module.integrate.compile(module.SIGNATURE)
     assert lanes.on_disk(text)
-    assert not list(tmp_path.glob("*.lock"))
     assert module.integrate(2.0) == 4.0
 
 
@@ -451,7 +458,7 @@ def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any)
         "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
         "text += '@numba.njit(cache=True)\\ndef integrate(x):\\n    return x\\n'\n"
         "before = lanes.on_disk(text)\n"
-        "lanes.compile_file(lanes.imported(text).__file__)\n"
+        "lanes.imported(text).integrate(1.0)\n"
         "print(before, lanes.on_disk(text))"
     )
     told = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -6,7 +6,6 @@ import itertools
 import math
 import platform
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -16,12 +15,10 @@ import pytest
 from swimid.diagnosis.remainder import AXES, ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
-from swimid.files.atomic import Checkpoint
 from swimid.fitting import drives
 from swimid.fitting.model import TRACEABLE, SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer import lanes
-from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import lanes_forms
 
@@ -30,8 +27,7 @@ def opened(name: str) -> MultilinkModel:
     """Return a robot with both kernels, not compiled."""
     catalogue.catalogue()
     model = MultilinkModel(robot_format.read(name))
-    model.kernels.make()
-    model.kernels.use_own = model.kernels.use_wide = True
+    model.kernels.used = True
     return model
 
 
@@ -39,10 +35,7 @@ def opened(name: str) -> MultilinkModel:
 def fish() -> MultilinkModel:
     """Return the tendon fish with compiled kernels."""
     model = opened("tfish")
-    assert model.kernels.own is not None
-    assert model.kernels.wide is not None
-    model.kernels.own.compiled()
-    model.kernels.wide.compiled()
+    model.prepare(effects=True)
     return model
 
 
@@ -157,21 +150,9 @@ def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel)
     assert lane[0] is fish.kernels.own
 
 
-def test_a_resumed_diagnosis_keeps_its_kernels(
-    fish: MultilinkModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A later compilation does not change the decision. Without effects, the wide kernel is not made."""
-    monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: True)
-    model = MultilinkModel(fish.robot)
-    model.prepare(simulated_s=1e3)
-    assert (model.kernels.use_own, model.kernels.use_wide, model.kernels.wide) == (True, False, None)
-    model.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
-    assert model.kernels.use_wide
-    monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: False)
-    again = MultilinkModel(fish.robot)
-    again.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
-    assert (again.kernels.use_own, again.kernels.use_wide) == (True, True)
-    assert again.refined().kernels.wide is again.kernels.wide
+def test_models_with_another_step_share_the_kernels(fish: MultilinkModel) -> None:
+    assert fish.refined().kernels is fish.kernels
+    assert fish.coarser().kernels is fish.kernels
 
 
 def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
@@ -191,8 +172,8 @@ def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
 def test_effects_do_not_change_the_robots_own_kernel() -> None:
     """The text of the robot's own kernel is the same with and without effects."""
     text = lanes.source_of(opened("tfish").kernels.own.traced)
-    assert "bits" not in text
-    assert "0.5 * n *" not in text
+    assert "exponent" not in text
+    assert text == lanes.source_of(MultilinkModel(robot_format.read("tfish")).kernels.own.traced)
 
 
 @pytest.mark.parametrize(

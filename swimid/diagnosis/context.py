@@ -293,6 +293,13 @@ class FitContext:
         more = {"correlation": self.correlation, "jobs": self.jobs}
         return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
+    def finer(self, halvings: int) -> FitContext:
+        """Return a context with the same trials, whose model has a halved integration step."""
+        model = self.model
+        for _ in range(halvings):
+            model = model.refined() or model
+        return self.replaced(model, self.trials)
+
     def affected(self, effects: Sequence[Effect]) -> Affected:
         """Return the model with the given effects added."""
         # Cache the model with effects, because the typical scales of effects are computed from the trials.

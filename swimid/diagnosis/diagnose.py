@@ -52,10 +52,7 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
     """
     experiment, applied = loaded
     try:
-        done = [
-            compare_series.compare_trial(experiment, applied, trial, refit=True)
-            for trial in experiment.trials
-        ]
+        done, _ = compare_series.compare_trials(applied, experiment.trials, refit=True)
     except NoTrustworthyResult:
         # The simulation diverges with the given parameters, so they have no errors. A refit may still work.
         return {}
@@ -222,7 +219,7 @@ def diagnose(
             raise NoTrustworthyResult("no trial has the role 'fit'")
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        search.prepared(model, experiment.trials, progress, keep)
+        model.prepare(progress, effects=True)
         as_given = _as_given(loaded)
         jobs = options.jobs or os.cpu_count() or 1
         context = FitContext(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -26,7 +26,7 @@ from swimid.diagnosis.context import FINE, ROUGH, STEPS, Fit, FitContext
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.posterior import TENTH, UNSURE, Candidate, Posterior, Record
+from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
 from swimid.diagnosis.proposals import Limits
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.diagnosis.readings import OtherReading
@@ -34,14 +34,17 @@ from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
 from swimid.files.atomic import Checkpoint
+from swimid.fitting.fit_common import step_check
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import map_in_processes
+from swimid.fitting.steps import STEP_ERROR, Step, choose_step
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
 
-#: Maximum change of a simulated sample for which a doubled integration step counts as accurate, as a fraction
-#: of the range of the channel. If a tenth of the noise is larger, that is the maximum.
-SMALL_CHANGE = 1e-4
+#: Maximum change of a simulated sample when the integration step is halved, if the noise of a channel is
+#: smaller: as a fraction of the range of the channel, and in the search for effects as a fraction of the
+#: change by the effect.
+SMALL_CHANGE, SMALL_EFFECT = 1e-4, 0.05
 #: Search for larger sets of effects: number of hypotheses to which a further effect is added (PARENTS), and
 #: number of the resulting sets that are fitted (SETS).
 PARENTS, SETS = 4, 10
@@ -59,11 +62,6 @@ SAME_COSINE = 0.95
 TURNS, STAYS = 6, 0.02
 #: Maximum number of effects in one hypothesis.
 COMBINED = 3
-#: Approximate number of simulations of each trial in a diagnosis (RUNS), and number of those among them with
-#: effects that add forces or elements (AFFECTED). The trials of ``sample_logs/gap`` need 13,300 and 3,620.
-RUNS, AFFECTED = 13000, 3600
-#: Approximate number of simulations of each trial in the fit of one hypothesis.
-FITTED = 250
 
 Key = frozenset[int]
 
@@ -218,46 +216,64 @@ class State:
         return self.posterior.none <= UNSURE and any(e.adds_to is not None for e in self.base.effects)
 
 
-def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
-    """Return the model with twice the integration step, or None if that is too inaccurate.
-
-    It is too inaccurate if a sample changes by more than a small fraction of its noise or of the range.
+def step_of(
+    model: Model,
+    vectors: Sequence[Array],
+    trials: Sequence[Trial],
+    changes: Sequence[Mapping[str, float]] = (),
+) -> Step:
+    """Choose the integration step of a model by the noise of the trials.
 
     Parameters
     ----------
     vectors : sequence of ndarray
         Parameter values of each trial.
+    changes : sequence of mapping of str to float, optional
+        Changes of the samples of each trial by an effect, by channel. The search for effects allows a small
+        fraction of them, and at least the noise.
     """
-    quick = model.coarser()
-    if quick is None:
-        return None
-    for values, trial in zip(vectors, trials, strict=True):
-        fine, rough = model.simulate(values, trial), quick.simulate(values, trial)
-        for channel in trial.measured:
-            noise = white_noise_sd(trial.measured[channel] - fine[channel], 0.0)
-            little = max(TENTH * noise, SMALL_CHANGE * float(np.ptp(fine[channel])))
-            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= little:
-                return None
-    return quick
+    runs = list(zip(vectors, trials, strict=True))
+    noise = []
+    for k, (trial, seen) in enumerate(zip(trials, model.simulate_many(runs), strict=True)):
+        own = {}
+        for name in trial.measured:
+            sd = white_noise_sd(trial.measured[name] - seen[name], 0.0)
+            allowed = max(STEP_ERROR * sd, SMALL_CHANGE * float(np.ptp(seen[name])))
+            if changes:
+                allowed = max(sd, SMALL_EFFECT * changes[k][name])
+            own[name] = allowed / STEP_ERROR
+        noise.append(own)
+    return choose_step(model, runs, noise)
 
 
-def prepared(
-    model: Model,
-    trials: Sequence[Trial],
-    progress: Progress = silent,
-    checkpoint: Checkpoint | None = None,
-    *,
-    share: float = 1.0,
-) -> None:
-    """Compile a model if that saves time.
+def step_of_search(context: FitContext, fit: Fit, effects: Sequence[Effect]) -> Step:
+    """Choose the integration step by the fitted model, and by the model with each effect on the commands.
 
-    Parameters
-    ----------
-    share : float
-        Fraction of the simulations of a diagnosis that the model runs.
+    A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. The
+    samples may change by :data:`SMALL_EFFECT` of the effect, or by their noise, because the step is chosen
+    again for the model with the causes.
     """
-    lasting = share * sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
-    model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
+    trials = context.trials
+    vectors = [fit.problem.vector(fit.theta, k) for k in range(len(trials))]
+    found = step_of(context.model, vectors, trials)
+    without = context.model.simulate_many(list(zip(vectors, trials, strict=True)))
+    for effect in effects:
+        tries = effect.tries(effect.parameters(context.model, trials))
+        affected = context.affected((effect,))
+        if not tries or affected.model is not context.model:
+            continue
+        own = [np.concatenate((values, tries[len(tries) // 2])) for values in vectors]
+        if not affected.hooks(own[0], trials[0]).command:
+            continue
+        simulated = affected.simulate_many(list(zip(own, trials, strict=True)))
+        changes = [
+            {name: float(np.max(np.abs(seen[name] - plain[name]))) for name in trial.measured}
+            for trial, seen, plain in zip(trials, simulated, without, strict=True)
+        ]
+        needed = step_of(affected, own, trials, changes)
+        if needed.halvings > found.halvings:
+            found = needed
+    return found
 
 
 @dataclass(eq=False)
@@ -328,17 +344,13 @@ class Search:
             misfits = parent.misfits - candidates.own_gains(self.context, parent.fit, self.noise_model, own)
         return Hypothesis(fit, misfits, found.inside, found.slow, score, tried)
 
-    def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
-        """Compile the models of other interpretations of the robot if that saves time.
+    def prepare(self, acting: Iterable[Sequence[Effect]]) -> None:
+        """Compile the models of all interpretations of the robot among sets of effects.
 
-        Parameters
-        ----------
-        acting : iterable of sequences of Effect
-            Sets of effects. Each other interpretation among them has a model of its own.
+        Worker processes would compile them several times.
         """
-        models = (self.context.affected(effects).model for effects in acting)
-        for model in {id(m): m for m in models if m is not self.context.model}.values():
-            prepared(model, self.context.trials, checkpoint=self.checkpoint, share=share)
+        for effects in acting:
+            self.context.affected(effects).model.prepare(effects=True)
 
     def penalty(self, fit: Fit) -> float:
         """Return the BIC penalty for the parameters of the effects in a fit."""
@@ -367,7 +379,7 @@ class Search:
         The screening simulates each effect at several sizes and linearises the model about each of them.
         """
         if parent.key not in self.screens:
-            self.prepared([parent.fit.acting])
+            self.prepare([parent.fit.acting])
             rest = [e for e in self.effects if e.joins(parent.fit.effects)]
             found = Screen([])
             for readings in (False, True):
@@ -399,10 +411,7 @@ class Search:
                     promised[key] = expected, parent, t
         order = sorted(promised.values(), key=lambda p: p[0])
         new = [(p, t) for _, p, t in order[:most] if p.key | {id(t.effect)} not in self.pool]
-        acting = [(*parent.fit.acting, tried.effect) for parent, tried in new]
-        apart = [effects for effects in acting if context.affected(effects).model.together == 1]
-        self.prepared(apart, share=FITTED / RUNS)
-
+        self.prepare((*parent.fit.acting, tried.effect) for parent, tried in new)
         names = [self._name((*parent.fit.effects, tried.effect)) for parent, tried in new]
         kept = [self.checkpoint.get(name) for name in names]
 
@@ -524,7 +533,7 @@ class Search:
         not count as noise.
         """
         context, noise_model, fit = self.context, self.noise_model, leading.fit
-        self.prepared([fit.acting])
+        self.prepare([fit.acting])
         whole = tells_noise(context)
         # Estimate the between-trial variation first: standard deviations and optimum are updated in turn
         # until they converge. The generic description would absorb the variation, so it comes last.
@@ -597,6 +606,23 @@ class Search:
             if h.tried is not None:
                 self.step(h.tried.effect.name)
             self._refitted(h, refit)
+
+    def refine(self, best: Hypothesis) -> bool:
+        """Repeat all fits with a smaller integration step if the best hypothesis needs it.
+
+        Return whether the step was too large.
+        """
+        context, fit = self.context, best.fit
+        vectors = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
+        needed = step_of(context.affected(fit.acting), vectors, context.trials)
+        if not needed.halvings:
+            step_check([trial.id for trial in context.trials], needed.changes)
+            return False
+        self.context = context = context.finer(needed.halvings)
+        fit = context.fit(fit.effects, self.noise_model, [fit.theta], tolerance=FINE)
+        self.learn(self.judged(fit, best.tried))
+        self.finish()
+        return True
 
     def finish(self, improbable: float = HOPELESS, tolerance: float = FINE) -> None:
         """Complete the early-stopped fits of hypotheses that are not improbable.
@@ -740,18 +766,19 @@ def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext
     """
     fine, trials = given.model, given.trials
     start = [np.array([p.start for p in given.parameters])] * len(trials)
-    model = coarser(fine, start, trials) or fine
+    # The search may take twice the given step if that is accurate enough.
+    model = step_of(fine.coarser() or fine, start, trials).model
     context = given.replaced(model, trials)
     noise_model, fit = weigh(context)
     dropouts = look(context.trials, fit.problem.simulations(fit.theta))
     if dropouts.count:
         context = given.replaced(model, dropouts.without(trials))
         noise_model, fit = weigh(context)
-    # The doubled integration step was accurate at the start values of the parameters. It may be inaccurate at
-    # the fitted values.
-    own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
-    if model is not fine and coarser(fine, own, context.trials) is None:
-        context = given.replaced(fine, context.trials)
+    # The step was small enough at the start values of the parameters. It may be too large at the fitted
+    # values, or for effects.
+    needed = step_of_search(context, fit, effects)
+    if needed.halvings:
+        context = context.finer(needed.halvings)
         noise_model, fit = weigh(context)
     if context.model is not fine and fine.swimmer is not None:
         # The model with the original step is not simulated any more.
@@ -800,6 +827,7 @@ def run(
         if dropouts.count:
             simulated = state.base.problem.simulations(state.base.theta)
             state.dropouts = dropouts.confirmed(look(given.trials, simulated))
+        context = state.context
         state.left = remainder.find(context, state.base, state.noise_model, rng=rng)
         columns, _ = random_effect_columns(context, state.base, effects)
         state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
@@ -851,6 +879,8 @@ def chosen(
         if search.likeliest(found).names == best.names:
             break
         best = search.likeliest(found)
+    if search.refine(best):
+        return chosen(search, dropouts, allowed, most, progress)
     return rounds(search, best, found, dropouts)
 
 

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from swimid.files.atomic import Checkpoint
 from swimid.files.kernels import numba
 from swimid.fitting.model import (
     MEAN_SPEED,
@@ -397,18 +396,10 @@ class Affected(Model):
         self._latest = {key: known for key, known in self._latest.items() if key[0] not in gone}
         self.model.swimmer.forget(trials)
 
-    def prepare(
-        self,
-        progress: Progress = silent,
-        *,
-        simulated_s: float = 0.0,
-        affected_s: float = 0.0,
-        checkpoint: Checkpoint | None = None,
-    ) -> None:
-        """Compile the simulation if this saves time. All simulations have the effects of this model."""
-        if any(effect.stage not in ("actuation", "sensing") for effect in self.effects):
-            affected_s = simulated_s
-        self.model.prepare(progress, simulated_s=simulated_s, affected_s=affected_s, checkpoint=checkpoint)
+    def prepare(self, progress: Progress = silent, *, effects: bool = False) -> None:
+        """Compile the simulation (see :meth:`Model.prepare`)."""
+        own = any(effect.stage not in ("actuation", "sensing") for effect in self.effects)
+        self.model.prepare(progress, effects=effects or own)
 
     def refined(self) -> Affected | None:
         """Return the model with its effects and half the integration step.

@@ -20,10 +20,10 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageErr
 from swimid.files import atomic, provenance
 from swimid.files.kernels import numba
 from swimid.files.provenance import Input
-from swimid.fitting import output_error
+from swimid.fitting import output_error, steps
 from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
-from swimid.fitting.output_error import STEP_ERROR, FitResult
+from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import (
     SIGNIFICANCE,
     autocorrelation,
@@ -61,6 +61,8 @@ MAX_LISTED = 4
 STILL = 1.3
 #: Residual above which a sample is an outlier, in robust standard deviations.
 OUTLIER = 8.0
+#: Minimum change of the samples by the integration step that is shown, over the allowed change.
+MIN_SHOWN_CHANGE = 1e-3
 #: Verdicts of a check that does not pass, indexed by whether it fails: a warning, or a failure.
 VERDICTS: tuple[Literal["warn"], Literal["fail"]] = ("warn", "fail")
 #: Names of the channels of angles that a camera may measure in addition to a position.
@@ -816,10 +818,7 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     found += _agreement(result)
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
     if result.step_error:
-        size, passed = f"{result.step_error:.2g} sd", result.step_error <= STEP_ERROR
-        limit, text = f"≤ {STEP_ERROR:g} sd", "largest change of a simulated sample when the step is halved"
-        reason = f"halving the integration step changes samples by {size} of their noise"
-        found.append(warned_check("SWM016", "integration step", size, passed, limit, text, reason))
+        found += step_check(["the trials"], [{"a sample": result.step_error / steps.STEP_ERROR}])
     number = sum(t.role == "validate" for t in result.trials)
     if held_out:
         text = "trials with role: validate are predicted, not fitted"
@@ -827,6 +826,32 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
         found.append(ev.check(*shown, reason="no trial was held out (role: validate)"))
     channels = [c for c in result.model.channels if result.series_of(c.name, "validate")]
     return found + [_validation(result, c) for c in channels if c.name in result.noise]
+
+
+def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) -> list[ev.Check]:
+    """Return the check of the integration step, and warn the user if it does not pass.
+
+    Parameters
+    ----------
+    trials : sequence of str
+        Ids of the trials.
+    changes : sequence of mapping of str to float
+        Changes of the channels of each trial (:attr:`swimid.fitting.steps.Step.changes`). There is no check
+        if nothing is integrated.
+    """
+    found = {f"{name} of {t}": c for t, own in zip(trials, changes, strict=True) for name, c in own.items()}
+    if not found:
+        return []
+    name, change = max(found.items(), key=lambda item: item[1])
+    size = f"{change:.2g}"
+    if change < MIN_SHOWN_CHANGE:
+        size = f"below {MIN_SHOWN_CHANGE:g}"
+    text = (
+        "largest change of a sample when the step is halved, over the allowed change: "
+        f"{steps.STEP_ERROR:g} of the noise, or if that is unknown {steps.STEP_LIMIT:g} of the range"
+    )
+    reason = f"halving the integration step changes {name} by {size} times what is allowed"
+    return [warned_check("SWM016", "integration step", size, change <= 1.0, "≤ 1", text, reason)]
 
 
 def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:

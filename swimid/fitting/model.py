@@ -21,7 +21,6 @@ from numba.core.errors import NumbaExperimentalFeatureWarning
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
-from swimid.files.atomic import Checkpoint
 from swimid.files.kernels import numba
 from swimid.notices import Progress, silent
 
@@ -649,25 +648,16 @@ class Model(ABC):
         """
         return self, {}
 
-    def prepare(  # noqa: B027
-        self,
-        progress: Progress = silent,
-        *,
-        simulated_s: float = 0.0,
-        affected_s: float = 0.0,
-        checkpoint: Checkpoint | None = None,
-    ) -> None:
-        """Compile the simulation if the compilation saves time, and show a progress bar.
+    def prepare(self, progress: Progress = silent, *, effects: bool = False) -> None:  # noqa: B027
+        """Compile the simulation if this machine does not have it yet, and show the progress.
+
+        Without this call the first simulation compiles it.
 
         Parameters
         ----------
-        simulated_s : float, s
-            Time to be simulated, summed over all trials. It limits the time that is spent on compiling.
-        affected_s : float, s
-            Part of ``simulated_s`` with effects that add forces, or with elements that the model does not
-            have. The modules of all effects, including those of the user, must have been imported.
-        checkpoint : Checkpoint, optional
-            Checkpoint of an interrupted run. The resumed run uses the same choice as its first part.
+        effects : bool
+            Whether simulations have effects that add forces, or elements that the model does not have. The
+            modules of all effects, including those of the user, must have been imported.
         """
 
     @abstractmethod

@@ -19,7 +19,7 @@ from scipy import special
 from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise, uncertainty
+from swimid.fitting import noise, steps, uncertainty
 from swimid.fitting.intervals import Differences, compute_errors
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parameter_map import values_of
@@ -40,11 +40,9 @@ NEGLIGIBLE_MOVE = 0.03
 #: returned unfinished (UNFINISHED_ITERATIONS). The second is three times the number that fits of correct
 #: models need (6 to 25; 52 if simulations diverge at the start).
 MAX_ITERATIONS, UNFINISHED_ITERATIONS = 200, 75
-#: Maximum change of a simulated sample when the integration step is halved, in noise standard deviations, for
-#: which the step counts as small enough.
-STEP_ERROR = 0.1
-#: Maximum number of times that a fit halves the integration step.
-MAX_REFINEMENTS = 6
+#: Maximum number of times that the integration step is halved because simulations break down at the start of
+#: a fit. Simulations with wrong parameters may break down with every step.
+MAX_START_HALVINGS = 3
 #: Relative tolerance of the cost when the initial state of a held-out trial is estimated.
 START_TOLERANCE = 1e-8
 #: Maximum number of restarts of a search near the estimates.
@@ -276,7 +274,7 @@ def fit(
         task = replace(task, budget=MAX_ITERATIONS, must_converge=True)
     else:
         task = replace(task, budget=max_iterations)
-    result = _refined(task)
+    result = _fit_with_step(task)
     if tested and result.converged:
         return check_by_restarts(result, jobs=threads)
     return result
@@ -306,7 +304,7 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
                 settled = near.point is None
                 break
             task = _Task(result.model, result.trials, result.parameters, jobs, begin=near.point, near=result)
-            again = _refined(task)
+            again = _fit_with_step(task)
             spent += again.evaluations
             gain = _objective(result) - _objective(again)
             if not gain > 0.0:
@@ -332,27 +330,32 @@ def _objective(result: FitResult) -> float:
     return result.samples * math.log(max(result.cost, 1e-300))
 
 
-def _refined(task: _Task) -> FitResult:
-    """Fit a model, and repeat the fit with half the integration step until the samples no longer change."""
-    spent = 0
-    for _ in range(MAX_REFINEMENTS):
+def _fit_with_step(task: _Task) -> FitResult:
+    """Fit a model, and repeat the fit with a smaller integration step until the samples hardly change."""
+    spent, halvings = 0, steps.MAX_HALVINGS
+    while True:
         result = _fit_once(task)
-        spent += result.evaluations
-        result = replace(result, evaluations=spent)
         if task.must_converge and not (result.converged or result.interrupted):
             raise NoTrustworthyResult(
                 f"the fit did not converge: {result.message}",
                 hint="check units and trial settings, or hold a parameter with --fix",
             )
-        finer = task.model.refined()
-        if finer is None or result.interrupted:
+        spent += result.evaluations
+        if result.interrupted:
+            return replace(result, evaluations=spent)
+        if not result.converged or task.budget is None:
+            halvings = 0
+        runs = [(result.values(t.id), t) for t in result.trials]
+        noise: dict[str, dict[str, Array]] = {t.id: {} for t in result.trials}
+        for s in result.series:
+            noise[s.trial][s.channel] = s.sd
+        chosen = steps.choose_step(result.model, runs, list(noise.values()), halvings=halvings)
+        spent += sum(bool(changes) for changes in chosen.changes)
+        result = replace(result, step_error=steps.STEP_ERROR * chosen.change, evaluations=spent)
+        if not chosen.halvings:
             return result
-        spent += len(result.trials)
-        result = replace(result, step_error=_step_error(result, finer), evaluations=spent)
-        if not result.converged or result.step_error <= STEP_ERROR or task.budget is None:
-            return result
-        task = replace(task, model=finer, begin=result.estimate, near=result)
-    return result
+        halvings -= chosen.halvings
+        task = replace(task, model=chosen.model, begin=result.estimate, near=result)
 
 
 def at(
@@ -379,17 +382,7 @@ def at(
         If the model cannot be simulated at the point, or if there are fewer samples than unknowns.
     """
     threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
-    return _refined(_Task(model, tuple(trials), parameters, threads, begin=point, budget=None))
-
-
-def _step_error(result: FitResult, finer: Model) -> float:
-    """Return the largest change of a simulated sample when the integration step is halved.
-
-    The unit is the noise standard deviation.
-    """
-    fine = {t.id: finer.simulate(result.values(t.id), t) for t in result.trials}
-    changes = [np.abs(fine[s.trial][s.channel] - s.simulated) / s.sd for s in result.series]
-    return max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in changes), default=0.0)
+    return _fit_with_step(_Task(model, tuple(trials), parameters, threads, begin=point, budget=None))
 
 
 # Use one thread of BLAS. The matrices are small, so that more threads would only slow down the simulations.
@@ -428,6 +421,11 @@ class _Search:
         self.theta = problem.start
         if task.begin is not None:
             self.theta = np.clip(task.begin, problem.lower, problem.upper)
+        if problem.broken(self.theta):
+            runs = [(problem.vector(self.theta, k), trial) for k, trial in enumerate(fitted)]
+            unknown = [dict.fromkeys(trial.measured, math.inf) for trial in fitted]
+            chosen = steps.choose_step(task.model, runs, unknown, halvings=MAX_START_HALVINGS)
+            self.problem = problem = Problem(chosen.model, task.parameters, fitted, jobs=task.jobs)
         self.samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
         if self.samples <= len(self.theta):
             raise NoTrustworthyResult(

@@ -157,9 +157,8 @@ def optimise_gait(
         study = study_of(performance, options, output)
         problem = _problem(performance, options, study.checkpoint)
         known = bool(performance.applied.uncertain()[0])
-        runs = options.starts * MAX_STEPS + options.draws * DRAW_STEPS * known
-        simulated_s = runs * (2 * len(options.vary) + 1) * options.duration_s
-        performance.model.prepare(progress, simulated_s=simulated_s, checkpoint=study.checkpoint)
+        performance.model.prepare(progress)
+        problem.performance = performance = performance.at_step(options.vary)
         file = _find(problem, options, study, progress)
         if known:
             performance.applied.warn_without_error("the intervals")

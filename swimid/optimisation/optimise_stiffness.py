@@ -229,11 +229,12 @@ def optimise_stiffness(
         axes |= {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
         frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
         points = points_of({"amplitude_deg": amplitudes, "frequency_hz": frequencies})
-        problems = [replace(problem, fixed=point) for point in points]
         study = study_of(performance, options, output)
         keep = study.checkpoint
-        runs = len(points) * options.population * options.generations
-        performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
+        performance.model.prepare(progress)
+        ends = {name: (axis[0], axis[-1]) for name, axis in axes.items()}
+        problem.performance = performance = performance.at_step({**ends, **problem.vary})
+        problems = [replace(problem, fixed=point) for point in points]
         reference = float(performance.values[performance.model.index(coefficient)])
 
         def front(k: int) -> Array:

@@ -173,8 +173,8 @@ def performance_map(
         keep = study.checkpoint
         points = points_of(axes)
         uncertain = performance.applied.uncertain()[0]
-        runs = len(points) * (1 + 2 * len(uncertain))
-        performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
+        performance.model.prepare(progress)
+        performance = performance.at_step({name: (axis[0], axis[-1]) for name, axis in axes.items()})
         cells = Cells(performance, bool(uncertain))
         found = _simulate(cells, points, options, keep, progress)
         values, stderr = found[..., 0], found[..., 1]
@@ -241,7 +241,8 @@ def _simulate(
     parts = [points[k : k + size] for k in range(0, len(points), size)]
     compute, jobs = cells.compute, options.jobs
     place = "swimid.optimisation.performance_map:Cells.of_options"
-    with executors.on_cluster(options.cluster, place, options) as rebuilt:
+    chosen = options.model_copy(update={"dt": cells.performance.model.max_step})
+    with executors.on_cluster(options.cluster, place, chosen) as rebuilt:
         if rebuilt is not None:
             compute, jobs = partial(rebuilt.call, "compute"), executors.WAITING
 

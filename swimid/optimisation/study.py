@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -21,8 +21,10 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
+from swimid.fitting import fit_common
 from swimid.fitting.model import Array, SwimInput
 from swimid.fitting.problem import map_in_threads
+from swimid.fitting.steps import choose_step
 from swimid.notices import Notice, Progress, silent
 from swimid.optimisation.options import GaitOptions
 from swimid.results import evidence as ev
@@ -39,6 +41,8 @@ from swimid.swimmer.model import Swimmer
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
 #: Number of gaits that are simulated in one batch.
 BATCH = 8
+#: Maximum number of times that the integration step is halved for a single gait that breaks down.
+MAX_HALVINGS = 2
 
 Point = Mapping[str, float]
 #: Codes of two warnings about coefficients: they lie outside their bounds, or their fit did not converge or
@@ -162,6 +166,21 @@ class Performance:
         self.check(varied, option)
         check_drive(self.options, varied, option)
 
+    def at_step(self, ranges: Mapping[str, tuple[float, float]]) -> Performance:
+        """Return the same robot with an integration step that is small enough at the ends of all ranges.
+
+        Parameters
+        ----------
+        ranges : mapping of str to (float, float)
+            Ranges of the varied parameters.
+        """
+        corners = points_of(ranges)
+        runs = [(self.at(point), self.run(point).trial) for point in corners]
+        chosen = choose_step(self.applied.model, runs)
+        self.model.forget([trial for _, trial in runs])
+        fit_common.step_check([trial.id for _, trial in runs], chosen.changes)
+        return replace(self, applied=self.applied.at_step(chosen.model))
+
     def swim(self, point: Point) -> SwimInput:
         """Return the drive of the robot's joints over time for a gait."""
         varied = {name: value for name, value in point.items() if name in BEAT | STROKE}
@@ -194,6 +213,10 @@ class Performance:
         given = [self.values] * len(points) if values is None else values
         vectors = [self.at(point, vector) for point, vector in zip(points, given, strict=True)]
         found = cases.quantities_of(self.model, runs, vectors)
+        for k in np.flatnonzero(~np.isfinite(found).any(axis=1)):
+            own = choose_step(self.applied.model, [(vectors[k], runs[k].trial)], halvings=MAX_HALVINGS)
+            if own.halvings:
+                found[k] = cases.quantities_of(own.model.swimmer, [runs[k]], [vectors[k]])[0]
         self.model.forget([run.trial for run in runs])
         return found
 

@@ -20,6 +20,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Trial
+from swimid.fitting.steps import choose_step
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent
@@ -337,9 +338,10 @@ def sensitivity(
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        # Compute the total simulated time, by which the model decides whether to compile its kernels.
-        ahead_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials) * count * (len(over) + 2)
-        model.prepare(progress, simulated_s=ahead_s, checkpoint=keep)
+        model.prepare(progress)
+        runs = [(applied.values(trial), trial) for trial in experiment.trials]
+        chosen = choose_step(applied.model, runs, [applied.noise()] * len(runs))
+        applied, model = applied.at_step(chosen.model), chosen.model.swimmer
         study = _study(experiment, applied, over)
         estimates = sobol(
             study.outputs,

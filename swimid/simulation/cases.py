@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from swimid.errors import UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import Cycle
-from swimid.fitting.model import Array, SwimInput, Trial
+from swimid.fitting.model import Array, Model, SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.beat import find_beat
@@ -33,7 +32,7 @@ from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
 from swimid.simulation import catalogue
-from swimid.simulation.catalogue import Applied, Compute
+from swimid.simulation.catalogue import Applied
 from swimid.simulation.options import DriveOptions, SimulateOptions
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Energetics, Swimmer
@@ -44,6 +43,9 @@ RATE_HZ = 50.0
 #: Parameters of a beat, and parameters of a stroke, each with its unit.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
 STROKE = {"frequency_hz": "Hz", "scale": "1"}
+#: Type of a function from a model and parameter vectors to quantities, shape (vectors, quantities). An
+#: undefined quantity is NaN.
+Quantities = Callable[[Applied, Sequence[Array]], Array]
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,8 @@ class Case:
     units : dict of str to str
         Names of the quantities of the simulation, with their units.
     quantities : callable or None
-        Function from parameter vectors to the quantities of the simulation, in the order of ``units``.
+        Function from model and parameter vectors to the quantities of the simulation, in the order of
+        ``units``.
     """
 
     applied: Applied
@@ -72,12 +75,19 @@ class Case:
     metadata: Mapping[str, Any]
     extra: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    quantities: Compute | None = None
+    quantities: Quantities | None = None
 
     @property
     def id(self) -> str:
         """Identifier of the simulated trial."""
         return self.trial.id
+
+    def at_step(self, model: Model) -> Case:
+        """Return the same simulation by the model with another integration step."""
+        metadata = dict(self.metadata)
+        if model.swimmer is not None:
+            metadata["dt_s"] = model.swimmer.max_step
+        return replace(self, applied=self.applied.at_step(model), metadata=metadata)
 
     @property
     def per_run(self) -> bool:
@@ -140,7 +150,7 @@ def case_of_options(options: SimulateOptions) -> Case:
     metadata = _metadata(options, robot, experiment=name, **run.metadata)
     compute = None
     if run.quantities is not None:
-        compute = _each(partial(run.quantities, applied))
+        compute = _each(run.quantities)
     return Case(applied, applied.values(), run.trial, metadata, run.extra, run.units, compute)
 
 
@@ -187,7 +197,6 @@ def _swimming(
     """Return the simulation case of a trial of a robot with links."""
     if trial.swim.drive is not None:
         metadata["drive"] = drive_block(trial)
-    metadata["dt_s"] = model.max_step
     extra, quantities = commands(model, trial, values), _swim_quantities(model, trial, values)
     return Case(applied, values, trial, metadata, extra, units_of(model), quantities)
 
@@ -374,12 +383,12 @@ def beat_frequency(
     return None
 
 
-def _each(compute: Callable[[Array], list[float]]) -> Compute:
+def _each(compute: Callable[[Applied, Array], list[float]]) -> Quantities:
     """Return a function that calls ``compute`` for each of several parameter vectors."""
-    return lambda vectors: np.array([compute(values) for values in vectors])
+    return lambda applied, vectors: np.array([compute(applied, values) for values in vectors])
 
 
-def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
+def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities | None:
     """Return the function that computes the quantities of the last beats or strokes of a simulation.
 
     Return None if there is no beat, or if no whole cycle fits into the trial.
@@ -391,7 +400,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
     if run is None:
         return None
 
-    return lambda vectors: quantities_of(model, [run] * len(vectors), vectors)
+    return lambda applied, vectors: quantities_of(applied.model.swimmer, [run] * len(vectors), vectors)
 
 
 # ------------------------------------------------------------ quantities of a run

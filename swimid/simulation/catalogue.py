@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -135,6 +136,12 @@ class Applied:
                 f"{name}: not identifiable from the trials of the fit: {', '.join(unknown)}; what depends on "
                 "them alone is not known",
             )
+
+    def at_step(self, model: Model) -> Self:
+        """Return the same parameters for the model with another integration step."""
+        other = copy.copy(self)
+        other.model = model
+        return other
 
     def values(self, trial: Trial | None = None) -> Array:
         """Return the parameter vector of a trial, shape (len(model.parameters),).

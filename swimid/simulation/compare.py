@@ -131,14 +131,16 @@ def compare(
         experiment, applied = catalogue.load(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
-        done = []
+        applied.model.prepare(progress)
         with progress("comparing", total=len(experiment.trials)) as step:
-            for trial in experiment.trials:
-                one = compare_series.compare_trial(
-                    experiment, applied, trial, refit=options.refit_start, channels=options.channels
-                )
-                done.append(one)
-                step()
+            done, chosen = compare_series.compare_trials(
+                applied,
+                experiment.trials,
+                refit=options.refit_start,
+                channels=options.channels,
+                advance=step,
+            )
+        applied = applied.at_step(chosen.model)
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
         profiles = _compare_profiles(experiment, done)
@@ -165,6 +167,7 @@ def compare(
             if fit_common.is_still(d.own[name].measured for d in done if name in d.own)
         ]
         checks = _checks(file, [name for name in fitted if name not in still], still)
+        checks += fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes)
         before = {d.trial.id: d.errors for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             checks.append(_mistakes_check(experiment.trials, applied, before))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
@@ -14,8 +14,8 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import yamlio
 from swimid.files.yamlio import Number
 from swimid.fitting import fit_common, mistakes, output_error
-from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
+from swimid.fitting.steps import Step, choose_step
 from swimid.logs import kinematics
 from swimid.notices import warn
 from swimid.simulation import compare_wave
@@ -189,6 +189,8 @@ class Compared(NamedTuple):
     #: (:func:`own_axes` of ``fit_common``).
     own: dict[str, Pair]
     record: TrialComparison
+    #: Parameter values of the simulation.
+    values: Array
 
     @property
     def errors(self) -> mistakes.Errors:
@@ -197,9 +199,39 @@ class Compared(NamedTuple):
         return mistakes.misfits(self.trial, simulated)
 
 
-def compare_trial(
-    experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool, channels: Sequence[str] = ()
-) -> Compared:
+def compare_trials(
+    applied: Applied,
+    trials: Sequence[Trial],
+    *,
+    refit: bool,
+    channels: Sequence[str] = (),
+    advance: Callable[[], Any] = lambda: None,
+) -> tuple[list[Compared], Step]:
+    """Compare trials with their simulations, whose integration step is small enough for all of them.
+
+    The step is chosen before the start states are estimated, and tested with the estimates. See
+    :func:`compare_trial` for the parameters and the errors.
+
+    Returns
+    -------
+    list of Compared
+    Step
+        Model with the chosen step, and its accuracy.
+    """
+    noise = [applied.noise()] * len(trials)
+    chosen = choose_step(applied.model, [(applied.values(trial), trial) for trial in trials], noise)
+    while True:
+        applied = applied.at_step(chosen.model)
+        done = []
+        for trial in trials:
+            done.append(compare_trial(applied, trial, refit=refit, channels=channels))
+            advance()
+        chosen = choose_step(applied.model, [(one.values, one.trial) for one in done], noise)
+        if not chosen.halvings:
+            return done, chosen
+
+
+def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequence[str] = ()) -> Compared:
     """Simulate a trial and pair the simulated channels with the measured channels.
 
     Parameters
@@ -217,7 +249,7 @@ def compare_trial(
     NoTrustworthyResult
         If the simulation breaks down.
     """
-    model: Model = experiment.model
+    model = applied.model
     values, start, start_values = start_of(applied, trial, refit)
     if refit:
         model, level = model.at_own_level(values, trial)
@@ -263,7 +295,7 @@ def compare_trial(
         cruise=_cruise(applied, trial, values, pairs),
         wave=compare_wave.compare(model, geometry, trial, simulated, pairs, frequency),
     )
-    return Compared(trial, pairs, own, record)
+    return Compared(trial, pairs, own, record, values)
 
 
 def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -16,7 +17,7 @@ from swimid.errors import Named, NoTrustworthyResult, UsageError
 from swimid.files import atomic, tabular, yamlio
 from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
-from swimid.fitting.fit_common import warned_check
+from swimid.fitting import fit_common, steps
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
 from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
 
 #: File name endings of the logs that ``simulate`` can write.
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
-#: Maximum change of a channel when the integration step is halved, relative to the range of the channel. A
-#: larger change gives a warning.
-STEP_LIMIT = 1e-3
 #: Frame rate of a film, Hz, and width of a frame for each file ending, px.
 FILM_RATE_HZ, FILM_PX = 25.0, {".mp4": 960, ".gif": 560}
 #: Width of the view of a film, and drawn width of a link, both in body lengths.
@@ -60,8 +58,8 @@ class Simulated:
     columns : dict of str to ndarray
         Columns of the log, ``t_s`` first.
     step : dict of str to float
-        Maximum change of each channel when the integration step is halved, as a fraction of the range of the
-        channel; empty if nothing is integrated.
+        Maximum change of each channel when the integration step is halved, divided by the allowed change
+        (:func:`swimid.fitting.steps.choose_step`); empty if nothing is integrated.
     """
 
     case: Case
@@ -78,14 +76,15 @@ def simulate_case(case: Case) -> Simulated:
     NoTrustworthyResult
         If the simulation breaks down.
     """
-    model = case.applied.model
+    chosen = steps.choose_step(case.applied.model, [(case.values, case.trial)], [case.applied.noise()])
+    case, model, (step,) = case.at_step(chosen.model), chosen.model, chosen.changes
     simulated = model.attempt(case.values, case.trial)
     _refuse_broken(case, simulated)
     _warn_folded(case, simulated)
-    step = _step_changes(case, simulated)
     quantities = {}
     if case.quantities is not None:
-        found = np.column_stack(case.applied.with_errors(case.values, case.quantities))
+        compute = partial(case.quantities, case.applied)
+        found = np.column_stack(case.applied.with_errors(case.values, compute))
         for (name, unit), (value, stderr) in zip(
             case.units.items(), yamlio.plain(found, finite=True), strict=True
         ):
@@ -100,16 +99,16 @@ def simulate_case(case: Case) -> Simulated:
 
 def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
     """Raise an error if a simulation breaks down before its inputs end."""
-    lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
-    if not lost[-1] or any(not np.isfinite(v[-1]) for v in case.trial.inputs.values()):
+    if not steps.is_broken(case.trial, simulated):
         return
+    lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
     whole = np.flatnonzero(~lost)
     where = "at its start"
     if len(whole) and not case.per_run:
         where = f"at t = {case.trial.time_s[min(whole[-1] + 1, len(lost) - 1)]:.4g} s"
     raise NoTrustworthyResult(
-        f"the simulation of '{case.id}' breaks down {where}",
-        hint="take a smaller step with --dt, or check the parameters' signs and units and the drive",
+        f"the simulation of '{case.id}' breaks down {where}, with every integration step that was tried",
+        hint="check the parameters' signs and units and the drive, or take a smaller step with --dt",
     )
 
 
@@ -123,24 +122,6 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
                 f"{case.id}: {name.removesuffix('_rad')} turns by {turned:.0f} degrees: beyond 180 its link "
                 "has passed through the one ahead of it, which no body does",
             )
-
-
-def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float]:
-    """Return the change of each channel if the integration step is halved, relative to its range."""
-    finer = case.applied.model.refined()
-    if finer is None:
-        return {}
-    fine = finer.attempt(case.values, case.trial)
-    changes = {}
-    for name, values in simulated.items():
-        both = np.isfinite(values) & np.isfinite(fine[name])
-        if not both.any():
-            continue
-        span, change = float(np.ptp(values[both])), float(np.max(np.abs(fine[name] - values)[both]))
-        changes[name] = 0.0
-        if span > 1e-9:
-            changes[name] = change / span
-    return changes
 
 
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
@@ -355,6 +336,7 @@ def simulate(
     for place in targets:
         if place == output or place.parent.is_dir():
             allow(atomic.check_writable(place, inputs=inputs))
+    asked[0].applied.model.prepare(progress)
     done = []
     with progress("simulating", total=len(asked)) as step:
         for case in asked:
@@ -492,7 +474,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         rows = [[run, *(row.get(name, "") for name in names)] for run, row in shown.items()]
         answer = f"{robot} was simulated in {len(done)} runs."
     quantities = ev.Table(id="quantities", title="Quantities", columns=columns, rows=rows)
-    checks = [*_step_check(done), *_steady_check(done)]
+    checks = fit_common.step_check([d.case.id for d in done], [d.step for d in done]) + _steady_check(done)
     if first.quantities and not first.case.applied.uncertain()[0]:
         notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
     return ev.Evidence(
@@ -504,19 +486,6 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         tables=[quantities],
         notes=notes,
     )
-
-
-def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
-    shares = {(d.case.id, name): share for d in done for name, share in d.step.items()}
-    if not shares:
-        return []
-    (run, name), share = max(shares.items(), key=lambda item: item[1])
-    value = numbers.percent(share, 2) if share > 1e-6 else "below 0.0001 %"
-    text = "maximum change of a channel, relative to its range, when the step is halved"
-    reason = f"halving the integration step changes {name} of {run} by {numbers.percent(share, 2)}"
-    limit = f"≤ {numbers.percent(STEP_LIMIT)}"
-    passed, name = share <= STEP_LIMIT, "integration step"
-    return [warned_check("SWM016", name, value, passed, limit, text, f"{reason}; take a smaller --dt")]
 
 
 def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:

@@ -36,9 +36,6 @@ if TYPE_CHECKING:
     from swimid.fitting.global_search import Start
     from swimid.swimmer.front import FrontResult, Profiles
 
-#: Typical number of Jacobian evaluations in a fit. The expected simulation time is computed from it, and
-#: needs to be correct only within a factor of two.
-N_JACOBIANS = 20
 #: Default number of starting points. It applies if the user states none and the fit from one starting point
 #: was quick or has a bad result.
 DEFAULT_STARTS = 4
@@ -277,15 +274,13 @@ def _search(
 ) -> _Search:
     """Estimate the parameters with the method that the options name. Workers of a cluster use ``rebuilt``."""
     options, model = posed.options, posed.model
-    ahead_s = _simulated_s(posed)
+    model.prepare(progress)
     if options.method == "least-squares":
-        model.prepare(progress, simulated_s=ahead_s)
         search = _least_squares(posed, None, rebuilt, progress)
     else:
         from swimid.swimmer import front
 
         checkpoint = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        model.prepare(progress, simulated_s=ahead_s, checkpoint=checkpoint)
         found, chosen = front.fit(posed, checkpoint, rebuilt, progress)
         search = _Search(chosen)
         if options.method == "hybrid":
@@ -335,15 +330,6 @@ def _deserves_starts(first: FitResult) -> bool:
     steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
     failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
     return steps < MAX_QUICK_STEPS or not first.converged or bool(failing)
-
-
-def _simulated_s(posed: Posed) -> float:
-    """Return the approximate total simulated time of a fit, s."""
-    parameters, options = posed.parameters, posed.options
-    recorded_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in posed.experiment.trials)
-    if options.method != "least-squares":
-        return recorded_s * options.population * options.generations
-    return recorded_s * N_JACOBIANS * (2 + sum(p.free for p in parameters)) * (options.starts or 1)
 
 
 def _require_result(

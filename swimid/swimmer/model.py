@@ -24,7 +24,6 @@ from swimid.swimmer.planar.engine import outside, sampled
 from swimid.swimmer.tree import Axis, Polynomial, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
-    from swimid.files.atomic import Checkpoint
     from swimid.fitting.model import SwimInput
     from swimid.swimmer.steady import Cruise, SteadySwimming
 
@@ -324,23 +323,9 @@ class Swimmer(Model):
 
     # -------------------------------------------------------- compilation and variants of the model
 
-    def prepare(
-        self,
-        progress: Progress = silent,
-        *,
-        simulated_s: float = 0.0,
-        affected_s: float = 0.0,
-        checkpoint: Checkpoint | None = None,
-    ) -> None:
-        """Compile the kernels if this saves time (see :meth:`Model.prepare`)."""
-        readings = (f"{question}={r.chosen}" for question, r in sorted(self.robot.readings.items()))
-        self.kernels.prepare(
-            "+".join(("kernels", f"{simulated_s:.0f}", *readings)),
-            4.0 * simulated_s / self.max_step,
-            4.0 * affected_s / self.max_step,
-            checkpoint,
-            progress,
-        )
+    def prepare(self, progress: Progress = silent, *, effects: bool = False) -> None:
+        """Compile the kernels (see :meth:`Model.prepare`)."""
+        self.kernels.prepare(self.robot.name, progress, effects=effects)
 
     def refined(self) -> Self:
         """Return the same model with half the integration step."""
@@ -365,11 +350,9 @@ class Swimmer(Model):
         if [p.name for p in other.parameters] != [p.name for p in self.parameters]:
             return other
         other.parameters = self.parameters
-        kernel = self.kernels.own
-        if kernel is not None and self.kernels.use_own:
-            draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(self.coefficients)))
-            if all(kernel.fits(other.tree.tables(draw)) for draw in draws):
-                other.kernels = self.kernels
+        draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(self.coefficients)))
+        if all(self.kernels.own.fits(other.tree.tables(draw)) for draw in draws):
+            other.kernels = self.kernels
         return other
 
     # -------------------------------------------------------- simulation
@@ -385,10 +368,10 @@ class Swimmer(Model):
     @property
     def together(self) -> int:
         """Number of simulations in one batch of the compiled kernel (see :attr:`Model.together`)."""
-        return LANES if self.kernels.use_own else 1
+        return LANES if self.kernels.used else 1
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
+        """Simulate several trials in batches of the compiled kernel (see :meth:`Model.hooked_many`)."""
 
         def observe(k: int, run: Run, trajectory: Trajectory) -> tuple[int, dict[str, Array]]:
             return k, self._at_samples(*runs[k], trajectory)
@@ -496,7 +479,7 @@ class Swimmer(Model):
         return outside(run.hooks.force, self.frame(run), len(self.tree.links))
 
     def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Integrate the equations of motion, and return the states and their time derivatives."""
+        """Integrate by the scalar engine, and return the states and their time derivatives."""
         tables = tuple(run.tables.values())
         states, rates = self.engine.integrate(
             run.start, run.grid.step_s, run.drive.table, tables, self._forced(run), run.grid.begin_s
@@ -583,17 +566,15 @@ class Swimmer(Model):
         # the many simulations of one trial for a Jacobian are not needed again
         counts = Counter(trial for trial, _ in missing)
         lasting = {trial for trial, count in counts.items() if count <= MAX_TRAJECTORIES}
-        for at, (states, rates) in self._integrated(missing):
+        for at, (states, rates) in self.integrate_many(missing):
             run = missing[at]
             trajectory = Trajectory(run.grid, states, rates, run.drive)
             if run.trial.id in lasting:
                 self._trajectories.put(run.trial.id, run.key, trajectory)
             yield from ((k, run, trajectory) for k in equal[at])
 
-    def _integrated(
-        self, runs: Mapping[tuple[str, Hashable], Run]
-    ) -> Iterator[tuple[tuple[str, Hashable], tuple[Array, Array]]]:
-        """Yield the states and rates of all simulations, first of those that the kernels can compute."""
+    def integrate_many(self, runs: Mapping[Any, Run]) -> Iterator[tuple[Any, tuple[Array, Array]]]:
+        """Yield key, states and rates of all simulations, first of those that the kernels can compute."""
         rest = dict(runs)
         for at, result in self.kernels.run(runs, self.frame):
             del rest[at]

@@ -28,7 +28,12 @@ def readings() -> Any:
 
 def step(recorded: str = "dt") -> Any:
     """Return the option for the maximum integration step, s."""
-    return option(STEP_S, gt=0, help="Integration step, s.", recorded=recorded)
+    return option(
+        STEP_S,
+        gt=0,
+        help="Maximum integration step, s. It is halved until the result hardly changes.",
+        recorded=recorded,
+    )
 
 
 SwimStart = Literal["auto", "rest", "estimate", "steady"]

@@ -253,7 +253,9 @@ class SteadySwimming:
         motion = self.model.joints.motion(run.values, run.trial, grid, phase, run.hooks, cached=False)
         start = run.start.copy()
         start[self._memory] = state
-        return self.model.integrate(run._replace(grid=grid, start=start, drive=motion))[0]
+        moved = run._replace(grid=grid, start=start, drive=motion)
+        ((_, (states, _)),) = self.model.integrate_many({0: moved})
+        return states
 
     def _since_phase_zero(self, run: Run) -> float:
         """Return the time from the last phase zero of the drive to the beginning of the simulation, s."""

@@ -73,3 +73,29 @@ def test_a_rate_loop_that_a_black_box_does_not_follow_stays_unexplained(case: Ca
     ran = swimid("diagnose", "load.yaml", "--params", "arx.yaml", "-o", "gap.yaml")
     assert ran.status == 0, ran.err
     assert GapFile.read(folder / "gap.yaml").verdict == "unexplained"
+
+
+@pytest.mark.slow
+def test_play_is_estimated_with_a_step_that_resolves_it(
+    case: Case, swimid: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The default step of 5 ms changes samples of the model with play by 40 times their noise."""
+    monkeypatch.setenv("SWIMID_LANES", "")
+    folder = case("t4-diagnose-step")
+    asked = ("--effects", "servo-backlash,servo-lag,amplitude-loss")
+    words = ("diagnose", "play.trials.yaml", "--params", "old.yaml", *asked, "-o", "gap.yaml")
+    ran = swimid(*words)
+    assert ran.status == 0, ran.err
+    file = GapFile.read(folder / "gap.yaml")
+    (cause,) = file.causes
+    assert (file.verdict, cause.effect) == ("explained", "servo-backlash")
+    found = cause.parameters["backlash_rad"]
+    assert found.value == pytest.approx(0.10472, abs=3 * found.stderr)
+    assert file.predicted is not None
+    assert file.predicted.after < 1.2
+    assert "SWM016" not in ran.err
+    compared = swimid("compare", "play.trials.yaml", "--params", "repaired.yaml", "-o", "compared.yaml")
+    assert compared.status == 0, compared.err
+    error = ComparisonFile.read(folder / "compared.yaml").channels["x_m"].rmse
+    assert error is not None
+    assert error < 5e-4

@@ -101,3 +101,14 @@ def test_errors_do_not_depend_on_the_direction_or_on_a_wrapped_heading(
         errors.append([channels[c]["rmse"] for c in ("x_m", "y_m", "yaw_rad")])
     for turned in errors[1:]:
         assert turned == pytest.approx(errors[0], rel=1e-3)
+
+
+def test_a_simulation_halves_its_step_until_it_does_not_break_down(
+    case: Callable[..., Path], swimid: Callable[..., Ran]
+) -> None:
+    case("t4-simulate_step")
+    words = ("simulate", "--robot", "robot.yaml", "--frequency-hz", "2", "--amplitude-deg", "20")
+    ran = swimid(*words, "--duration-s", "5", "--json")
+    assert ran.status == 0, ran.err
+    (run,) = ran.json["result"]["runs"]
+    assert run["quantities"]["mean_speed_m_s"]["value"] == pytest.approx(0.5458, abs=1e-4)

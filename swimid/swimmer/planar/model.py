@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from swimid.errors import InputError
 from swimid.fitting.drives import Beat
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
 from swimid.logs import wave
-from swimid.notices import Progress, silent
 from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer import drive
@@ -782,11 +780,6 @@ class MultilinkModel(Swimmer):
         """Return the pose of the robot at the first sample of a trial, by channel."""
         return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
 
-    def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """Compile the scalar engine and, if this saves time, the kernels (see :meth:`Swimmer.prepare`)."""
-        prepare(progress)
-        super().prepare(progress, **how)
-
     def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
         """Return start values of the initial velocities (see :meth:`Swimmer.start_velocities`)."""
         names = [f"initial_{name}" for name in self.rates]
@@ -887,16 +880,6 @@ class MultilinkModel(Swimmer):
         origin = (float(pose[0]) + x, float(pose[1]) + y)
         seen = engine.seen(states, self.tree.unknowns, self.reference_m, origin, heading, spin)
         return dict(zip((*self.pose, *self.velocity), seen, strict=True))
-
-
-def prepare(progress: Progress) -> None:
-    """Compile the scalar engine with a progress bar, unless its compiled form is stored on this machine."""
-    line = engine.integrate.py_func.__code__.co_firstlineno
-    cache = Path(engine.integrate.stats.cache_path)
-    if engine.integrate.signatures or any(cache.glob(f"engine.integrate-{line}.*.nbi")):
-        return
-    with progress("compiling the simulation (on first use only)"):
-        warm_up()
 
 
 def warm_up() -> None:
