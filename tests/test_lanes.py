@@ -19,7 +19,8 @@ import pytest
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Affected
 from swimid.fitting import drives
-from swimid.fitting.model import SwimInput, Tied, Trial
+from swimid.fitting.model import SwimInput, Trial
+from swimid.fitting.parameter_map import share
 from swimid.fitting.problem import Problem
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
@@ -280,8 +281,7 @@ def test_derivatives_with_shared_coefficients_agree_with_the_engine(fish: Multil
     measured = [replace(t, measured={"x_m": rng.normal(size=len(t.time_s))}) for t in trials()]
     slopes = []
     for model in (plain, fish):
-        tied = Tied(model, groups)
-        problem = Problem(tied, tied.parameters, measured, jobs=2)
+        problem = Problem(model, share(model.parameters, groups), measured, jobs=2)
         problem._typical_s = 1.0
         slopes.append(np.concatenate(problem.trial_jacobians(problem.start)))
     # trajectories agree to 1e-14; forward differences divide by a step of 1e-6 of each number
@@ -356,17 +356,18 @@ def test_a_coefficient_of_zero_keeps_the_structure() -> None:
             assert kernel.fits(tree.tables(values)), tree.names[k]
 
 
-def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
+def test_threads_simulate_whole_batches(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six runs fill one batch. Two half-empty batches would take twice the processor time."""
     parts: list[int] = []
 
-    class Counted(Tied):
-        def simulate_many(self, runs: Any) -> Any:
-            parts.append(len(runs))
-            return super().simulate_many(runs)
+    simulate_many = fish.simulate_many
 
-    model = Counted(fish, {"c_f": ("c_f0", "c_f4")})
-    problem = Problem(model, model.parameters, trials(), jobs=2)
+    def counted(runs: Any) -> Any:
+        parts.append(len(runs))
+        return simulate_many(runs)
+
+    monkeypatch.setattr(fish, "simulate_many", counted)
+    problem = Problem(fish, fish.parameters, trials(), jobs=2)
     problem._typical_s = 1.0
     problem.simulated([(problem.start, k % 3) for k in range(6)])
     assert parts == [6]
