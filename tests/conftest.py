@@ -17,9 +17,6 @@ from typing import Any
 for _library in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ.setdefault(_library, "1")
 
-# Runs side by side agree with the scalar engine to fourteen digits, not to the last: what tests print must
-# not depend on what has been compiled before. tests/test_lanes.py asks for them.
-os.environ.setdefault("SWIMID_LANES", "never")
 
 import numpy as np
 import pytest

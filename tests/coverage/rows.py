@@ -41,13 +41,14 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """``ok`` if the share is known and may lie in the wanted range.
+        """``ok`` if the 95 % interval is in the wanted range, or overlaps it and is narrow.
 
-        A 95 % interval that is wider than :data:`MAX_WIDTH` shows nothing: ``too few repeats``.
+        An interval that overlaps it and is wider than :data:`MAX_WIDTH` shows nothing: ``too few repeats``.
         """
         if self.low > self.wanted[1] or self.high < self.wanted[0]:
             return "**not**"
-        if self.high - self.low > MAX_WIDTH:
+        inside = self.low >= self.wanted[0] and self.high <= self.wanted[1]
+        if not inside and self.high - self.low > MAX_WIDTH:
             return "too few repeats"
         return "ok"
 

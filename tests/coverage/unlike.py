@@ -252,9 +252,8 @@ def measure(condition: Condition, rng: np.random.Generator) -> dict[str, float]:
     fit = output_error.complete(output_error.fit(Falling(condition.fixed), trials, tested=False))
     assert fit.differences is not None
     if condition.hidden:
-        return {
-            "says that differences in friction are hidden": float("pulley_friction" in fit.differences.hidden)
-        }
+        name = f"hidden differences of friction are reported{SHARE.format(95, 100)}"
+        return {name: float("pulley_friction" in fit.differences.hidden)}
     found = {n: fit.stderr(n) or np.nan for n in fit.labels if fit.status[n] == "estimated"}
     share = SHARE.format(*condition.share)
     hits = {f"{n}{share}": float(abs(fit.value(n) - TRUTH[n]) <= 1.96 * e) for n, e in found.items()}
