@@ -712,7 +712,7 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
     _, singular, vt = np.linalg.svd((result.information_root * _sizes(result))[:, usable])
     # A matrix with fewer rows than columns does not determine the other directions at all.
     singular = np.pad(singular, (0, len(vt) - len(singular)))
-    floor = np.maximum(singular, UNSEEN * singular.max(initial=0.0) + 1e-300)
+    floor = np.maximum(singular, UNSEEN * singular.max(initial=0.0) + 1e-150)
     errors = np.linalg.norm(vt / floor[:, None], axis=0)
     vague = [i for i, error in zip(usable, errors, strict=True) if error > VAGUE]
     if len(vague) < 2:

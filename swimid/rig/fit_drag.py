@@ -463,22 +463,40 @@ def find_material(stated: FitResult, other: FitResult) -> list[str]:
     return [*filter(is_material, find_moved(stated, other))]
 
 
+def explains_differences(stated: FitResult, other: FitResult) -> bool:
+    """Return whether a further parameter explains why the trials of the fit ``stated`` differ.
+
+    A further parameter makes standard errors larger, unless they contain differences that it explains.
+    """
+    if stated.differences is None or not stated.differences.are_likely:
+        return False
+    pairs = [(stated.stderr(label), other.stderr(label)) for label in stated.shared]
+    return all(after is not None and (before is None or after < before) for before, after in pairs)
+
+
 def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
     """Check that the fit ``stated`` omits no parameter that the data support, and warn if it omits any.
 
-    The check fails if the evidence for a parameter is strong and the parameter moves estimates materially.
+    The check fails if the evidence for a parameter is strong, and if the parameter moves estimates materially
+    or explains why the trials differ.
     """
     name = "no parameter left out"
     limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
     if not omitted:
         held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
         return ev.check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
-    failed = [o for o in omitted if -o.criterion > STRONG and find_material(stated, o.fit)]
+    failed = [
+        o
+        for o in omitted
+        if -o.criterion > STRONG and (find_material(stated, o.fit) or explains_differences(stated, o.fit))
+    ]
     best = [*failed, *omitted][0]
     warn("SWM024", "; ".join(o.sentence for o in sorted(omitted, key=lambda o: o is not best)[:MAX_NAMED]))
     shifts = [f"{_measured(stated, one)} becomes {_measured(best.fit, one)}" for one in stated.shared]
     reason = f"the trials speak for {best.text}"
-    if not find_material(stated, best.fit):
+    if explains_differences(stated, best.fit):
+        reason += ", which explains why the trials differ"
+    elif not find_material(stated, best.fit):
         reason += ", which moves no estimate materially"
     check = ev.check(name, best.text, False, limit, "with it " + "; ".join(shifts), reason=reason)
     if failed:
