@@ -445,8 +445,10 @@ def _mix(
         order = np.argsort(sizes)
         half = np.searchsorted(np.cumsum(mass[order]), 0.5 * mass.sum())
         sd[labels[i]] = float(sizes[order][min(half, len(sizes) - 1)])
+    # A parameter that acts in one of several trials cannot differ between them.
+    acting = np.sum(own > 1e-9 * own.max(axis=0), axis=0)
     hidden = {}
-    for i in np.flatnonzero(~frame.undetermined & ~shown).tolist():
+    for i in np.flatnonzero(~frame.undetermined & ~shown & ((acting > 1) | (trials == 1))).tolist():
         size = ASSUMED_DIFFERENCE * magnitude[i]
         covariance = _evaluate(scores, frame.forward, _Set((i,), np.array([[size]])))[2][0, 0]
         hidden[labels[i]] = math.sqrt(frame.backward[i] @ covariance @ frame.backward[i])
