@@ -162,3 +162,56 @@ def test_what_the_trials_cannot_show_is_said() -> None:
     assert set(between["hidden"]) == set(unlike.TRUTH)
     with pytest.warns(swimid.SwimidWarning, match="one trial was fitted"):
         swimid.fit_model(unlike.Falling(("added_mass", "pulley_friction")), trials[:1])
+
+
+class Random(Model):
+    """Model with random terms in each channel, of which some are alike, and some act in no channel."""
+
+    name = "random"
+
+    def __init__(self, rng: np.random.Generator, shared: int, own: int, channels: int) -> None:
+        self.terms = rng.normal(size=(channels, shared + own, 5))
+        if rng.random() < 0.3:
+            self.terms[:, shared - 1] = self.terms[:, 0]
+        if rng.random() < 0.2:
+            self.terms[:, 0] = 0.0
+        self.channels = tuple(Channel(f"y{c}", "1") for c in range(channels))
+        self.parameters = tuple(
+            Parameter(f"a{i}", "1", rng.choice([-math.inf, 0.0]), math.inf, 1.0, 1.0, per_trial=i >= shared)
+            for i in range(shared + own)
+        )
+
+    def simulate(self, values: np.ndarray, trial: Trial) -> dict[str, np.ndarray]:
+        t, u = trial.time_s, float(trial.inputs["u"][0])
+        basis = np.stack([np.ones_like(t), t, np.sin(3 * t), np.cos(5 * t), t**2])
+        basis *= u ** np.arange(5)[:, None]
+        return {
+            c.name: (np.sin(values) + values) @ self.terms[k] @ basis for k, c in enumerate(self.channels)
+        }
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_any_data_have_intervals_or_are_refused(seed: int) -> None:
+    """Few samples, gaps, rounded and noise-free values, random walks, and parameters that act alike."""
+    rng = np.random.default_rng(seed)
+    model = Random(rng, *rng.integers((1, 0, 1), (6, 3, 4)))
+    trials = []
+    for k in range(rng.integers(1, 7)):
+        time = 0.02 * np.arange(rng.choice([4, 8, 30, 200]))
+        trial = Trial(f"t{k}", "fit", time, {}, inputs={"u": np.full(len(time), rng.uniform(0.5, 2.0))})
+        measured = {}
+        for name, exact in model.simulate(np.ones(len(model.parameters)), trial).items():
+            noise = rng.normal(size=len(time))
+            if rng.random() < 0.4:
+                noise = np.cumsum(noise)
+            values = exact + rng.choice([0.0, 1e-9, 1e-3, 0.1, 3.0]) * noise
+            values[rng.random(len(time)) < rng.choice([0.0, 0.0, 0.4])] = np.nan
+            measured[name] = np.round(values, rng.choice([0, 12, 12, 12]))
+        trials.append(Trial(f"t{k}", "fit", time, measured, inputs=trial.inputs))
+    try:
+        result = output_error.complete(output_error.fit(model, trials, tested=False, max_iterations=40))
+    except swimid.NoTrustworthyResult:
+        return
+    for label in result.shared:
+        error = result.stderr(label)
+        assert result.status[label] != "estimated" or (error is not None and math.isfinite(error))

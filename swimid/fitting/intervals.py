@@ -46,9 +46,9 @@ LOG2_FORMS = 4
 LOG2_SIZES = (4, 7, 8)
 #: Maximum number of parameters that differ together. Only the most probable ones are combined.
 MAX_TOGETHER = 3
-#: Smallest standard deviation between trials, in standard errors of the parameter in the most informative
-#: trial. A smaller one changes no interval.
-SMALLEST_SIZE = 0.3
+#: Smallest and largest standard deviation between trials, in standard errors of the parameter in the most
+#: informative trial. A smaller one changes no interval.
+SMALLEST_SIZE, LARGEST_SIZE = 0.3, 1e5
 #: Maximum ratio of the standard errors with and without differences of a size that one contrast just shows,
 #: for which the differences of a parameter are visible.
 MAX_ENLARGEMENT = 3.0
@@ -411,17 +411,19 @@ def _mix(
     shown = (enlargement < MAX_ENLARGEMENT) & (just_shown < magnitude) & ~frame.undetermined
     visible = np.flatnonzero(shown).tolist()
     own = np.einsum("qi,kqr,ri->ki", frame.forward, likely, frame.forward)
-    lowest = SMALLEST_SIZE / np.sqrt(np.maximum(own.max(axis=0), 1e-300))
+    error = 1.0 / np.sqrt(np.maximum(own.max(axis=0), 1e-300))
+    # Beyond the largest size, the information that is left would be rounding error.
+    highest = np.minimum(magnitude, LARGEST_SIZE * error)
     # A parameter that no trial determines to within its magnitude has a narrow range of sizes.
-    lowest = np.minimum(lowest, 0.1 * magnitude)
+    lowest = np.minimum(SMALLEST_SIZE * error, 0.1 * highest)
     hypotheses = [_Set((), np.zeros((1, 0)))]
-    hypotheses += [_Set.of((i,), lowest, magnitude) for i in visible]
+    hypotheses += [_Set.of((i,), lowest, highest) for i in visible]
     found = [_evaluate(scores, frame.forward, one) for one in hypotheses]
     gains = [float(np.max(one[0])) for one in found[1:]]
     leading = sorted(visible[i] for i in np.argsort(gains)[::-1][:MAX_TOGETHER])
     for count in range(2, len(leading) + 1):
         for members in itertools.combinations(leading, count):
-            hypotheses.append(_Set.of(members, lowest, magnitude))
+            hypotheses.append(_Set.of(members, lowest, highest))
             found.append(_evaluate(scores, frame.forward, hypotheses[-1]))
     prior = np.full(len(hypotheses), 0.5 / max(len(hypotheses) - 1, 1))
     prior[0] = 0.5
@@ -449,9 +451,9 @@ def _mix(
     acting = np.sum(own > 1e-9 * own.max(axis=0), axis=0)
     hidden = {}
     for i in np.flatnonzero(~frame.undetermined & ~shown & ((acting > 1) | (trials == 1))).tolist():
-        size = ASSUMED_DIFFERENCE * magnitude[i]
+        size = min(ASSUMED_DIFFERENCE * magnitude[i], highest[i])
         covariance = _evaluate(scores, frame.forward, _Set((i,), np.array([[size]])))[2][0, 0]
-        hidden[labels[i]] = math.sqrt(frame.backward[i] @ covariance @ frame.backward[i])
+        hidden[labels[i]] = math.sqrt(max(frame.backward[i] @ covariance @ frame.backward[i], 0.0))
     differ = 1.0 - float(weights[0].sum()) / total
     return mixture, Differences(trials, differ, sd, chance, hidden)
 
@@ -512,6 +514,9 @@ def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array,
         whole = a.sum(axis=1)[:, None] - np.einsum(
             "jhkqa,jhkab,jhkrb->jhqr", left, inverse, left, optimize=True
         )
+        # Keep a matrix invertible whose smallest eigenvalue is lost by rounding.
+        least = 1e-13 * np.trace(whole, axis1=2, axis2=3) + 1e-12
+        whole += least[..., None, None] * np.eye(whole.shape[-1])
         score = s.sum(axis=1)[:, None] - np.einsum("jhkqa,jhka->jhq", left, solved)
         covariance = np.linalg.inv(whole)
         mean = np.einsum("jhqr,jhr->jhq", covariance, score)
@@ -560,8 +565,9 @@ def _visibility(information: Array, pooled: Array, forward: Array) -> tuple[Arra
         size[i] = 1.0 / math.sqrt(largest)
         weight = size[i] ** 2 / (1.0 + size[i] ** 2 * (ae @ e))
         whole = information.sum(axis=0) - np.einsum("k,kq,kr->qr", weight, ae, ae)
-        before = float(e @ pooled @ e)
-        enlargement[i] = math.sqrt(float(e @ np.linalg.pinv(whole, hermitian=True) @ e) / before)
+        before, after = (float(e @ part @ e) for part in (pooled, np.linalg.pinv(whole, hermitian=True)))
+        if before > 0.0:
+            enlargement[i] = math.sqrt(max(after, before) / before)
     return enlargement, size
 
 
@@ -624,6 +630,7 @@ def _assembled(
         Factor of the standard error of each shared unknown.
     """
     values, vectors = np.linalg.eigh(whitened)
+    values = np.maximum(values, 1e-14 * values[-1])
     q, root = len(whitened), np.zeros((unknowns, unknowns))
     root[:q, shared] = (vectors / np.sqrt(values)).T @ frame.forward / factor
     covariance = np.full((unknowns, unknowns), np.nan)

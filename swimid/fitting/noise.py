@@ -44,6 +44,8 @@ N_TIMES, MAX_MEMORY = 12, 1.5
 N_BLOCKS, N_PARTS, MIN_BLOCKS, MIN_BLOCK = 40, 6, 3, 3
 #: Significance level at which unequal local levels replace one level.
 LEVEL_P_VALUE = 0.01
+#: Minimum variance of the noise, in units of the mean squared residual.
+MIN_VARIANCE = 1e-16
 #: Smallest singular value of normalised derivatives that determines a direction, as a fraction of the
 #: largest.
 RANK_RTOL = 1e-7
@@ -127,7 +129,8 @@ class Autoregression:
         predictors, variances, a = np.zeros((order + 1, order)), np.ones(order + 1), coefficients
         for p in range(order, 0, -1):
             predictors[p, :p] = a
-            rest = 1.0 - a[-1] ** 2
+            # A series without noise may be predicted exactly.
+            rest = max(1.0 - a[-1] ** 2, 1e-12)
             variances[:p] /= rest
             a = (a[:-1] - a[-1] * a[:-1][::-1]) / rest
         slowest = float(np.max(np.abs(np.roots(np.r_[1.0, coefficients])), initial=0.0))
@@ -286,7 +289,8 @@ def compute_posterior(rows: Mapping[int, Rows]) -> NoisePosterior:
             squares[i] += products[-1, -1] - projected @ projected
             log_likelihood[i] -= 0.5 * log_determinant + np.log(np.diag(lower)).sum()
     degrees = max(degrees, 1)
-    squares = np.maximum(squares, 1e-300)
+    # Data without noise have the precision of the numbers.
+    squares = np.maximum(squares, degrees * MIN_VARIANCE)
     weight = np.log(prior) + log_likelihood - 0.5 * degrees * np.log(squares)
     probability = np.exp(weight - weight.max())
     return NoisePosterior(forms, probability / probability.sum(), squares / degrees, degrees)
@@ -294,7 +298,8 @@ def compute_posterior(rows: Mapping[int, Rows]) -> NoisePosterior:
 
 def _possible_forms(rows: Mapping[int, Rows]) -> tuple[list[NoiseForm], Array]:
     """Return the forms of the noise of a channel, and their prior probabilities."""
-    step = float(np.median(np.concatenate([np.diff(part.time_s) for part in rows.values()] or [np.ones(1)])))
+    steps = np.concatenate([np.empty(0), *(np.diff(part.time_s) for part in rows.values())])
+    step = float(np.median(steps)) if len(steps) else 0.0
     longest = max((float(np.ptp(part.time_s)) for part in rows.values()), default=0.0)
     forms, prior = [NoiseForm()], [1.0]
     if longest > 4.0 * step > 0.0:

@@ -652,7 +652,8 @@ def _result(search: _Search) -> FitResult:
     autoregressions = uncertainty.autoregressions(problem, residuals)
     free, found = _free_in_noise(problem, rows, residuals, autoregressions, _outward(problem, theta))
     covariance = np.full((len(theta), len(theta)), np.nan)
-    root = np.full((int(free.sum()), len(theta)), np.nan)
+    root = np.zeros((int(free.sum()), len(theta)))
+    root[:, ~free] = np.nan
     if found is not None:
         scale = problem.scale[free]
         # For few samples use Student's t, so that 1.96 of these standard errors cover 95 %.
@@ -660,7 +661,7 @@ def _result(search: _Search) -> FitResult:
         part = few**2 * found.covariance * np.outer(scale, scale)
         part[found.null] = part[:, found.null] = np.nan
         covariance[np.ix_(free, free)] = part
-        root[:, free] = found.root / few / scale
+        root[: len(found.root), free] = found.root / few / scale
     covariance, status = _judge(problem, theta, covariance, free)
     result = FitResult(
         model=problem.model,
