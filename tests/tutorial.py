@@ -32,7 +32,7 @@ PICTURES = {
 
 def run(words: list[str], folder: Path) -> str:
     """Run a command of swimid and return what it prints on the standard output."""
-    env = {**os.environ, "SWIMID_LANES": "never", "PYTHONPATH": str(ROOT)}
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
     ran = subprocess.run(
         [sys.executable, "-m", "swimid", *words], cwd=folder, env=env, capture_output=True, text=True
     )
