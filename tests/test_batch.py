@@ -261,6 +261,7 @@ def test_an_item_beyond_its_memory_fails(lab: Path, swimid: Run) -> None:
 # ---------------------------------------------------------------- chains
 
 
+@pytest.mark.slow
 def test_films_of_a_day_become_one_fit(tmp_path: Path, swimid: Run) -> None:
     """Logs of one folder become a trials file, whose trials have the keys that overrides state."""
     day = tmp_path / "data" / "day1"

@@ -99,6 +99,7 @@ def test_a_wrong_coefficient_raises_the_error_of_the_channel_it_acts_on(swimid: 
         assert trial["channels"]["u_m_s"]["bias"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_a_start_state_of_the_file_is_used_and_a_new_one_estimated(swimid: Run, tmp_path: Path) -> None:
     trials = swimmer.write_trials(tmp_path, "tfish", _runs()[:2], NOISE, 5, columns=POSE)
@@ -154,6 +155,7 @@ def test_the_evidence_has_errors_time_courses_speeds_and_paths(swimid: Run, tmp_
     assert "Errors of all trials together" in page.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_rig_cruise_and_black_box_are_compared_too(swimid: Run, samples: Path, tmp_path: Path) -> None:
     rig, cruise = samples / "rig" / "trials.yaml", samples / "cruise" / "trials.yaml"

@@ -57,6 +57,7 @@ def test_flipped_angles_are_left_out(column: str, turn: float) -> None:
     assert "kept (lines" in _reason(kept)
 
 
+@pytest.mark.slow
 def test_flipped_quaternions_are_left_out_and_signs_are_harmless() -> None:
     flipped = _bursts(2)
     rng = np.random.default_rng(3)

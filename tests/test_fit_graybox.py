@@ -567,6 +567,7 @@ class TestWrongModels:
         assert shown.verdict.level == "bad"
         assert next(c for c in shown.checks if c.name == "converged").text.startswith("after")
 
+    @pytest.mark.slow
     def test_an_unfinished_result_of_several_starts_is_written(self, swimid: Swimid, tmp_path: Path) -> None:
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "--starts", "2", "--max-iterations", "3", "-o", out)

@@ -181,6 +181,7 @@ class TestCruise:
         # 40 draws at 95 % give at least 33 with 99 % probability
         assert np.all(hits >= 33), hits
 
+    @pytest.mark.slow
     def test_an_exponent_other_than_that_of_the_law_is_reported(
         self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, rng: np.random.Generator
     ) -> None:

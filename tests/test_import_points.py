@@ -65,6 +65,7 @@ def _check_coverage(errors: dict[str, np.ndarray]) -> None:
         assert np.max(np.abs(known)) < 6.0, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sleap", [False, True], ids=["deeplabcut", "sleap"])
 def test_pose_joints_and_faults(sleap: bool, imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(seed=3, missing=0.05, strays=0.02, swaps=0.01, merges=0.005, noise_px=NOISE_PX)

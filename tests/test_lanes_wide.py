@@ -155,6 +155,7 @@ def test_models_with_another_step_share_the_kernels(fish: MultilinkModel) -> Non
     assert fish.coarser().kernels is fish.kernels
 
 
+@pytest.mark.slow
 def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
     """The generated module, run as Python, also has the effects of swimmers in a side view."""
     dolphin = opened("dolphin")

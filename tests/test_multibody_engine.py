@@ -480,6 +480,7 @@ def beaten(model: MultibodyModel, time: np.ndarray, **values: float) -> dict[str
     return model.simulate(known, Trial("t", "fit", time, {}, swim=swim))
 
 
+@pytest.mark.slow
 def test_a_load_cell_measures_about_the_reference_point() -> None:
     """At rest the cell has the weight of the arm; the torque about another point differs by r x F."""
     time, at = np.arange(0.0, 1.5, 0.02), np.array([0.1, -0.05, 0.2])

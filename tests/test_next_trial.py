@@ -115,6 +115,7 @@ def left_after_refit(apart: Array, rows: Array, precision: Array) -> float:
     return math.sqrt(float(apart @ apart - (rows.T @ apart) @ taken))
 
 
+@pytest.mark.slow
 def test_the_rivals_differ_on_the_proposed_drop_by_the_stated_difference(rig: tuple[Path, GapFile]) -> None:
     folder, file = rig
     log = log_format.read(folder / "next.csv")

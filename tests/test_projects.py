@@ -189,6 +189,7 @@ def test_mixture(project, swimid: Run) -> None:
     assert "log-1.trials.yaml, line 3, 'experiment': is still ASK" in refused.err
 
 
+@pytest.mark.slow
 def test_drafted_robot_is_a_robot_once_it_is_answered(project, swimid: Run) -> None:
     folder, _ = project(lab_folders.films)
     answer(

@@ -323,6 +323,7 @@ def friction(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_diagnose_writes_the_model_with_the_cause(swimid: Run, friction: Path) -> None:
     out, trials = friction / "gap.yaml", friction / "trials.yaml"
     words = ("--params", friction / "ideal.yaml", "--effects", "pulley-friction,tether", "-o", out)

@@ -121,6 +121,7 @@ def test_a_mislabelled_weight_is_named(swimid: Run, tmp_path: Path, stated: floa
     assert _verdict(ran) == level
 
 
+@pytest.mark.slow
 def test_a_tow_with_another_gain_of_its_force_is_named(swimid: Run, tmp_path: Path) -> None:
     """Five tows of a body of 4 kg in all, 5 N s2/m2; the force of one is logged with another gain."""
     (tmp_path / "hull.yaml").write_text("format: swimid-robot/1\nname: hull\nbody: {inertial_mass_kg: 3.0}\n")
@@ -150,6 +151,7 @@ def test_a_large_held_out_error_is_bad(swimid: Run, tmp_path: Path, stated: floa
     assert ("largest in w20" in ran.err) is (level != "GOOD")
 
 
+@pytest.mark.slow
 def test_the_two_point_method_without_an_answer_is_an_error(swimid: Run, tmp_path: Path) -> None:
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: 120.0})
     ran = swimid("fit-drag", trials, "--method", "two-point")

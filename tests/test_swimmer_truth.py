@@ -185,6 +185,7 @@ def _tfish(frequency: float, amplitude: float) -> tuple[float, float]:
     return columns["u_m_s"][late].mean(), np.degrees(np.abs(columns["yaw_rate_rad_s"][late]).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beat", TFISH_FIGURES)
 def test_tfish_reaches_the_reference_figures(beat: tuple[float, float]) -> None:
     """Reference figures come from another implementation of the same reading; rounded as given."""

@@ -219,6 +219,7 @@ def test_two_windows_do_not_disturb_each_other(page: Served) -> None:
     assert [bool(answer["scale"]) for answer in answers] == [False, False, True, False] * 4
 
 
+@pytest.mark.slow
 def test_done_writes_a_setup_that_track_video_takes(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     output = tmp_path / "setup.yaml"
     with served(POOL, "--no-browser", "-o", output, "--json") as run:

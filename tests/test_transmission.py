@@ -454,6 +454,7 @@ class TestInSpace:
 BEAT = ("--frequency-hz", "1", "--amplitude-deg", "20", "--duration-s", "2")
 
 
+@pytest.mark.slow
 def test_simulate_writes_the_command_of_the_actuator(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
     robot, out = fish(tmp_path, by_ratio(*RATIOS), {"tendon": {}}), tmp_path / "out.csv"
     ran = swimid("simulate", "--robot", robot, *BEAT, "-o", out)

@@ -109,6 +109,7 @@ def yaw_error(output: str) -> np.ndarray:
     return np.asarray(error - error.iloc[0])
 
 
+@pytest.mark.slow
 def test_quaternions_from_world_to_body_are_named(case: Case, swimid: Run) -> None:
     case("c-09-quaternion-world-to-body")
     ran = swimid("track", "imu", "q_inv.csv", "-o", "o.csv")
