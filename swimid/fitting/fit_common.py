@@ -873,11 +873,15 @@ def _agreement(result: FitResult) -> list[ev.Check]:
     differ = result.differences
     if differ is None:
         return []
-    value, text = f"differ with a probability of {numbers.percent(differ.probability)}", ""
+    share = numbers.percent(differ.probability)
+    if differ.probability > 0.999:
+        share = "> 99.9 %"
+    value, text = f"probability of differences {share}", ""
     different = [name for name, chance in differ.chance.items() if chance > 0.5]
     sizes = [f"{name} by {_relative(result, name, differ.sd[name])}" for name in different]
     reason = f"the trials differ: {', '.join(sizes) or 'it is not clear in which parameter'}"
     if differ.are_likely:
+        value = f"{', '.join(sizes) or 'differences'} (probability {share})"
         text = "standard deviations between the trials, which the standard errors include"
     shown = ("trials agree", value, not differ.are_likely, f"≤ {numbers.percent(DIFFERENT)}", text, reason)
     found = [warned_check("SWM014", *shown)] * (differ.trials > 1)
