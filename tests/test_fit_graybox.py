@@ -250,7 +250,7 @@ class TestTrialsThatDisagree:
         runs[0] = replace(runs[0], drive={**runs[0].drive, "amplitude_deg": wide})
         file = _fit(swimid, _write(tmp_path, runs, noise), "--share", "c_f")
         assert file.fit is not None
-        assert (file.fit.model_extra or {})["scatter"] > 1
+        assert (file.fit.model_extra or {})["between_trials"]["probability"] > 0.99
         checks = evidence.read(evidence.sidecar(tmp_path / "fit.yaml")).checks
         (check,) = [c for c in checks if c.name == "trials agree"]
         assert check.verdict == "warn"
@@ -259,7 +259,7 @@ class TestTrialsThatDisagree:
     def test_standard_errors_stay_if_trials_agree(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(shared=True), POSE), "--share", "c_f")
         assert file.fit is not None
-        assert (file.fit.model_extra or {})["scatter"] == 1
+        assert (file.fit.model_extra or {})["between_trials"]["probability"] < 0.99
 
 
 class TestLogs:
