@@ -22,7 +22,7 @@ TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^`([\w./]+)`:\n\n```(\w+)\n(.*?)^```$", re.M | re.S)
 #: What each worked list adds, its tests aside.
 TOUCHED = {
-    "Add an effect": ["swimid/effects/encoder_ripple.py"],
+    "Add an effect": ["swimid/effects/encoder_ripple.py", "swimid/effects/magnet.py"],
     "Add a model": ["swimid/rig/glide.py"],
     "Add an experiment": ["swimid/experiments/coasting_body.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
@@ -113,7 +113,7 @@ def test_the_new_command_runs(copy: Path) -> None:
 def test_the_examples_work(copy: Path) -> None:
     """The tests that the manual writes for its examples pass, and its commands run."""
     names = [name for name, *_ in BLOCK.findall(TEXT) if name.startswith("tests/")]
-    assert _tested(copy, *names, "tests/test_commands.py").startswith("7 passed")
+    assert _tested(copy, *names, "tests/test_commands.py").startswith("8 passed")
     assert (copy / "koi.csv").exists()
 
 
