@@ -274,6 +274,7 @@ CHAIN = {
 RODS = {"head": 0.2, "rear": 0.11, "fin": 0.09}
 
 
+@pytest.mark.slow
 def test_a_chain_needs_no_robot(imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(
         seed=17, lengths=RODS, places=CHAIN, amplitudes_deg=(12, 20), noise_px=0.6, strays=0.01
@@ -459,6 +460,7 @@ def test_errors_name_the_line(swimid: Run, tmp_path: Path) -> None:
     assert "points.yaml, line 7, 'points.hip.link': there is no link 'tail9'" in ran.err
 
 
+@pytest.mark.slow
 def test_body_wave(imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(seed=31, noise_px=0.3, turn_rad_s=0.0)
     places = point_films.write_points(tmp_path / "points.yaml")

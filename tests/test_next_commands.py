@@ -67,6 +67,7 @@ def test_a_diagnosis_replaces_no_gap_and_no_repaired_model(swimid: Run, folder: 
     assert following(swimid(*words)) == [*line, "gap-2.yaml", "--repaired", "repaired-2.yaml"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["my $(touch pwned).yaml", "-run; it's.yaml", "a`b`'c\".yaml"])
 def test_names_are_quoted(swimid: Run, folder: Path, name: str) -> None:
     trials = Path("rig", name)

@@ -73,6 +73,7 @@ def test_without_held_out_data_the_grade_says_what_was_tested(rng: np.random.Gen
     assert "of the fitted output. Caution: no data were held out" in made.evidence.verdict.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "direction"),
     [

@@ -191,6 +191,7 @@ def test_a_log_drives_the_joints(swimid: Run, tmp_path: Path) -> None:
         assert np.max(np.abs(a[name] - b[name])) < 0.01 * np.ptp(a[name]), name
 
 
+@pytest.mark.slow
 def test_recorded_trials_keep_their_drives_and_start_states(swimid: Run, tmp_path: Path) -> None:
     drive = {"frequency_hz": 1.2, "amplitude_deg": 25.0}
     columns = swimmer.simulate("tfish", None, drive, 5.0)

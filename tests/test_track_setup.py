@@ -190,6 +190,7 @@ def school(count=8):
     )
 
 
+@pytest.mark.slow
 def test_eight_markers_of_one_colour_need_no_tail(tmp_path):
     """With ``number: 8`` every marker has its columns, and the first gives the position."""
     video = clutter.write(tmp_path / "school.mp4", Pool(school(), duration_s=2.0))
