@@ -883,14 +883,21 @@ def _agreement(result: FitResult) -> list[ev.Check]:
     if differ.are_likely:
         value = f"{', '.join(sizes) or 'differences'} (probability {share})"
         text = "standard deviations between the trials, which the standard errors include"
-    shown = ("trials agree", value, not differ.are_likely, f"≤ {numbers.percent(DIFFERENT)}", text, reason)
-    found = [warned_check("SWM014", *shown)] * (differ.trials > 1)
+    found = []
+    if differ.trials > 1:
+        limit = f"≤ {numbers.percent(DIFFERENT)}"
+        found.append(
+            warned_check("SWM014", "trials agree", value, not differ.are_likely, limit, text, reason)
+        )
     hidden = [name for name in differ.hidden if result.status.get(name) == "estimated"]
     name, limit = "differences between trials visible", "of every estimated parameter"
     if not hidden:
         return [*found, ev.check(name, "yes", True, limit)]
     value = f"not of {', '.join(hidden)}"
-    reason = f"differences of {_listed(hidden)} between these trials would not show"
+    named = hidden[:MAX_LISTED]
+    if len(hidden) > MAX_LISTED:
+        named.append(f"{len(hidden) - MAX_LISTED} more")
+    reason = f"differences of {numbers.listed(named)} between these trials would not show"
     if differ.trials == 1:
         value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
     share = numbers.percent(ASSUMED_DIFFERENCE)
@@ -909,14 +916,6 @@ def _relative(result: FitResult, name: str, sd: float) -> str:
     if size > 0.1 * result.parameter(name).scale:
         return numbers.percent(sd / size, 2)
     return numbers.number(sd, 2, result.parameter(name).unit)
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names as a list in a sentence, shortened after :data:`MAX_LISTED`."""
-    shown = list(names[:MAX_LISTED])
-    if len(names) > MAX_LISTED:
-        shown.append(f"{len(names) - MAX_LISTED} more")
-    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:

@@ -338,7 +338,7 @@ class _Scores:
                     _, here, there = np.intersect1d(first[0], second[0], return_indices=True)
                     cross = correlation[a, b] * (first[1][here].T @ second[1][there])
                     middle += cross + cross.T
-            if middle is not whole and correlation.any():
+            if correlation.any():
                 change = whole @ np.linalg.pinv(middle, rcond=1e-12, hermitian=True)
                 whole, score = change @ whole, change @ score
                 whole = 0.5 * (whole + whole.T)
@@ -419,7 +419,8 @@ def _mix(
     hypotheses = [_Set((), np.zeros((1, 0)))]
     hypotheses += [_Set.of((i,), lowest, highest) for i in visible]
     found = [_evaluate(scores, frame.forward, one) for one in hypotheses]
-    gains = [float(np.max(one[0])) for one in found[1:]]
+    alone = _own_likelihood(information, scores.score)[:, None]
+    gains = [float(np.max(alone + one[0])) for one in found[1:]]
     leading = sorted(visible[i] for i in np.argsort(gains)[::-1][:MAX_TOGETHER])
     for count in range(2, len(leading) + 1):
         for members in itertools.combinations(leading, count):
@@ -427,7 +428,8 @@ def _mix(
             found.append(_evaluate(scores, frame.forward, hypotheses[-1]))
     prior = np.full(len(hypotheses), 0.5 / max(len(hypotheses) - 1, 1))
     prior[0] = 0.5
-    logs = [np.log(scores.weight)[:, None] + one[0] - math.log(one[0].shape[1]) for one in found]
+    forms = np.log(scores.weight)[:, None] + alone
+    logs = [forms + one[0] - math.log(one[0].shape[1]) for one in found]
     top = max(float(part.max()) for part in logs)
     weights = [p * np.exp(part - top) for p, part in zip(prior, logs, strict=True)]
     total = sum(float(part.sum()) for part in weights)
@@ -484,6 +486,9 @@ class _Set:
 def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array, Array, Array]:
     """Return log-likelihood, estimate and covariance for all forms of the noise j and sizes h.
 
+    The log-likelihood is that of the differences between the estimates of the trials
+    (:func:`_own_likelihood` has the rest).
+
     Returns
     -------
     ndarray, shapes (j, h), (j, h, q) and (j, h, q, q)
@@ -499,7 +504,6 @@ def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array,
     directions = forward[:, list(hypotheses.members)]
     ae = a @ directions
     eae, es = directions.T @ ae, s @ directions
-    base = _own_likelihood(a, s)
     found = []
     # Limit the memory of the arrays of all trials.
     chunk = max(int(4e6 / max(ae.size, 1)), 1)
@@ -526,7 +530,7 @@ def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array,
             - log_inner
             - np.linalg.slogdet(whole)[1]
         )
-        found.append((base[:, None] + log, mean, covariance))
+        found.append((log, mean, covariance))
     log, mean, covariance = (np.concatenate(part, axis=1) for part in zip(*found, strict=True))
     return log, mean, covariance
 

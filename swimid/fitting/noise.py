@@ -1,4 +1,4 @@
-"""NoiseForm of residuals: local levels, slow noise, autoregressions, and rows that are whitened by them.
+"""Noise of residuals: local levels, slow noise, autoregressions, and rows that are whitened by them.
 
 The weighted residual of a sample is independent noise of unit variance, plus noise with a memory. The noise
 with a memory is a first-order process with the variance g and the time constant tau, or the residual follows

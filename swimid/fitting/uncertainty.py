@@ -782,8 +782,7 @@ def sentences(result: FitResult) -> list[str]:
             named, rest = [label for label in group if "[" not in label], ""
             if len(named) < len(group):
                 named.append(f"{len(group) - len(named)} parameters of single trials")
-        listed = " and ".join(filter(None, [", ".join(named[:-1]), named[-1]]))
-        said.append(f"{listed} cannot be separated by these trials{rest}")
+        said.append(f"{numbers.listed(named)} cannot be separated by these trials{rest}")
     alone = [label for label in unidentifiable(result) if label not in grouped]
     own = [label.partition("[") for label in alone if "[" in label]
     for name in dict.fromkeys(name for name, _, _ in own):
