@@ -245,7 +245,7 @@ def compute_errors(
     # Unknowns that are confounded have one factor, so that their known sums keep their accuracy.
     vague = half > NORMAL * VAGUE * magnitude
     factor[vague] = np.max(factor[vague], initial=1.0)
-    return _assembled(scores, frame, whitened, factor, shared, own, len(theta), differences)
+    return _assemble(scores, frame, whitened, factor, shared, own, len(theta), differences)
 
 
 class _Scores:
@@ -614,7 +614,7 @@ def _cluster_half_widths(scores: _Scores, directions: Array) -> Array:
     return found
 
 
-def _assembled(
+def _assemble(
     scores: _Scores,
     frame: Coordinates,
     whitened: Array,
