@@ -18,7 +18,6 @@ from ruamel.yaml import YAML
 from scipy.optimize import minimize
 
 from swimid.diagnosis import posterior
-from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, Record
 from tests.blind import runner
 
@@ -85,16 +84,14 @@ def read(folders: Iterable[Path]) -> list[Truth]:
             rows = [
                 Candidate(
                     frozenset(h["effects"]),
-                    h["score"],
-                    np.array(h["folds"]),
+                    np.array(h["deviances"]),
+                    h["strain"],
                     h["numbers"],
-                    h.get("slow"),
                     h.get("alike", {}),
-                    bool(h["effects"]) and all(name.startswith(PREFIX) for name in h["effects"]),
                 )
                 for h in gap["hypotheses"]
             ]
-            record = Record(gap["samples"], len(rows[0].folds), gap["tried"])
+            record = Record(gap["samples"], len(rows[0].deviances), gap["tried"])
             found += truths(rows, label["kind"], label["effects"], record)
     return found
 
@@ -105,20 +102,20 @@ def truths(rows: Sequence[Candidate], kind: str, effects: Sequence[str], record:
     true = frozenset(effects)
     if "marker-dropout" in true:
         return []
-    best = min(c.score for c in rows)
+    best = min(c.deviance for c in rows)
     if kind == "clean":
         return [Truth(null, rest, record, (frozenset(),))]
     if kind == "outside":
-        return [Truth(null, rest, record, (), small=null.score - best < SEEN)]
+        return [Truth(null, rest, record, (), small=null.deviance - best < SEEN)]
     mine = [c for c in rest if c.names <= true]
     if not mine:
         return []
-    least = min(c.score for c in mine)
-    small = null.score - least < SEEN
-    told = tuple(c.names for c in mine if c.score - least < SEEN)
+    least = min(c.deviance for c in mine)
+    small = null.deviance - least < SEEN
+    told = tuple(c.names for c in mine if c.deviance - least < SEEN)
     found = [Truth(null, rest, record, told, small=small)]
     without = [c for c in rest if not c.names & true]
-    nearest = min((c.score for c in without), default=null.score)
+    nearest = min((c.deviance for c in without), default=null.deviance)
     alike = SEEN + TWIN * max(least - record.samples, 0.0)
     if kind == "single" and not small and nearest - least > alike:
         found.append(Truth(null, without, record, (), hidden=True))
@@ -135,17 +132,7 @@ def weights(cases: Sequence[Truth]) -> np.ndarray:
 
 def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
     """The constants under which what is true is likeliest."""
-    begin = np.array(
-        [
-            np.log(start.directions),
-            np.log(start.form),
-            start.number,
-            np.log(start.further),
-            start.outside,
-            start.grows,
-        ]
-    )
-
+    begin = np.array([np.log(start.directions), np.log(start.form), start.outside])
     weight = weights(cases)
 
     def loss(x: np.ndarray) -> float:
@@ -161,23 +148,8 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
 
 def _constants(x: np.ndarray) -> Calibration:
     """Positive ones by their logarithms."""
-    directions, form, further = (float(v) for v in np.exp(x[[0, 1, 3]]))
-    # the last plays no part in which answer is likeliest
-    return Calibration(directions, form, float(x[2]), further, float(x[4]), float(x[5]), 0.5)
-
-
-def acting(cases: Sequence[Truth], known: Calibration) -> float:
-    """How often what closes most beside a cause from outside is at work, too, among the cases judged so;
-    half a case right and half wrong are known beforehand (Jeffreys).
-    """
-    right, all_of_them = 0.5, 1.0
-    for c, weight in zip(cases, weights(cases), strict=True):
-        found = posterior.posterior(c.null, c.candidates, record=c.record, calibration=known)
-        if told(c, known)[0] != "unexplained" or found.closing(*found.best) <= 0.5:
-            continue
-        right += weight * any(found.best <= names for names in c.true)
-        all_of_them += weight
-    return float(right / all_of_them)
+    directions, form = (float(v) for v in np.exp(x[:2]))
+    return Calibration(directions, form, float(x[2]))
 
 
 def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
@@ -203,8 +175,7 @@ def told(case: Truth, known: Calibration) -> tuple[str, frozenset[str]]:
     if found.none > posterior.UNSURE:
         return ("unexplained" if found.outside > found.none else "none"), frozenset()
     outside = found.outside > sum(found.sets.values())
-    named = frozenset() if outside and found.closing(*found.best) <= 0.5 else found.best
-    return ("unexplained" if outside else "explained"), named
+    return ("unexplained" if outside else "explained"), found.best
 
 
 def sensitivity(cases: Sequence[Truth], known: Calibration) -> list[tuple[str, float, float]]:
@@ -231,8 +202,7 @@ def sensitivity(cases: Sequence[Truth], known: Calibration) -> list[tuple[str, f
 def main() -> None:
     """Print the constants, how they do on the very cases, and what changing each by half does."""
     cases = read(Path(a) for a in sys.argv[1:])
-    known = calibrated(cases, Calibration(5.0, 0.1, 2.0, 10.0, -3.0, 3.0, 0.5))
-    known = replace(known, acts=acting(cases, known))
+    known = calibrated(cases, Calibration(8.0, 0.2, -3.0))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")

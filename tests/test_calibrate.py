@@ -15,11 +15,11 @@ from tests import calibrate
 RECORD = Record(1000.0, 3, 20)
 
 
-def _rows(null: float, **scores: float) -> list[Candidate]:
-    def made(names: frozenset[str], score: float) -> Candidate:
-        return Candidate(names, score, np.full(5, score / 5), len(names))
+def _rows(null: float, **deviances: float) -> list[Candidate]:
+    def made(names: frozenset[str], deviance: float) -> Candidate:
+        return Candidate(names=names, deviances=np.full(5, deviance / 5), numbers=len(names))
 
-    return [made(frozenset(), null), *(made(frozenset(n.split("_")), s) for n, s in scores.items())]
+    return [made(frozenset(), null), *(made(frozenset(n.split("_")), d) for n, d in deviances.items())]
 
 
 def test_a_single_effect_is_judged_once_more_without_it() -> None:
@@ -36,16 +36,19 @@ def test_without_a_twin_it_would_still_be_explained() -> None:
 def test_what_cannot_be_seen_may_as_well_be_none() -> None:
     (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], RECORD)
     assert only.small
-    known = Calibration(7.0, 0.1, 0.0, 12.0, -2.0, 1.5, 0.5)
+    known = Calibration(7.0, 0.1, -2.0)
     assert only.probability(known) > 0.5
 
 
 @pytest.mark.slow
 def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Path) -> None:
-    """Cases whose true effect leaves a tenth of what its rival does, and such as no effect closes."""
+    """Cases whose true effect leaves a tenth of what its rival does, and such as no effect closes.
+
+    What the rival leaves is more than two standard deviations of the squared noise.
+    """
     rng = np.random.default_rng(5)
     for k in range(12):
-        gap = float(np.exp(rng.uniform(6.0, 9.0)))
+        gap = float(np.exp(rng.uniform(7.5, 10.0)))
         outside = k % 3 == 0
         best, rival = (0.7 * gap, 0.8 * gap) if outside else (0.01 * gap, 0.1 * gap)
         rows = _rows(1000.0 + gap, lag=1000.0 + best, delay=1000.0 + rival)
@@ -60,8 +63,8 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
                 {
                     "effects": sorted(c.names),
                     "numbers": c.numbers,
-                    "score": c.score,
-                    "folds": c.folds.tolist(),
+                    "strain": c.strain,
+                    "deviances": c.deviances.tolist(),
                 }
                 for c in rows
             ],
@@ -72,7 +75,7 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
         (tmp_path / "labels" / f"{k:04d}.json").write_text(json.dumps(label))
     cases = calibrate.read([tmp_path])
     assert len(cases) == 4 + 2 * 8
-    start = Calibration(1.0, 0.1, 0.0, 6.0, 0.0, 0.0, 0.5)
+    start = Calibration(1.0, 0.1, 0.0)
     known = calibrate.calibrated(cases, start)
 
     def likelihood(c: Calibration) -> float:

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import readings, search
-from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.gap_file import GapFile
-from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import Search, State
+from swimid.diagnosis.study import Study
 from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.drives import Beat
@@ -27,9 +26,9 @@ from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.model import Swimmer
 from tests.blind import swim_effects
 from tests.conftest import Ran
+from tests.diagnosis_models import PLAIN, Hooked, Seen, plainly, ring, rise
 from tests.generators import gap_trials, swimmer
 from tests.test_diagnose import command, diagnosed, held_responsible
-from tests.test_diagnosis_parts import PLAIN, Hooked, Seen, plainly, ring, rise
 
 Run = Callable[..., Ran]
 STAGES = {
@@ -199,23 +198,23 @@ def test_readings_are_requested_by_name(
 
 
 def test_priors_are_wider_under_another_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
-    """Under another reading a coefficient is known to 60 % of its size at best, and counts like a number."""
+    """Under another reading a coefficient is known to 60 % of its size at best, and counts as a parameter."""
     model = fish.model
     prior = {"c_d0": (4.9, 0.1), "c_d4": (5.8, 4.0)}
-    context = FitContext(model, model.parameters, fish.trials, prior)
-    plain, read = (context.problem(e) for e in ((), (others["reading:areas=as-printed"],)))
-    assert context.loosened(plain) == {}
+    study = Study(model, model.parameters, fish.trials, prior)
+    reading = others["reading:areas=as-printed"]
+    plain, read = (study.problem(e) for e in ((), (reading,)))
+    assert study.loosened(plain) == {}
     size = next(p.start for p in model.parameters if p.name == "c_d0")
-    assert context.loosened(read) == {"c_d0": (4.9, pytest.approx(0.6 * size))}
+    assert study.loosened(read) == {"c_d0": (4.9, pytest.approx(0.6 * size))}
     at = plain.labels.index("c_d0")
-    assert context.expected(plain)[1][at] == pytest.approx(1 / 0.1)
-    assert context.expected(read)[1][at] == pytest.approx(1 / (0.6 * size))
-    searched = Search(context, NoiseModel(plain.sd), (), (), rng=np.random.default_rng(0))
-    fit = context.at((), NoiseModel(plain.sd), np.array(plain.start))
-    other = context.at((others["reading:areas=as-printed"],), NoiseModel(plain.sd), np.array(read.start))
-    samples = sum(len(r) for r in fit.residuals)
-    assert searched.penalty(fit) == 0.0
-    assert searched.penalty(other) == pytest.approx(np.log(samples))
+    assert study.expected(plain)[1][at] == pytest.approx(1 / 0.1)
+    assert study.expected(read)[1][at] == pytest.approx(1 / (0.6 * size))
+    searched = Search(study, (), (), rng=np.random.default_rng(0))
+    own, other = study.at((), np.array(plain.start)), study.at((reading,), np.array(read.start))
+    searched.null = searched.judged(own)
+    searched.pool = {h.key: h for h in (searched.null, searched.judged(other))}
+    assert [c.numbers for c in searched.weighed().candidates] == [0, 1]
 
 
 class Quicker:
@@ -246,7 +245,7 @@ def sought(trials: list[Trial], *, reading: bool = True) -> State:
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'
         effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", reread=Quicker()))
-    return search.run(FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}), effects)
+    return search.run(Study(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}), effects)
 
 
 @pytest.mark.parametrize(

@@ -72,6 +72,46 @@ def test_an_autoregression_is_whitened_as_by_its_covariance(rng: np.random.Gener
     assert log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-9)
 
 
+@pytest.mark.parametrize("form", [NoiseForm(), NoiseForm(0.5, 0.1), NoiseForm(40.0, 2.0)])
+def test_columns_are_multiplied_by_the_covariance_of_the_noise(
+    form: NoiseForm, rng: np.random.Generator
+) -> None:
+    """The samples have uneven times. Columns of any layout are not changed themselves."""
+    time = np.sort(rng.uniform(0.0, 3.0, 80))
+    columns = rng.normal(size=(3, 80)).T
+    given = columns.copy()
+    covariance = np.eye(80)
+    if form.ratio:
+        covariance += form.ratio * np.exp(-np.abs(time[:, None] - time) / form.time_s)
+    np.testing.assert_allclose(form.correlate(time, columns), covariance @ columns, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(columns, given)
+    np.testing.assert_allclose(form.correlate(time[:1], columns[:1]), (1.0 + form.ratio) * columns[:1])
+
+
+def test_an_autoregression_is_correlated_by_its_slowest_mode(rng: np.random.Generator) -> None:
+    """That is exact for one of the first order, which decays by the same factor in each sample."""
+    law = Autoregression.of(np.array([-0.8]))
+    form, time = NoiseForm(0.0, 0.02 * law.memory, law), 0.02 * np.arange(60)
+    columns = rng.normal(size=(60, 2))
+    expected = toeplitz(0.8 ** np.arange(60)) @ columns
+    np.testing.assert_allclose(form.correlate(time, columns), expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [NoiseForm(), NoiseForm(40.0, 2.0), NoiseForm(0.0, 1.0, Autoregression.of(np.array([-1.2, 0.5])))],
+)
+def test_a_filter_whitens_any_columns_of_its_samples(form: NoiseForm, rng: np.random.Generator) -> None:
+    place = np.concatenate((np.arange(25), np.arange(30, 60)))
+    seen = form.filter(0.02 * place, place)
+    for count in (1, 3):
+        columns = rng.normal(size=(55, count))
+        white, log_determinant = form.whiten(0.02 * place, place, columns)
+        again, other = seen(columns)
+        np.testing.assert_array_equal(again, white)
+        assert other == log_determinant
+
+
 @pytest.mark.parametrize("count, least", [(2, 0.4), (3, 0.8), (5, 0.8)])
 def test_large_differences_have_the_interval_of_students_distribution(
     rng: np.random.Generator, count: int, least: float

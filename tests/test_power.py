@@ -22,8 +22,8 @@ def test_the_needed_excess_agrees_with_the_posterior(record: posterior.Record) -
     """A single effect that leaves nothing: there being no gap has a tenth of what the two have."""
     excess = power.needed(record, 1)
     n = record.samples
-    null = posterior.Candidate(frozenset(), n + excess, np.full(6, (n + excess) / 6), 0)
-    effect = posterior.Candidate(frozenset("a"), n, np.full(6, n / 6), 1)
+    null = posterior.Candidate(names=frozenset(), deviances=np.full(6, (n + excess) / 6))
+    effect = posterior.Candidate(names=frozenset("a"), deviances=np.full(6, n / 6), numbers=1)
     found = posterior.posterior(null, [effect], record=record)
     told = found.sets[frozenset("a")]
     assert found.none / (found.none + told) == pytest.approx(posterior.UNSURE, rel=1e-6)

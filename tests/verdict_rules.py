@@ -14,6 +14,7 @@ from typing import Any
 
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.verdict import decide, rows
+from tests.blind import figures as shown
 from tests.blind import runner, score
 
 Case = tuple[dict[str, Any], GapFile, dict[str, Any]]
@@ -52,16 +53,17 @@ def figures(found: Sequence[Case], without: str = "") -> list[str]:
         kind: [r for r in scored if r["kind"] == kind] for kind in ("clean", "single", "pair", "outside")
     }
     large = [r for r in kinds["single"] if (r["tool_ratio"] or 0.0) >= 1.5]
-    named = [r for r in scored if r["verdict"] in ("explained", "ambiguous")]
+    named = [r for r in scored if shown.is_named(r)]
+    doubted = [r for r in scored if shown.is_doubted(r)]
     other = sum(decide(file.facts, without=without) != decide(file.facts) for _, file, _ in found)
     return [
         f"{sum(r['within'] and r in named for r in large)} of {len(large)}",
         f"{sum(r['verdict'] == 'explained' and not r['within'] for r in kinds['single'])}",
         f"{sum(r['found'] == 2 for r in kinds['pair'])} of {len(kinds['pair'])}",
-        f"{sum(r['verdict'] == 'unexplained' for r in kinds['outside'])} of {len(kinds['outside'])}",
+        f"{sum(r in doubted for r in kinds['outside'])} of {len(kinds['outside'])}",
         f"{sum(r in named for r in kinds['outside'])}",
         f"{sum(r in named for r in kinds['clean'])} of {len(kinds['clean'])}",
-        f"{sum(r['verdict'] == 'unexplained' for r in kinds['clean'])}",
+        f"{sum(r in doubted for r in kinds['clean'])}",
         str(other),
     ]
 
@@ -71,10 +73,10 @@ HEAD = (
     "single effects in the set",
     "another one explained",
     "pairs, both",
-    "outside, unexplained",
+    "outside, unexplained or partial",
     "outside, named",
     "clean, named",
-    "clean, unexplained",
+    "clean, unexplained or partial",
     "other answers",
 )
 

@@ -54,10 +54,11 @@ class Answer(_Strict):
     """What a tool says of one case."""
 
     case: str = Field(pattern=r"^\d{4,}$", description="the name of its folder")
-    verdict: Literal["none", "explained", "ambiguous", "unexplained", "failed"] = Field(
+    verdict: Literal["none", "explained", "ambiguous", "partial", "unexplained", "failed"] = Field(
         description="none: nothing but noise. explained, ambiguous: the causes named act, with one effect or "
-        "several in the first set. unexplained: there is a gap, and no known effect makes it. failed: no "
-        "answer, since the tool ended or does not take such trials"
+        "several in the first set. partial: the causes named act beside something unknown. unexplained: "
+        "there is a gap, and no known effect makes it. failed: no answer, since the tool ended or does not "
+        "take such trials"
     )
     causes: list[Cause] = Field(default_factory=list, description="that act together, the largest first")
     wall_s: Positive | None = Field(None, description="wall time, s")
@@ -73,7 +74,12 @@ class Answer(_Strict):
     @property
     def named(self) -> bool:
         """Whether it says that its causes act."""
-        return self.verdict in ("explained", "ambiguous")
+        return self.verdict in ("explained", "ambiguous", "partial")
+
+    @property
+    def doubts(self) -> bool:
+        """Whether it says that something unknown acts."""
+        return self.verdict in ("partial", "unexplained")
 
     def line(self) -> str:
         """As a line of an answers file."""

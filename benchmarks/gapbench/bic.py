@@ -16,8 +16,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.gapbench.peers import Case, verdict
-from swimid.diagnosis.context import FINE, Fit, FitContext
-from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.noise import NoiseModel
+from swimid.diagnosis.study import FINE, Fit, Study
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
 from swimid.fitting import uncertainty as sample_noise
@@ -33,15 +33,15 @@ def diagnose(case: Case) -> dict[str, Any]:
 
 def rounds(case: Case) -> list[dict[str, float]]:
     """BIC of the model, under ``""``, and with each effect; then beside the best; and so on."""
-    bench = FitContext(case.model, case.model.parameters, case.trials, case.prior)
+    bench = Study(case.model, case.model.parameters, case.trials, case.prior)
     effects = catalogue.applicable(catalogue.catalogue(), case.model, case.trials)
     found: list[dict[str, float]] = []
     with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
-        fit, noise_model = _nominal(bench)
+        bench, fit = _nominal(bench)
         while len(found) < MOST:
             rest = [e for e in effects if e.name not in {own.name for own in fit.effects}]
             base = fit
-            fits = list(pool.map(lambda e, base=base: _beside(bench, noise_model, base, e), rest))
+            fits = list(pool.map(lambda e, base=base: _beside(bench, base, e), rest))
             bic = {"": compute_bic(fit)}
             best = {"": fit}
             for effect, other in zip(rest, fits, strict=True):
@@ -57,32 +57,31 @@ def rounds(case: Case) -> list[dict[str, float]]:
     return found
 
 
-def _nominal(bench: FitContext) -> tuple[Fit, NoiseModel]:
-    """The model refitted, with the noise that its own residuals show."""
+def _nominal(bench: Study) -> tuple[Study, Fit]:
+    """The trials with the noise that their own residuals show, and the model refitted."""
     problem = bench.problem(())
     sample_noise.weigh_first(problem)
     theta = np.clip(problem.start, problem.lower, problem.upper)
     sizes: Mapping[str, tuple[float, float]] = {}
     for _ in range(1 + WEIGHTINGS):
-        noise_model = NoiseModel([list(sds) for sds in problem.sd])
-        fit = bench.fit((), noise_model, bench.begins(problem, theta))
+        bench = bench.with_noise(NoiseModel([list(sds) for sds in problem.sd]))
+        fit = bench.fit((), bench.begins(problem, theta))
         theta = fit.theta
         sizes = sample_noise.estimate(problem, theta, dict(sizes))
-    return fit, noise_model
+    return bench, fit
 
 
-def _beside(bench: FitContext, noise_model: NoiseModel, base: Fit, effect: Effect) -> Fit:
+def _beside(bench: Study, base: Fit, effect: Effect) -> Fit:
     """The optimum with one more effect, from the best of the sizes it is tried at."""
     effects = (*base.effects, effect)
     own = bench.affected(effects).own[-1]
     starts = []
     for point in [*effect.tries(own), np.array([p.start for p in own])]:
         named = {f"{effect.name}/{p.name}": float(v) for p, v in zip(own, point, strict=False)}
-        starts.append(bench.start(effects, noise_model, base, named))
-    problem = bench.problem(effects)
-    noise_model.install(problem)
+        starts.append(bench.start(effects, base, named))
+    problem = bench.posed(effects)
     first = min(starts, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2)))
-    return bench.fit(effects, noise_model, [first], tolerance=FINE)
+    return bench.fit(effects, [first], tolerance=FINE)
 
 
 def compute_bic(fit: Fit) -> float:

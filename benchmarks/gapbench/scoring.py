@@ -139,8 +139,8 @@ def figures(rows: Sequence[Scored]) -> list[Figure]:
         Figure("one effect, any gap: only others named", of(single, lambda r: r.other)),
         Figure("nothing hidden: a cause named", of(kinds["clean"], lambda r: r.answer.named)),
         Figure(
-            f"outside the catalogue, gap {SEEN:g} x or more: `unexplained`",
-            of(outside, lambda r: r.answer.verdict == "unexplained"),
+            f"outside the catalogue, gap {SEEN:g} x or more: `unexplained` or `partial`",
+            of(outside, lambda r: r.answer.doubts),
         ),
         Figure("the same: a cause named", of(outside, lambda r: r.answer.named)),
         Figure("two effects: both named", of(kinds["pair"], lambda r: r.both)),
@@ -204,5 +204,5 @@ def _times(rows: Sequence[Scored]) -> list[Figure]:
 def real_text(row: Scored) -> str:
     """What was said of a real case, and whether it is right."""
     sets = " + ".join("/".join(cause.set) for cause in row.causes)
-    right = row.within if row.label.effects else row.answer.verdict == "unexplained"
+    right = row.within if row.label.effects else row.answer.doubts
     return f"{'right' if right else 'wrong'}: {' '.join([row.answer.verdict, sets]).strip()}"

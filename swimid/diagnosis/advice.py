@@ -11,14 +11,13 @@ import numpy as np
 from scipy.special import chdtri
 
 import swimid
-from swimid.diagnosis import crossval, proposals
+from swimid.diagnosis import proposals
 from swimid.diagnosis.candidates import within
-from swimid.diagnosis.context import Fit, FitContext, Mixed
 from swimid.diagnosis.gap_file import Advice
-from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.proposals import Limits, Proposal, Segment
+from swimid.diagnosis.study import Fit, Study, solved
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.problem import map_in_processes
+from swimid.fitting.problem import Problem, map_in_processes
 from swimid.logs.log import Log
 
 #: Maximum number of proposed experiments in a report.
@@ -39,9 +38,7 @@ def threshold(rivals: Sequence[Fit]) -> float:
     return math.sqrt(float(chdtri(most, 1.0 - LEVEL)))
 
 
-def advise(
-    context: FitContext, rivals: Sequence[Fit], noise_model: NoiseModel, limits: Limits, now: float
-) -> list[Advice]:
+def advise(study: Study, rivals: Sequence[Fit], limits: Limits, now: float) -> list[Advice]:
     """Rank proposed trials by how well they would distinguish the first rival cause from the others.
 
     A trial distinguishes two rivals if their difference exceeds what noise alone may make. Trials that
@@ -56,11 +53,11 @@ def advise(
         Difference between the first two rival fits on the present trials, in noise standard deviations. It is
         the square root of the difference of their held-out squared residuals.
     """
-    protocol = proposals.protocol_of(context.model, context.trials, limits)
+    protocol = proposals.protocol_of(study.model, study.trials, limits)
     if protocol is None:
         return []
-    models = [Rival(context, fit, noise_model) for fit in rivals]
-    length_m = proposals.tank_length(context.trials, limits)
+    models = [Rival(study, fit) for fit in rivals]
+    length_m = proposals.tank_length(study.trials, limits)
     first, *others = [fit.effects[-1].name for fit in rivals]
     least = threshold(rivals)
 
@@ -78,7 +75,7 @@ def advise(
             advice._command = _log(found, advice, limits)
         return advice
 
-    made = map_in_processes(compared, proposals.PROPOSALS, context.jobs)
+    made = map_in_processes(compared, proposals.PROPOSALS, study.jobs)
     possible = {a.text: a for a in made if a is not None}
     found = [a for a in possible.values() if a.separates]
     found.sort(key=lambda a: (-len(a.separates), -(a.difference or 0.0)))
@@ -138,8 +135,8 @@ class Rival:
         trials are projected out.
     """
 
-    def __init__(self, context: FitContext, fit: Fit, noise_model: NoiseModel) -> None:
-        self.context, self.fit, self.noise_model = context, fit, noise_model
+    def __init__(self, study: Study, fit: Fit) -> None:
+        self.study, self.fit = study, fit
         problem = fit.problem
         names = np.array([problem.parameters[index].name for index, _ in problem.slots])
         self.values = {str(name): float(np.mean(fit.theta[names == name])) for name in names}
@@ -150,19 +147,18 @@ class Rival:
         self.sd = {channel: float(np.median(np.concatenate(own))) for channel, own in sd.items()}
         shared = [j for j, (_, owner) in enumerate(problem.slots) if owner is None]
         self.shared = [fit.labels[j] for j in shared]
-        self.precision = context.precision(problem)[np.ix_(shared, shared)]
+        self.precision = study.precision(problem)[np.ix_(shared, shared)]
         for k, residuals in enumerate(fit.residuals):
             # The function project_out() expects the residuals in the last column.
             block = np.column_stack((fit.columns(k, shared), residuals))
-            seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
+            seen = study.project_out(fit, k, block)[:, :-1]
             self.precision = self.precision + seen.T @ seen
 
-    def problem(self, trial: Trial) -> tuple[Mixed, Array]:
+    def problem(self, trial: Trial) -> tuple[Problem, Array]:
         """Return the residual problem of a proposed trial, measured as zero, and its estimates."""
         measured = {channel: np.zeros(len(trial.time_s)) for channel in self.sd}
         trial = replace(trial, measured=measured)
-        random_effects = self.fit.problem.random_effects
-        problem = self.context.problem(self.fit.effects, random_effects, jobs=1, trials=[trial])
+        problem = self.study.problem(self.fit.effects, jobs=1, trials=[trial])
         problem.sd[0] = [np.full(len(trial.time_s), self.sd[c]) for c in problem.channels[0]]
         own = [self.values.get(problem.parameters[index].name, math.nan) for index, _ in problem.slots]
         return problem, np.where(np.isnan(own), problem.start, own)
@@ -178,9 +174,10 @@ class Rival:
         The derivatives have one column for each parameter that acts on the trial.
         """
         problem, theta = self.problem(trial)
-        samples = -self.noise_model.whiten(problem, 0, problem.trial_residuals(theta, 0))
-        rows = -self.noise_model.whiten(problem, 0, problem.trial_jacobians(theta)[0])
-        _, weight = self.context.expected(problem)
+        noise = self.study.noise.plain
+        samples = -noise.whiten(problem, 0, problem.trial_residuals(theta, 0))
+        rows = -noise.whiten(problem, 0, problem.trial_jacobians(theta)[0])
+        _, weight = self.study.expected(problem)
         precision = np.diag(weight**2)
         at = [problem.labels.index(name) for name in self.shared]
         precision[np.ix_(at, at)] = self.precision
@@ -200,6 +197,6 @@ def difference(first: Rival, second: Rival, trial: Trial) -> float:
     left = []
     for _, rows, precision in (one, other):
         right = (rows.T @ apart)[:, None]
-        taken = right.T @ crossval.solved(rows.T @ rows + precision, right)
+        taken = right.T @ solved(rows.T @ rows + precision, right)
         left.append(float(apart @ apart - taken[0, 0]))
     return math.sqrt(max(min(left), 0.0))

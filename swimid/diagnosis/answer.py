@@ -2,57 +2,42 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
-from swimid.diagnosis import (
-    advice,
-    dropouts,
-    evidence,
-    facts,
-    places,
-    remainder,
-    settings,
-    shrinkage,
-    verdict,
-)
+from swimid.blackbox import model as arx
+from swimid.diagnosis import advice, crossval, dropouts, evidence, held_out, places, settings, verdict
 from swimid.diagnosis.candidates import Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance, inverted
-from swimid.diagnosis.facts import Found, Named, Predictions
-from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
     ChangedValue,
     ChannelGap,
-    Distance,
+    Facts,
     GapFile,
     HeldOut,
     Hypothesis,
+    Proposed,
     Remaining,
     Score,
     Shrinkage,
-    Step,
     Value,
-    Verdict,
     Where,
 )
-from swimid.diagnosis.noise_model import NoiseModel, coloured
+from swimid.diagnosis.held_out import Piece, Prediction
+from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.nominal import Begun
-from swimid.diagnosis.search import State
-from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.shrinkage import Piece
+from swimid.diagnosis.search import Refitted, Round, State
+from swimid.diagnosis.study import FINE, Fit, Study, rms
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting.model import Array, Trial
-from swimid.fitting.uncertainty import sandwich
+from swimid.fitting.model import Trial
 from swimid.notices import Progress, silent
 from swimid.results.numbers import listed
 from swimid.results.parameters import Estimate
@@ -60,12 +45,63 @@ from swimid.results.parameters import Estimate
 #: Significance level of the two-sided test that reports parameters as changed by a refit. It applies to all
 #: parameters of a diagnosis together.
 MOVED = 0.05
-#: Standard deviation of the prior that holds a parameter at its given value, in units of the parameter's
-#: typical scale.
-PINNED = 1e-6
+#: Minimum total probability of a reported cause and its equivalents. Equivalents are added in the order of
+#: decreasing probability until their sum reaches this minimum.
+CREDIBLE = 0.9
+#: Maximum number of effects that are reported for one cause: the cause and its equivalents. If there are
+#: more, the most probable ones are listed.
+SET = 3
+#: Error of a simulation, divided by the measured range of the channel, above which the refitted model is
+#: useless.
+ASTRAY = 10.0
 #: Texts that advise the user to record trials at another setting (ANOTHER), or to repeat a setting (REPEAT).
 ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
+
+
+@dataclass(frozen=True)
+class Named:
+    """Reported cause with its equivalents and probabilities.
+
+    Attributes
+    ----------
+    probability : float
+        Probability that the cause, or one of its equivalents, closes most of the gap.
+    alone : float
+        Probability of the cause and of effects that change the trials in the same way, relative to all
+        alternatives, given the other causes.
+    crowded : bool
+        Whether more effects cannot be distinguished from the cause than are listed.
+    """
+
+    best: Refitted
+    equivalent: tuple[str, ...]
+    probability: float
+    alone: float
+    crowded: bool = False
+
+    @property
+    def name(self) -> str:
+        """Return the name of the effect."""
+        return self.best.tried.effect.name
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Return the names of the cause and its equivalents."""
+        return (self.name, *self.equivalent)
+
+
+def named(state: State, found: Round) -> Named:
+    """Return the cause of a search round with its equivalents and probabilities."""
+    best = found.ranked[0]
+    name = best.tried.effect.name
+    share = state.posterior.instead(name, frozenset(e.name for e in state.base.effects))
+    order = [name, *(n for n in share if n != name)]
+    before = np.cumsum([0.0, *(share.get(n, 0.0) for n in order[:-1])])
+    alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
+    shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
+    alone = share.get(name, 0.0) + sum(share.get(n, 0.0) for n in found.same)
+    return Named(best, tuple(shown[1:]), state.posterior.having(*shown), alone, len(alike) > SET)
 
 
 def answer(
@@ -99,229 +135,173 @@ def answer(
     NoTrustworthyResult
         If the refitted model cannot simulate these trials.
     """
-    context = state.context
-    if state.changed:
-        # If a changed parameter is among the causes, measure the gap with the parameter values as given.
-        state.nominal = _as_given(state)
-    nominal = state.nominal
+    study, nominal = state.study, state.nominal
     # A measured range of zero is replaced by 1.
-    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in measured(context, nominal).items()}
-    errors = by_channel(nominal, nominal.residuals)
-    if all(rms(left) > shrinkage.ASTRAY * ranges[c] for c, left in errors.items()):
+    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in nominal.measured().items()}
+    if all(rms(left) > ASTRAY * ranges[c] for c, left in nominal.by_channel().items()):
         raise NoTrustworthyResult(
-            f"the refitted model is off by more than {shrinkage.ASTRAY:g} times the range of every channel",
+            f"the refitted model is off by more than {ASTRAY:g} times the range of every channel",
             hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
         )
-    alike = _alone(state, nominal), _alone(state, state.base)
-    drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
-    structured = _structured_share(state)
-    noise = floors(
-        context, state.base, state.nuisance_residuals, structured, alike[1], state.noise_model, drifts
-    )
-    floor = noise.inside
+    noise = study.noise
+    floor = held_out.floors(study, state.base)
     failed = dropouts.misfit(state, raw, floor)
-    every = _predictions(state, alike, floor, validation, progress)
-    held = every
-    imitated = facts.by_coefficients(state) and not state.changed
-    if state.changed or imitated:
-        held = [replace(piece, before=piece.shipped) for piece in every]
-    predictions = Predictions.of(state, validation)
-    without, with_causes = predictions.total
-    chance: Mapping[str, float] = {}
-    if state.base.effects and not with_causes.shown:
-        # The expected between-trial variation of the held-out trials is used only if the model with the
-        # causes predicts these trials. Otherwise a gap could be taken for between-trial variation.
-        chance = with_causes.chance
-    # The floor in ``noise.levels`` is increased for the noise that fitted parameters absorb. If the residuals
-    # have structure, this increase would include absorbed structure, so the floor without it is used.
-    levels = noise.of_held_out(chance)
-    reached = levels
-    if state.left is not None and state.left.found:
-        reached = floor
-    outside = shrinkage.capped(reached, held)
-    closing = shrinkage.shrinkages(held, outside, noise.of_trials, ranges)
-    found = facts.find(state, held, noise, outside, predictions, imitated=imitated, dropout=failed > 0)
-    decided = verdict.decide(found.facts)
-    named = [c for c in found.causes if c.name in decided.causes]
-    base = state.base if named else nominal
-    gap = facts.gap_of(state, base)
-    left = facts.remaining(state, base, gap, floor)
-    if left.share is not None and left.share > verdict.MOST:
-        # The remaining gap shows that a cause outside the catalogue acts, so compute the probabilities of the
-        # causes under this condition.
-        named = [replace(c, probability=state.posterior.beside_outside(*c.alike)) for c in named]
-    closed, distance = None, None
-    if named:
-        closed = verdict.closed_share(found.facts)
-        distance = Distance(before=without.times, after=with_causes.times)
-    how = noise.how
-    if decided.verdict == "none":
-        # The residuals are indistinguishable from noise and between-trial variation, so all of them count as
-        # noise.
-        floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
-        how = "all that the model leaves: noise, and what differs from trial to trial"
-    sd = parameter_errors(state, base)
-    causes = _causes(state, named, sd, begun.given, closing)
+    found = _predictions(state, validation, progress)
+    study, nominal = state.study, state.nominal
+    given, before, after = found[0], found[1], found[-1]
+    causes = tuple(named(state, r) for r in state.rounds) if state.posterior.none <= 0.5 else ()
+    if not causes:
+        after = before
+    facts = Facts(
+        no_gap=state.posterior.none,
+        catalogue=sum(state.posterior.sets.values()),
+        outside=state.posterior.outside,
+        proposed={
+            c.name: Proposed(equivalent=list(c.equivalent), alone=c.alone, crowded=c.crowded) for c in causes
+        },
+        held_out=held_out.table(given, before, after),
+        diverged=not held_out.sound(before, after),
+        unreproduced=_unreproduced(study, state.base if causes else nominal),
+        failed_samples=failed > 0,
+    )
+    decided = verdict.decide(facts)
+    shown = [c for c in causes if c.name in decided.causes]
+    base = state.base if shown else nominal
+    sd = parameter_errors(study, base)
+    closing = held_out.shrinkages(given, before, after, floor, ranges)
+    result = _causes(state, shown, sd, begun.given, closing)
     if failed:
-        causes = dropouts.among(state, causes, raw, floor, failed, ranges)
-        closed = verdict.over_channels(causes[0].shrinkage)
+        result = dropouts.among(state, result, raw, floor, failed, ranges)
     scores = _scores(state)
-    cells = places.Map(context, nominal, gap, floor)
+    cells = places.Map(study, nominal, floor)
     where = Where(
-        channels=_channels(state, gap, floor, ranges),
-        stage=_stages(scores, causes),
+        channels=_channels(state, floor, ranges),
+        stage=_stages(scores, result),
         regime=places.regimes(cells),
         time=places.times(cells),
     )
     if decided.verdict != "none":
         where.phase = places.phases(cells)
+    labels = ["as given", "refitted"]
+    if shown:
+        labels += [f"+ {r.ranked[0].tried.effect.name}" for r in state.rounds]
     file = GapFile(
         verdict=decided.verdict,
         where=where,
-        waterfall=_waterfall(state, every, outside, caused=bool(named)),
-        closed=closed,
-        causes=causes,
-        remaining=_remaining(decided.verdict, found, left),
-        facts=found.facts,
-        setting_count=settings.count([*context.trials, *validation]),
+        waterfall=held_out.waterfall(dict(zip(labels, found, strict=False)), floor),
+        closed=verdict.closed_gap(facts.held_out) if shown else None,
+        causes=result,
+        remaining=_remaining(state, facts, named=bool(shown)),
+        facts=facts,
+        setting_count=settings.count([*study.trials, *validation]),
         at_bound=_at_bounds(nominal),
         moved=_moved(state, base, sd, begun.unweighed),
         hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
-        held_out=_held_out(context, validation),
-        predicted=distance,
-        floor_from=how,
-        repeats=bool(repeats(context)),
+        held_out=_held_out(study, validation),
+        floor_from=_floor_text(noise),
+        odd_trials=state.odd_trials,
+        random_effects={kind.name: kind.sd for kind in noise.random_effects},
         scores=scores,
-        reasons=_reasons(state),
+        reasons=_reasons(noise),
         left_out=dict(state.screen.left_out),
     )
-    file.advice = _advice(state, file, named)
-    return file, shrinkage.worst(held, levels, with_causes=bool(causes))
+    file.advice = _advice(state, file, shown)
+    return file, held_out.worst(before, after)
 
 
-def _remaining(decided: Verdict, found: Found, left: Remaining) -> Remaining:
-    """Return the remaining gap. All of it remains if the model does not describe some data at all."""
-    where = ""
-    if decided == "unexplained" and not found.causes and found.facts.unpredicted:
-        where = f"validation trials {', '.join(found.facts.unpredicted)}"
-    if found.facts.unreproduced:
-        where = f"all of {', '.join(found.facts.unreproduced)} but its mean"
-    if where:
-        return Remaining(share=1.0, where=where, white=False)
-    return left
+def _predictions(state: State, validation: Sequence[Trial], progress: Progress) -> list[list[Prediction]]:
+    """Return the held-out predictions by the model as given, refitted, and with the causes in turn.
 
-
-def _predictions(
-    state: State,
-    alike: tuple[Fit, Fit],
-    floor: Mapping[str, float],
-    validation: Sequence[Trial],
-    progress: Progress,
-) -> list[Piece]:
-    """Return the held-out samples, with the predictions of the models without and with the causes.
-
-    A random effect may absorb a cause, and a cause may absorb between-trial variation. Each model is
-    therefore fitted with and without random effects, and the fits that predict held-out data better are used.
-
-    Parameters
-    ----------
-    alike : tuple of Fit
-        The models without and with the causes, fitted without random effects.
+    The memory of the noise and random effects make a fit more precise if the model is right, and may mislead
+    it otherwise. The models are therefore also fitted with independent noise, and the fits whose causes
+    predict held-out data better are those of the state from then on.
     """
-    context = state.context
-    fits = [[alike[0], *(_alone(state, fit) for fit in state.between), alike[1]]]
-    if state.noise_model.random_effects:
-        fits.insert(0, [state.nominal, *state.between, state.base])
-    shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
-    total = len(validation) or context.folds.count
-    with progress("held-out trials", total=len(fits) * total) as step:
+    study, noise = state.study, state.study.noise
+    given = held_out.as_given(study)
+    fits = [state.nominal, *state.between, state.base]
+    white = study.with_noise(noise.white)
+    variants = [(study, fits), (white, [white.refit(fit, tolerance=FINE) for fit in fits])]
+    with progress("held-out trials", total=len(variants) * (1 + len(fits))) as step:
         found = [
-            shrinkage.pieces(
-                context, models, state.noise_model, floor, shipped, validation, step=lambda: step(1)
-            )
-            for models in fits
+            held_out.predictions(one, [given, *mine], validation, noise, step=lambda: step(1))
+            for one, mine in variants
         ]
-    best = shrinkage.better(found, floor)
-    for models, one in zip(fits, found, strict=True):
-        if one and one[0].after is best[0].after:
-            state.predictive = models[-1]
-    return best
+    errors = [sum(p.squared for p in each[-1]) for each in found]
+    best = int(np.argmin(errors))
+    state.study, (state.nominal, *state.between, state.base) = variants[best]
+    return found[best]
 
 
-def _waterfall(
-    state: State, held: Sequence[Piece], floor: Mapping[str, float], *, caused: bool
-) -> list[Step]:
-    """Return the held-out errors as given, refitted, after each cause in turn, and of the noise alone.
+def _unreproduced(study: Study, fit: Fit) -> dict[str, float | None]:
+    """Return the outputs of which a black-box model reproduces less than half, with the reproduced fraction.
 
-    There are no steps of causes if the answer names none (``caused``).
+    The fraction is defined as in ``rwls`` and ``compare``: one minus the root-mean-square error divided by
+    the standard deviation of the output. The mean of a black-box output is estimated in each trial. The model
+    may therefore fit although it reproduces nothing but the mean.
     """
-    labels = ["as given", "refitted"]
-    if caused:
-        labels += [f"+ {found.ranked[0].tried.effect.name}" for found in state.rounds]
-    steps = shrinkage.waterfall(held, floor, labels)
-    if state.changed:
-        # The other parameters are not refitted beside a changed parameter.
-        del steps[1]
-    return steps
+    if study.model.name != arx.NAME:
+        return {}
+    outputs = fit.measured()
+    shares = {
+        channel: 1.0 - rms(left) / max(float(np.std(outputs[channel])), 1e-300)
+        for channel, left in fit.by_channel().items()
+    }
+    return {channel: share for channel, share in shares.items() if share < verdict.MOST}
 
 
-def _held_out(context: FitContext, validation: Sequence[Trial]) -> HeldOut:
-    """Return which data are held out: validation trials, whole fitted trials, or segments of them."""
-    if validation:
-        return "validation"
-    if context.folds.whole:
-        return "trials"
-    return "stretches"
+def _remaining(state: State, facts: Facts, *, named: bool) -> Remaining:
+    """Return the share of the squared gap that remains on held-out data, and where it has structure."""
+    if facts.unreproduced:
+        return Remaining(share=1.0, where=f"all of {', '.join(facts.unreproduced)} but its mean", white=False)
+    left = state.left
+    where = "nothing that a smooth description finds"
+    if left is not None and left.found:
+        largest = sorted(left.places.items(), key=lambda item: -item[1])
+        where = " and ".join(p for p, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
+    share: float | None = 0.0
+    if named:
+        share = verdict.remaining_share(facts)
+    elif verdict.decide(facts).verdict == "unexplained":
+        share = 1.0
+    return Remaining(share=share, where=where, white=not (left is not None and left.found))
 
 
-def _as_given(state: State) -> Fit:
-    """Return a fit of the per-trial parameters only. All shared parameters keep their given values."""
-    context, noise_model = state.context, state.noise_model
-    problem = context.problem((), noise_model.random_effects)
-    noise_model.install(problem)
-    mean, weight = context.expected(problem)
-    start = context.start((), noise_model, state.nominal)
-    for j, (_, owner) in enumerate(problem.slots):
-        if owner is None:
-            start[j] = mean[j] = problem.start[j]
-            weight[j] = 1.0 / (PINNED * problem.scale[j])
-    root = np.diag(weight)[weight > 0]
-    found = context.search(problem, noise_model, [start], FINE, STEPS, (mean, root))
-    return context.at((), noise_model, found.x)
+def _floor_text(noise: NoiseModel) -> str:
+    """Return a text that says what the noise consists of."""
+    said = "the noise of each channel, estimated with own parameters and smooth terms for each trial"
+    slow = [f"{c} ({f.time_s:.2g} s)" for c, f in noise.forms.items() if f.time_s > 0.0]
+    if slow:
+        said += f", with a memory in {listed(slow)}"
+    if noise.random_effects:
+        said += "; and what differs by chance between trials"
+    return said
 
 
-def _alone(state: State, fit: Fit) -> Fit:
-    """Refit a model without random effects, which may have absorbed a cause."""
-    if not state.noise_model.random_effects:
-        return fit
-    context, noise_model = state.context, replace(state.noise_model, random_effects=())
-    begin = context.start(fit.effects, noise_model, fit)
-    starts = context.begins(context.problem(fit.effects), begin)
-    return context.fit(fit.effects, noise_model, starts, tolerance=FINE)
-
-
-def _reasons(state: State) -> list[str]:
-    differing = []
-    for kind in state.random_effects:
-        chance = ""
-        if kind.sd > kind.most:
-            chance = f", {kind.most:.2g} of it by chance"
-        if kind.sd > 0.02:
-            differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
+def _reasons(noise: NoiseModel) -> list[str]:
+    differing = [f"{kind.name} ({kind.sd:.2g} of its typical size)" for kind in noise.random_effects]
     if not differing:
         return []
     return [f"trials differ in {listed(differing)}, which is part of the noise"]
 
 
-def _channels(
-    state: State, residuals: Sequence[Array], floor: Mapping[str, float], ranges: Mapping[str, float]
-) -> list[ChannelGap]:
-    nominal, units = state.nominal, {c.name: c.unit for c in state.context.model.channels}
-    beyond = excess(nominal, residuals, floor)
+def _held_out(study: Study, validation: Sequence[Trial]) -> HeldOut:
+    """Return which data are held out: validation trials, whole fitted trials, or segments of them."""
+    if validation:
+        return "validation"
+    if study.folds.whole:
+        return "trials"
+    return "stretches"
+
+
+def _channels(state: State, floor: Mapping[str, float], ranges: Mapping[str, float]) -> list[ChannelGap]:
+    units = {c.name: c.unit for c in state.study.model.channels}
+    residuals = state.nominal.by_channel()
+    beyond = {
+        c: max(float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)), 0.0) for c, v in residuals.items()
+    }
     total = sum(beyond.values()) or 1.0
-    within = by_channel(nominal, nominal.residuals)
     return [
         ChannelGap(
             channel=channel,
@@ -330,9 +310,8 @@ def _channels(
             share=beyond[channel] / total,
             rmse=rms(left),
             unit=units.get(channel, "1"),
-            within=rms(within[channel]) / ranges[channel],
         )
-        for channel, left in by_channel(nominal, residuals).items()
+        for channel, left in residuals.items()
     ]
 
 
@@ -362,7 +341,6 @@ def _causes(
     for cause in causes[:1]:
         cause.shrinkage = closing
         cause.absorbed = _absorbed(state, given, sd)
-        cause.extrapolation = _extrapolations(state)
     return causes
 
 
@@ -421,7 +399,7 @@ def _moved(
     The significance level is 5 % (two-sided) for all parameters together (Bonferroni).
     """
     inside = dict(zip(base.labels, base.inside, strict=True))
-    names = [p for p in state.context.parameters if p.name in given and inside.get(p.name)]
+    names = [p for p in state.study.parameters if p.name in given and inside.get(p.name)]
     limit = -float(special.ndtri(0.5 * MOVED / max(len(names), 1)))
     found = {}
     for p in names:
@@ -440,11 +418,11 @@ def _at_bounds(fit: Fit) -> dict[str, float]:
 def _absorbed(state: State, given: Mapping[str, Estimate], sd: Mapping[str, float]) -> list[Absorbed]:
     """Return the values of the coefficients as given, and refitted without and with the causes."""
     nominal, base = state.nominal, state.base
-    plain = parameter_errors(state, nominal)
+    plain = parameter_errors(state.study, nominal)
     # A changed parameter is a cause itself, so it is not listed as a coefficient that absorbed a cause.
     causes = {e.adds_to for e in base.effects}
     found = []
-    for p in state.context.parameters:
+    for p in state.study.parameters:
         if p.per_trial or p.name not in nominal.labels or p.name in causes:
             continue
         values = [
@@ -459,33 +437,6 @@ def _absorbed(state: State, given: Mapping[str, Estimate], sd: Mapping[str, floa
     return found
 
 
-def _extrapolations(state: State) -> dict[str, Distance]:
-    """Return the errors in predicting the extreme settings, for the models without and with the causes.
-
-    The extreme settings are the highest and the lowest frequency, amplitude and force. The trials at each of
-    them are predicted by a fit to all other trials.
-    """
-    context = state.context
-    if not context.folds.whole:
-        return {}
-    known = [settings.words(t) for t in context.trials]
-    found = {}
-    for kind in ("frequency", "amplitude", "force"):
-        labels = [words.get(kind, "") for words in known]
-        levels = sorted({*labels} - {""}, key=lambda text: float(text.split()[0]))
-        if len(levels) <= 2:
-            continue
-        for label in (levels[-1], levels[0]):
-            parts = zip(labels, context.folds.owner, strict=True)
-            cut = copy.copy(context)
-            cut.folds = Folds(True, [np.full(len(rows), int(own == label)) for own, rows in parts], 2)
-            fits = (state.nominal, state.base)
-            folds = [shrinkage.predictions(cut, fit, state.noise_model, ())[0] for fit in fits]
-            before, after = (each["fold 2"].times for each in folds)
-            found[f"{kind} {label}"] = Distance(before=before, after=after)
-    return found
-
-
 def _advice(state: State, file: GapFile, named: Sequence[Named]) -> list[Advice]:
     """Return the proposed next experiments of an answer with these causes."""
     if file.verdict == "none":
@@ -494,12 +445,11 @@ def _advice(state: State, file: GapFile, named: Sequence[Named]) -> list[Advice]
         text = ANOTHER if file.setting_count == 1 else REPEAT
         return [Advice(text=text)]
     repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
-    for trial in file.facts.odd_trial:
-        text = f"check the entry of {trial}; diagnose without it (role: validate)"
-        return [Advice(text=text), *repeat]
-    if file.verdict == "unexplained" and file.facts.unpredicted:
-        trials = ", ".join(file.facts.unpredicted)
-        return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
+    if file.verdict == "unexplained" and file.held_out == "validation":
+        off = [name for name, t in file.facts.held_out.items() if t.after > t.limit]
+        if off:
+            text = f"fit {', '.join(off)}, too (role: fit): what acts there alone shows nowhere else"
+            return [Advice(text=text)]
     rivals = []
     if named:
         found = next(r for r in state.rounds if r.ranked[0] is named[0].best)
@@ -509,7 +459,7 @@ def _advice(state: State, file: GapFile, named: Sequence[Named]) -> list[Advice]
         rivals = [r for r in ranked if r.tried.effect.name in named[0].alike]
         if len(rivals) == 1:
             rivals = ranked[:2]
-    if len(rivals) < 2 and file.verdict == "unexplained":
+    if len(rivals) < 2 and file.verdict in ("partial", "unexplained"):
         return repeat
     if len(rivals) < 2 or state.limits is None:
         return []
@@ -519,7 +469,7 @@ def _advice(state: State, file: GapFile, named: Sequence[Named]) -> list[Advice]
         # The present trials already exclude the next best rival.
         return []
     try:
-        return advice.advise(state.context, fits, state.noise_model, state.limits, now)
+        return advice.advise(state.study, fits, state.limits, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 
@@ -552,10 +502,9 @@ def _hypotheses(state: State) -> list[Hypothesis]:
         Hypothesis(
             effects=sorted(c.names),
             numbers=c.numbers,
-            score=c.score,
-            slow=c.slow,
+            deviances=c.deviances.tolist(),
+            strain=c.strain,
             alike=dict(c.alike),
-            folds=c.folds.tolist(),
             probability=found.sets.get(c.names, found.none),
         )
         for c in found.candidates
@@ -580,43 +529,16 @@ def _stages(rows: Sequence[Score], causes: Sequence[Cause]) -> dict[Stage, float
     return {stage: v / total for stage, v in sums.items()}
 
 
-def _structured_share(state: State) -> float:
-    """Return the fraction of the squared residuals that generic smooth terms without physics explain.
-
-    The residuals are those of the model with the causes, whitened.
-    """
-    left = state.left
-    if left is None or not left.found:
-        return 0.0
-    whole = sum(
-        float(np.sum(state.noise_model.whiten(state.base.problem, k, r) ** 2))
-        for k, r in enumerate(state.base.residuals)
-    )
-    return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
-
-
-def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
+def parameter_errors(study: Study, fit: Fit) -> Mapping[str, float]:
     """Return the standard errors of the parameters of a fit, by label.
 
     The sum of a model parameter and its change has a standard error of its own, labelled with the name of the
-    effect. If a few trials do not determine the memory of the noise, the standard errors are at least those
-    of a sandwich estimate with correlated residuals and the same priors.
+    effect.
     """
     sums = {e.name: (e.adds_to, f"{e.name}/change") for e in fit.effects if e.adds_to is not None}
     # Each row of the matrix selects one parameter, or sums a model parameter and its change.
     rows = [np.isin(fit.labels, parts) for parts in sums.values()]
     combined = np.vstack((np.eye(len(fit.labels)), *rows))
-
-    def errors(covariance: Array) -> Array:
-        variance = np.einsum("ij,jk,ik->i", combined, covariance, combined)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    precision = state.context.precision(fit.problem)
-    sd = errors(covariance(fit, state.noise_model, precision))
-    if state.noise_model.long_memory is not None:
-        scale = fit.problem.scale
-        colour = coloured(fit.problem, fit.residuals, NoiseModel(state.noise_model.sd)).colour
-        derivatives = [r * scale for r in fit.rows]
-        root = sandwich(fit.problem, derivatives, list(fit.residuals), dict(colour)).root / scale
-        sd = np.fmax(sd, errors(inverted(precision + root.T @ root)))
+    variance = np.einsum("ij,jk,ik->i", combined, crossval.covariance(study, fit), combined)
+    sd = np.sqrt(np.maximum(variance, 0.0))
     return dict(zip([*fit.labels, *sums], sd, strict=True))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -10,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.context import EFFECT_PRIOR, Fit, FitContext
 from swimid.diagnosis.crossval import NormalEquations
-from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.study import EFFECT_PRIOR, Fit, Study
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
@@ -28,7 +26,7 @@ BROKEN = 3e4
 SOUND = 0.7
 #: Number of screened parameter vectors at which the fit of an effect starts, in addition to the predicted
 #: optimum. They are the vectors with the largest gains.
-STARTS = 3
+STARTS = 1
 #: Number of parts into which each trial is divided to cross-validate an effect whose parameter has a separate
 #: value for each trial.
 PARTS = 4
@@ -64,34 +62,6 @@ class Tried:
     def gain(self) -> float:
         """Return the predicted decrease of the squared held-out residuals, summed over folds."""
         return float(self.gains.sum())
-
-
-@dataclass(frozen=True)
-class Refitted:
-    """Fit of a model with one more effect than a reference model.
-
-    Attributes
-    ----------
-    gains : ndarray, shape (folds,)
-        Decrease of the squared held-out residuals in each fold, compared with the reference model.
-    """
-
-    tried: Tried
-    fit: Fit
-    gains: Array
-
-    @property
-    def gain(self) -> float:
-        """Return the decrease of the squared held-out residuals, summed over folds."""
-        return float(self.gains.sum())
-
-    @property
-    def stderr(self) -> float:
-        """Return the standard error of the summed gain, estimated from its variation over folds."""
-        n = len(self.gains)
-        if n < 2:
-            return math.nan
-        return float(np.sqrt(n * np.var(self.gains, ddof=1)))
 
 
 @dataclass
@@ -133,14 +103,14 @@ class Trialled(NamedTuple):
     points: list[tuple[Array, list[Array]]]
 
 
-def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[Trialled]:
+def simulate(study: Study, base: Fit, effects: Sequence[Effect]) -> list[Trialled]:
     """Simulate each effect with several parameter values and return the changes of the trials."""
 
     def one(effect: Effect) -> list[tuple[Array, list[Array]]]:
-        parameters = effect.parameters(context.model, context.trials)
+        parameters = effect.parameters(study.model, study.trials)
         found = []
         points = list(effect.tries(parameters))
-        for point, changed in zip(points, context.changes(base, effect, points), strict=True):
+        for point, changed in zip(points, study.changes(base, effect, points), strict=True):
             sound = [within(c) for c in changed]
             # The change of a diverged trial is set to zero. The other trials still show the effect.
             if sum(sound) > SOUND * len(sound):
@@ -150,25 +120,25 @@ def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[
         return found
 
     return [
-        Trialled(effect, effect.parameters(context.model, context.trials), points)
-        for effect, points in zip(effects, map_in_processes(one, effects, context.jobs), strict=True)
+        Trialled(effect, effect.parameters(study.model, study.trials), points)
+        for effect, points in zip(effects, map_in_processes(one, effects, study.jobs), strict=True)
     ]
 
 
-def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: Sequence[Trialled]) -> Screen:
+def screen(study: Study, base: Fit, simulated: Sequence[Trialled]) -> Screen:
     """Predict the decrease of the squared held-out residuals by each effect.
 
     The parameters of ``base`` are projected out.
     """
     columns = [changed for tried in simulated for _, changed in tried.points]
-    inner = crossval.normal_equations(context, base, noise_model, columns)
+    inner = crossval.normal_equations(study, base, columns)
     plain = crossval.held_out(inner)
     left = crossval.projected(inner).diagonal()
     whole = inner.products.sum(axis=0).diagonal()[inner.shared :]
     found, left_out, first = [], {}, 0
     for tried in simulated:
         if any(p.per_trial for p in tried.parameters):
-            best = _apart(context, base, noise_model, tried)
+            best = _apart(study, base, tried)
         else:
             best = _best(inner, tried, first, plain, left, whole)
         first += len(tried.points)
@@ -269,7 +239,7 @@ def _best(
     )
 
 
-def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trialled) -> Tried | None:
+def _apart(study: Study, base: Fit, tried: Trialled) -> Tried | None:
     """Return the screening result of an effect with separate parameter values for each trial."""
     single = [j for j, p in enumerate(tried.parameters) if p.per_trial]
     null = [p.start for p in tried.parameters]
@@ -285,7 +255,7 @@ def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trial
         changes = [changed for _, changed in group.values()]
         if sum(float(np.vdot(c, c)) for changed in changes for c in changed) < NOTHING:
             continue
-        gains = own_gains(context, base, noise_model, changes)
+        gains = own_gains(study, base, changes)
         if best is None or gains.sum() > best.gain:
             point, _ = next(iter(group.values()))
             signature = [np.sum(of_trial, axis=0) for of_trial in zip(*changes, strict=True)]
@@ -293,36 +263,21 @@ def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trial
     return best
 
 
-def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried, second: Tried) -> float:
+def alike(study: Study, base: Fit, first: Tried, second: Tried) -> float:
     """Return the cosine between the changes of the trials by two effects.
 
     The parameters of ``base`` are projected out. The cosine is 0 if they imitate the whole change by one of
     the effects.
     """
     columns = [first.signature, second.signature]
-    inner = crossval.projected(crossval.normal_equations(context, base, noise_model, columns))
+    inner = crossval.projected(crossval.normal_equations(study, base, columns))
     norm = np.sqrt(max(inner[0, 0], 0.0) * max(inner[1, 1], 0.0))
     if norm <= 0:
         return 0.0
     return float(inner[0, 1] / norm)
 
 
-def own(fit: Fit, tried: Tried) -> list[list[Array]]:
-    """Return the derivatives of each trial with respect to its per-trial parameters of an effect.
-
-    The derivatives are multiplied by the typical scales of the parameters.
-    """
-    found = []
-    for p in (p for p in tried.parameters if p.per_trial):
-        labels = [f"{tried.effect.name}/{p.name}[{trial.id}]" for trial in fit.problem.trials]
-        places = [fit.labels.index(label) for label in labels]
-        found.append([fit.columns(k, [j])[:, 0] * p.scale for k, j in enumerate(places)])
-    return found
-
-
-def own_gains(
-    context: FitContext, base: Fit, noise_model: NoiseModel, own: Sequence[Sequence[Array]]
-) -> Array:
+def own_gains(study: Study, base: Fit, own: Sequence[Sequence[Array]]) -> Array:
     """Return the decrease of the squared held-out residuals by an effect with per-trial parameters.
 
     The result has shape (folds,). The factor of the effect's change is estimated from three quarters of a
@@ -335,11 +290,11 @@ def own_gains(
         Changes of each trial by one typical scale of a parameter, divided by the noise standard deviation.
     """
     problem = base.problem
-    gains = np.zeros(context.folds.count)
+    gains = np.zeros(study.folds.count)
     q = len(own)
-    for k, trial in enumerate(context.trials):
+    for k, trial in enumerate(study.trials):
         block = np.column_stack([*(c[k] for c in own), base.residuals[k]])
-        seen = crossval.project_out(context, base, noise_model, k, block)[: len(block)]
+        seen = study.project_out(base, k, block)[: len(block)]
         times = np.concatenate(
             [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]
         )
@@ -353,5 +308,5 @@ def own_gains(
             normal = rest[:q, :q] + np.eye(q) / EFFECT_PRIOR**2
             factor = np.linalg.solve(normal, rest[:q, q])
             gain += float(2.0 * factor @ inner[:q, q] - factor @ inner[:q, :q] @ factor)
-        gains[int(context.folds.owner[k][0]) if len(context.folds.owner[k]) else 0] += gain
+        gains[int(study.folds.owner[k][0]) if len(study.folds.owner[k]) else 0] += gain
     return gains

@@ -1,10 +1,10 @@
-"""Approximate cross-validation of a fit by linear algebra, without refits.
+"""Normal equations of a fit in each fold, and what follows from them without a refit.
 
 Near an optimum the simulation is linear in the parameters. A refit without one fold is then one Gauss-Newton
-step from the fit to all data (Rad and Maleki 2020, J. R. Stat. Soc. B 82(4)). This step and the squared
-residuals of the held-out fold follow from the inner products of a few columns in each fold: derivatives with
-respect to shared parameters, changes by effects, and residuals. The gain that noise alone would reach follows
-from the same inner products. The noise model is not re-estimated without the fold.
+step from the fit to all data (Rad and Maleki 2020, J. R. Stat. Soc. B 82(4)). This step, the predictive
+density of the fold, and the change of both by an effect follow from the inner products of a few columns in
+each fold: derivatives with respect to shared parameters, changes by effects, and residuals. The noise model
+is not re-estimated without the fold.
 """
 
 from __future__ import annotations
@@ -14,23 +14,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 from scipy.linalg import block_diag
 
-from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.study import Fit, Study, inverted, solved
 from swimid.fitting.model import Array
 
 #: Weight, in a refit without one fold, of the information that all folds give on the shared parameters. It
 #: matters if the other folds hardly determine a parameter. Without it the held-out fold would be predicted
 #: arbitrarily badly, which would hide the gain of an effect.
 SHRINKAGE = 0.1
+#: Half-width of a 95 % interval of the normal distribution, in standard deviations.
+NORMAL = float(special.ndtri(0.975))
 
 
 @dataclass(frozen=True)
 class NormalEquations:
     """Inner products, in each fold, of parameter derivatives, changes by effects, and residuals.
 
-    The initial states of single trials are projected out.
+    The parameters of single trials are projected out.
 
     Attributes
     ----------
@@ -43,12 +45,19 @@ class NormalEquations:
         Prior mean minus estimate of the shared parameters.
     samples : ndarray, shape (folds,)
         Number of samples in each fold.
+    own : ndarray, shape (folds,)
+        Logarithm of the ratio of posterior and prior precision of the values that an effect has in the single
+        trials of the fold.
+    of_effects : ndarray of bool, shape (shared,)
+        Mask of the shared parameters that belong to effects.
     """
 
     products: Array
     prior: Array
     pull: Array
     samples: Array
+    own: Array
+    of_effects: NDArray[np.bool_]
 
     @property
     def shared(self) -> int:
@@ -72,81 +81,99 @@ class Drawn:
     pull: Array
 
 
-def project_out(
-    context: FitContext,
-    fit: Fit,
-    noise_model: NoiseModel,
-    k: int,
-    block: Array,
-    *,
-    to: NDArray[np.intp] | None = None,
-) -> Array:
-    """Return whitened columns of a trial, with the parameters that only this trial has projected out.
-
-    Parameters
-    ----------
-    block : ndarray, shape (n_k, c)
-        Columns divided by the noise standard deviation; the last column is the residual.
-    to : ndarray of int, optional
-        Indices of the parameters that are projected out. By default these are all parameters that only this
-        trial has and that are not at a bound.
-
-    Returns
-    -------
-    ndarray, shape (n_k + m, c)
-        One row for each sample, then one row for the prior of each of the m projected parameters. Inner
-        products of the columns account for the uncertainty of these parameters.
-    """
-    problem = fit.problem
-    mine = fit.free_of_trial(k) if to is None else to
-    if not len(mine):
-        return noise_model.whiten(problem, k, block)
-    mean, weight = context.expected(problem)
-    n, scale = len(block), problem.scale[mine]
-    seen = noise_model.whiten(problem, k, np.column_stack((fit.columns(k, mine) * scale, block)))
-    own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
-    wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
-    wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
-    normal = own.T @ own
-    return np.asarray(wanted - own @ solved(normal, own.T @ wanted))
-
-
-def normal_equations(
-    context: FitContext, fit: Fit, noise_model: NoiseModel, columns: Sequence[Sequence[Array]] = ()
-) -> NormalEquations:
+def normal_equations(study: Study, fit: Fit, columns: Sequence[Sequence[Array]] = ()) -> NormalEquations:
     """Return the inner products in each fold of parameter derivatives, further columns and residuals.
 
     Parameters
     ----------
     columns : sequence of lists of ndarray
-        Each item is a change of all trials, divided by the noise standard deviation: one array of shape
-        (n_k,) for each trial.
+        Each item is a change of all trials, divided by the weights: one array of shape (n_k,) for each trial.
     """
-    problem = fit.problem
-    whole = context.folds.whole
-    mean, _ = context.expected(problem)
-    shared = context.shared(fit)
-    count = context.folds.count
+    problem, folds = fit.problem, study.folds
+    mean, _ = study.expected(problem)
+    shared = study.shared(fit)
     width = len(shared) + len(columns) + 1
-    products = np.zeros((count, width, width))
-    samples = np.zeros(count)
-    for k in range(len(context.trials)):
-        mine = context.apart(fit, k)
+    products = np.zeros((folds.count, width, width))
+    samples, own = np.zeros(folds.count), np.zeros(folds.count)
+    for k in range(len(study.trials)):
+        mine = study.apart(fit, k)
         block = np.column_stack([fit.columns(k, shared), *(c[k] for c in columns), fit.residuals[k]])
-        seen = project_out(context, fit, noise_model, k, block, to=mine)
-        owner = context.folds.owner[k]
-        if whole:
+        seen = study.project_out(fit, k, block, to=mine)
+        owner = folds.owner[k]
+        if folds.whole:
             f = int(owner[0]) if len(owner) else 0
             products[f] += seen.T @ seen
             samples[f] += len(block)
+            own[f] += _own_precision(study, fit, k, mine)
         else:
             # The samples determine an initial state so well that the rows of its prior are left out.
             for f in np.unique(owner):
                 part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part
                 samples[f] += len(part)
-    prior = context.precision(problem)[np.ix_(shared, shared)]
-    return NormalEquations(products, prior, (mean - fit.theta)[shared], samples)
+    prior = study.precision(problem)[np.ix_(shared, shared)]
+    of_effects = np.array(["/" in fit.labels[j] for j in shared], dtype=bool)
+    return NormalEquations(products, prior, (mean - fit.theta)[shared], samples, own, of_effects)
+
+
+def _own_precision(study: Study, fit: Fit, k: int, mine: NDArray[np.intp]) -> float:
+    """Return the logarithm of the ratio of posterior and prior precision of the values that effects have in
+    one trial.
+    """
+    problem = fit.problem
+    is_effect = np.array(["/" in problem.parameters[problem.slots[j][0]].name for j in mine], dtype=bool)
+    if not is_effect.any():
+        return 0.0
+    weight = study.expected(problem)[1][mine]
+    seen = study.noise.whiten(problem, k, fit.columns(k, mine)) / weight
+    normal = seen.T @ seen + np.eye(len(mine))
+    rest = np.ix_(~is_effect, ~is_effect)
+    return float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(normal[rest])[1])
+
+
+def deviances(equations: NormalEquations) -> tuple[Array, Array]:
+    """Return minus twice the log predictive density of each fold, given the other folds, up to a constant.
+
+    The first part is the squared Mahalanobis distance of the fold from its prediction. Noise, shared
+    parameters and parameters of single trials are uncertain in the prediction. For a correct model its
+    expectation is the number of samples. The second part is the log-determinant of the covariance of the
+    prediction.
+
+    Returns
+    -------
+    distance, log_determinant : ndarray, shape (folds,)
+    """
+    shared, prior = equations.shared, equations.prior
+    if not shared:
+        return equations.products[:, -1, -1], equations.own
+    normal = equations.products[:, :shared, :shared]
+    right = equations.products[:, :shared, -1]
+    pulled = prior @ equations.pull
+    whole, all_right = normal.sum(axis=0) + prior, right.sum(axis=0) + pulled
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+
+    def fit(one: Array, off: Array) -> tuple[Array, Array]:
+        """Return the log-determinant of normal equations, and the decrease of the squares by their fit."""
+        scaled = scale[:, None] * one * scale + 1e-11 * np.eye(shared)
+        return np.linalg.slogdet(scaled)[1], np.sum(solved(one, off[..., None])[..., 0] * off, axis=-1)
+
+    log, taken = fit(whole, all_right)
+    rest, other = fit(whole - normal, all_right - right)
+    distance = equations.products[:, -1, -1] - taken + other
+    return np.asarray(distance), np.asarray(log - rest + equations.own)
+
+
+def strain(equations: NormalEquations) -> float:
+    """Return the squared distance of the model's parameters, at the optimum of all folds, from their priors.
+
+    The unit is the prior covariance. The size of an effect does not count.
+    """
+    s, prior = equations.shared, equations.prior
+    total = equations.products.sum(axis=0)
+    right = total[:s, -1] + prior @ equations.pull
+    away = solved(total[:s, :s] + prior, right[:, None])[:, 0] - equations.pull
+    away[equations.of_effects] = 0.0
+    return float(away @ prior @ away)
 
 
 def held_out(
@@ -203,24 +230,6 @@ def _fitted(
     return np.array(at, dtype=np.intp), block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
 
 
-def predictive(equations: NormalEquations) -> Array:
-    """Return the squared Mahalanobis distance of each fold from its prediction by the other folds.
-
-    The distance is the increase of the squared residuals if the fold is added to a fit of the other folds.
-    The result has shape (folds,).
-    """
-    shared = equations.shared
-    off = float(equations.pull @ equations.prior @ equations.pull)
-
-    def left(products: Array) -> float:
-        normal = products[:shared, :shared] + equations.prior
-        right = (products[:shared, -1] + equations.prior @ equations.pull)[:, None]
-        return float(products[-1, -1] + off - (right.T @ solved(normal, right))[0, 0])
-
-    whole = equations.products.sum(axis=0)
-    return np.array([left(whole) - left(whole - fold) for fold in equations.products])
-
-
 def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
     """Return the squared held-out residuals of each fold with a multiple of one column subtracted.
 
@@ -232,25 +241,6 @@ def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) 
     products[:, :, -1] -= factor * products[:, :, change]
     products[:, -1, :] -= factor * products[:, change, :]
     return held_out(replace(equations, products=products))
-
-
-def solved(normal: Array, right: Array) -> Array:
-    """Solve scaled normal equations. Undetermined directions of the solution stay at zero.
-
-    Parameters
-    ----------
-    normal : ndarray, shape (..., n, n)
-        One matrix or a stack of matrices.
-    right : ndarray, shape (..., n, m)
-        Right-hand sides.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
-    scaled = scale[..., :, None] * normal * scale[..., None, :]
-    scaled = scaled + 1e-11 * np.eye(normal.shape[-1])
-    try:
-        return np.asarray(scale[..., :, None] * np.linalg.solve(scaled, scale[..., :, None] * right))
-    except np.linalg.LinAlgError:
-        return np.asarray(scale[..., :, None] * (np.linalg.pinv(scaled) @ (scale[..., :, None] * right)))
 
 
 def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
@@ -280,6 +270,55 @@ def projected(equations: NormalEquations) -> Array:
     normal = total[:s, :s] + equations.prior
     mixed = total[:s, s:]
     return np.asarray(total[s:, s:] - mixed.T @ solved(normal, mixed))
+
+
+def covariances(equations: NormalEquations) -> tuple[Array, Array]:
+    """Return the covariance of the shared parameters from all folds, and without each fold.
+
+    Returns
+    -------
+    ndarray, shapes (shared, shared) and (folds, shared, shared)
+    """
+    s = equations.shared
+    normal = equations.products[:, :s, :s]
+    whole = normal.sum(axis=0) + equations.prior
+    eye = np.eye(s)
+    return solved(whole, eye), solved(whole - normal, np.broadcast_to(eye, normal.shape))
+
+
+def covariance(study: Study, fit: Fit) -> Array:
+    """Return the covariance matrix of the parameters of a fit, shape (p, p).
+
+    The standard errors of shared parameters are at least those of the jackknife over folds, with Student's
+    distribution [1]_. What the form of an effect leaves in the residuals, and what differs between the folds,
+    is therefore part of them.
+
+    References
+    ----------
+    .. [1] J. G. MacKinnon, H. White, "Some heteroskedasticity-consistent covariance matrix estimators with
+       improved finite sample properties", Journal of Econometrics 29 (1985), 305-325. Jackknife (HC3), here
+       of clusters.
+    """
+    normal = study.precision(fit.problem)
+    for k, rows in enumerate(fit.derivatives):
+        seen, own = study.noise.whiten(fit.problem, k, rows), fit.problem.taken[k]
+        normal[np.ix_(own, own)] += seen.T @ seen
+    found = inverted(normal)
+    equations = normal_equations(study, fit)
+    shared, count = study.shared(fit), study.folds.count
+    if count < 2 or not len(shared):
+        return found
+    s = equations.shared
+    part = equations.products[:, :s, :s]
+    right = equations.products[:, :s, -1]
+    whole = part.sum(axis=0) + equations.prior
+    total = right.sum(axis=0) + equations.prior @ equations.pull
+    steps = solved(whole - part, (total - right)[..., None])[..., 0] - solved(whole, total[:, None])[:, 0]
+    few = float(special.stdtrit(count - 1, 0.975)) / NORMAL
+    jackknife = few * np.sqrt((count - 1) / count * np.sum(steps**2, axis=0))
+    factor = np.ones(len(found))
+    factor[shared] = np.fmax(jackknife / np.sqrt(np.maximum(np.diag(found)[shared], 1e-300)), 1.0)
+    return np.asarray(factor[:, None] * found * factor)
 
 
 def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int) -> Drawn:

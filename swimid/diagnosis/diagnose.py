@@ -12,12 +12,12 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import answer, evidence, nominal, power, readings, repaired, search
-from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.power import DetectionPower
 from swimid.diagnosis.proposals import Limits
+from swimid.diagnosis.study import Study
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Affected
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
@@ -222,9 +222,7 @@ def diagnose(
         model.prepare(progress, effects=True)
         as_given = _as_given(loaded)
         jobs = options.jobs or os.cpu_count() or 1
-        context = FitContext(
-            model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs
-        )
+        study = Study(model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs)
         applicable = effect_catalogue.applicable(known, model, fitted)
         given, reasons = ROBOT_FILE, [NOT_GIVEN]
         if options.params is not None:
@@ -239,7 +237,7 @@ def diagnose(
         }
         if options.power:
             with threadpool_limits(limits=1, user_api="blas"):
-                rows, without = power.shown(context, applicable, asked, seed=options.seed)
+                rows, without = power.shown(study, applicable, asked, seed=options.seed)
             keep.done()
             could = power.PowerFile(**about, effects=rows, left_out=without)
             shown = power.evidence(could, ev.notices(notices))
@@ -247,7 +245,7 @@ def diagnose(
         others, alike = readings.others(experiment, fitted)
         effects = [*applicable, *others, *begun.changes]
         state = search.run(
-            context, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
+            study, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
             progress=progress,
         )  # fmt: skip
         state.limits = Limits(

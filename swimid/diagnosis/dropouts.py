@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import label, median_filter
 
 from swimid.diagnosis import verdict
-from swimid.diagnosis.floor import by_channel, rms
 from swimid.diagnosis.gap_file import Cause, Shrinkage, Value
+from swimid.diagnosis.study import rms
 from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Array, Trial
 
@@ -226,7 +226,7 @@ def among(
         Measured range, in the channel's unit.
     """
     closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
-    sound = by_channel(state.nominal, state.nominal.residuals)
+    sound = state.nominal.by_channel()
     for channel, (squares, count) in _squares(state, raw).items():
         if channel not in floor or not count:
             continue
@@ -237,7 +237,7 @@ def among(
         if known is not None and known.after is not None:
             after = known.after
         level = min(floor[channel] / span, before, after)
-        closed = verdict.share_closed(before, after, level)
+        closed = verdict.share_closed(before**2, after**2, level**2)
         closing[channel] = Shrinkage(
             channel=channel, before=before, after=after, shipped=before, floor=level, closed=closed
         )
@@ -261,6 +261,5 @@ def among(
     for c in causes[:1]:
         c.shrinkage = []
         c.absorbed, found[0].absorbed = [], c.absorbed
-        c.extrapolation, found[0].extrapolation = {}, c.extrapolation
     found[0].shrinkage = list(closing.values())
     return found

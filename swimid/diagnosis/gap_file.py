@@ -15,12 +15,12 @@ from swimid.logs.log import Log
 from swimid.results.parameters import Status
 from swimid.simulation.compare_series import ChannelScore
 
-Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
+Verdict = Literal["none", "explained", "ambiguous", "partial", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]
 #: Text that describes each way to hold out data from a fit.
 HELD_OUT: dict[HeldOut | None, str] = {
     None: "on held-out data",
-    "validation": "on the validation trials",
+    "validation": "on validation trials and in cross-validation",
     "trials": "in cross-validation over trials",
     "stretches": "in cross-validation over stretches of trials",
 }
@@ -45,15 +45,6 @@ class ChannelGap(yamlio.Document):
     share: Number
     rmse: Number = None
     unit: str = "1"
-    #: Root-mean-square error within trials, without the between-trial variation.
-    within: Number = None
-
-    @property
-    def differs(self) -> bool:
-        """Return whether between-trial variation causes most of the squared error."""
-        if self.within is None or self.nrmse is None:
-            return False
-        return self.within**2 < 0.5 * self.nrmse**2
 
 
 class Cell(yamlio.Document):
@@ -102,17 +93,6 @@ class ChangedValue(Value):
     standard_errors: Number = None
 
 
-class Distance(yamlio.Document):
-    """Distance of held-out data from their prediction, without and with the causes.
-
-    The distance is the root-mean-square error divided by the error that noise, uncertain coefficients and
-    between-trial variation explain. It is 1 for a correct model.
-    """
-
-    before: Number
-    after: Number
-
-
 class Shrinkage(yamlio.Document):
     """Errors of one channel on held-out data, divided by the measured range.
 
@@ -126,37 +106,45 @@ class Shrinkage(yamlio.Document):
     floor: Number
     #: Closed share of the squared gap: (shipped**2 - after**2) / (shipped**2 - floor**2), at most 1.
     closed: Number
-    ci95: Pair = (None, None)
     #: Error of the model with the parameters as given.
     shipped: Number = None
 
 
 class Closed(yamlio.Document):
-    """Squared error over all channels on held-out data as given and with the causes, and its closed share.
+    """Squared error over all channels on held-out data, and the shares of the squared gap that close.
 
-    The squared errors are means in units of the noise variance: ``before`` with the parameters as given, and
-    ``after`` with the causes and the refitted coefficients. The closed share of the squared gap is
-    (before - after) / (before - 1), at most 1.
+    The squared errors are means in units of the noise variance: with the parameters as given (``before``),
+    refitted without causes (``refitted``), with the causes (``after``), and of a correct model
+    (``expected``). The gap of an error is its excess over ``expected``.
     """
 
     before: Number
+    refitted: Number = None
     after: Number
+    expected: Number = None
+    #: Closed share of the gap of the parameters as given, at most 1, and its 95 % interval.
     share: Number
     ci95: Pair = (None, None)
+    #: Share of this gap that the refit without causes closes, and share of the gap of the refit that the
+    #: causes close.
+    by_refit: Number = None
+    by_causes: Number = None
 
 
 class Step(yamlio.Document):
     """Errors on held-out data of one model: as given, refitted, with the first causes, or the noise alone."""
 
     label: str
-    #: Mean squared error over all channels, in units of the noise variance.
+    #: Mean squared error over all channels, in units of the noise variance, and its expectation for a correct
+    #: model.
     squared: Number
+    expected: Number = None
     #: Root-mean-square error of each channel, in the unit of the channel.
     rmse: dict[str, Number]
 
 
 class HeldOutTrial(yamlio.Document):
-    """Squared errors of one held-out trial, summed over its samples, in units of the noise variance."""
+    """Squared errors of one held-out part, summed over its samples, in units of the noise variance."""
 
     #: Number of samples in channels with a known noise.
     samples: int
@@ -164,15 +152,20 @@ class HeldOutTrial(yamlio.Document):
     as_given: float
     before: float
     after: float
+    #: Expected squared error of a correct model, and the largest one that noise and uncertain parameters
+    #: explain.
+    expected: float
+    limit: float
+    #: Decrease of the deviance (minus twice the log predictive density) by the causes, compared with the
+    #: refit without them, and with the parameters as given.
+    gain: float = 0.0
+    gain_as_given: float = 0.0
 
 
 class Proposed(yamlio.Document):
     """Effect that the fits propose as a cause, before the other facts are considered."""
 
     equivalent: list[str] = []
-    #: Probability that the effect or an equivalent one belongs to the set that closes the gap best. It may
-    #: act itself, or only imitate a cause outside the catalogue.
-    closing: float
     #: Probability of the effect, and of effects that change the trials in the same way, relative to all its
     #: alternatives, given the other causes.
     alone: float
@@ -189,30 +182,10 @@ class Facts(yamlio.Document):
     outside: Number = None
     #: Effects that the fits propose as causes, by name, the most important first.
     proposed: dict[str, Proposed] = {}
-    #: Errors of each held-out trial with the proposed causes and without them. They are compared with the
-    #: errors as given if a changed parameter is among the causes, or if the refitted coefficients imitate
-    #: the causes.
+    #: Errors of each held-out part as given, without the proposed causes, and with them.
     held_out: dict[str, HeldOutTrial] = {}
-    #: Mean squared noise of each fitted trial, divided by that of all fitted trials. Its variation gives the
-    #: interval of the closed share.
-    noise: dict[str, float] = {}
-    #: Decrease by all proposed causes of the squared distance of each cross-validation fold and of each
-    #: validation trial from its prediction. The unit is the variance of the prediction error.
-    gains: dict[str, Number] = {}
-    #: Whether the refitted coefficients imitate the causes on held-out data.
-    imitated: bool = False
     #: Whether a held-out simulation diverges with the proposed causes.
     diverged: bool = False
-    #: Fraction of the squared gap that remains in the fit with the proposed causes.
-    left: Number = None
-    #: Validation trials that the model with the proposed causes does not predict, the largest error first.
-    #: The value is the error (root mean square) divided by the error that noise and uncertain coefficients
-    #: explain.
-    unpredicted: dict[str, float] = {}
-    #: Differences between trials without causes that are larger than by chance. Each is a clause.
-    differing: list[str] = []
-    #: Trial that contradicts the others, with its prediction error divided by the typical one of the others.
-    odd_trial: dict[str, float] = {}
     #: Fraction of the output that a black-box model reproduces, for each channel with less than one half. The
     #: fraction is one minus the root-mean-square error divided by the standard deviation of the output.
     unreproduced: dict[str, Number] = {}
@@ -244,13 +217,10 @@ class Cause(yamlio.Document):
     stage: Stage | None = None
     meaning: str = ""
     sources: list[str] = []
-    #: Decrease of the squared held-out residuals by the effect, in units of the noise variance.
+    #: Decrease of the deviance of held-out data by the effect.
     gain: Number = None
     gain_stderr: Number = None
     absorbed: list[Absorbed] = []
-    #: Prediction errors (:class:`Distance`) at the extreme settings. Each setting is predicted by a fit to
-    #: all other trials.
-    extrapolation: dict[str, Distance] = {}
 
 
 class Remaining(yamlio.Document):
@@ -289,7 +259,7 @@ class Score(yamlio.Document):
     effect: str
     stage: Stage | None = None
     variant: str = ""
-    #: Decrease of the squared held-out residuals; unknown for an effect that was screened only.
+    #: Decrease of the deviance of held-out data; unknown for an effect that was screened only.
     gain: Number = None
     stderr: Number = None
     #: Fraction of the squared change by the effect that the coefficients can imitate.
@@ -302,19 +272,15 @@ class Hypothesis(yamlio.Document):
     """Set of effects that was fitted together with the model; the empty set is the model without effects."""
 
     effects: list[str]
-    #: Number of parameters of the effects; a parameter with a separate value for each trial counts once.
+    #: Number of shared parameters of the effects.
     numbers: int = 0
-    #: Sum of squared residuals at the optimum in units of the noise variance, plus the penalty for the
-    #: parameters of the effects.
-    score: Number
-    #: Value of ``score`` for noise with a long correlation time. None if there are enough trials to estimate
-    #: the correlation of the noise.
-    slow: Number = None
+    #: Minus twice the log predictive density of each fold, given the other folds, up to a constant.
+    deviances: list[Number] = []
+    #: Squared distance of the parameters from their prior means, in units of the prior covariance.
+    strain: Number = 0.0
     #: Similarity of each effect of the hypothesis to the others: largest squared cosine between the changes
     #: of the trials by this effect and by another one.
     alike: dict[str, float] = {}
-    #: Sum of squared residuals of each fold in the fit to all data.
-    folds: list[Number] = []
     probability: Number = None
 
 
@@ -351,12 +317,12 @@ class GapFile(yamlio.ResultFile):
     #: Data on which the errors without and with the causes are computed: ``validation`` trials, or parts of
     #: the data (``trials`` or ``stretches`` of trials) that are held out of a refit, one after another.
     held_out: HeldOut | None = None
-    #: Prediction errors of the held-out data, for the models without and with the causes.
-    predicted: Distance | None = None
     #: Text that states from which data the noise floor was computed.
     floor_from: str = ""
-    #: Whether some trials repeat a setting. Without repeats, differences between settings may be chance.
-    repeats: bool = False
+    #: Trials that were left out because they have parameters of their own, and how these differ.
+    odd_trials: dict[str, str] = {}
+    #: Random effects: standard deviation between trials, in units of the typical scale of the effect.
+    random_effects: dict[str, float] = {}
     #: Number of different settings among the fitted and validation trials.
     setting_count: int | None = None
     #: Scores of all effects, best first.

@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 
 from swimid.blackbox import model as arx
-from swimid.diagnosis.random_effects import FEWEST, OWN
 from swimid.effects.base import Effect
 from swimid.files import tabular
 from swimid.files.provenance import digests_of
@@ -19,6 +18,19 @@ from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, 
 from swimid.results.parameters import Estimate
 from swimid.simulation.catalogue import Loaded
 
+#: Per-trial parameters of a model that may be random effects. The value names a shared parameter, and the
+#: fraction of it that is the typical scale of the random effect. None stands for the parameter's own scale.
+OWN: dict[str, tuple[str, float] | None] = {
+    "friction_deviation": ("pulley_friction", 0.1),
+    "relative_drag_deviation": None,
+    "start_offset": None,
+    "initial_speed": None,
+}
+#: Those of them that are random effects only if settings are repeated. Between single trials of different
+#: settings, they would absorb any drag that the model lacks.
+OF_REPEATS = {"relative_drag_deviation"}
+#: Minimum number of trials from which random effects are estimated.
+MIN_TRIALS = 3
 #: File name endings by which logs are recognised among the input files.
 LOGS = (".csv", *tabular.PARQUET)
 
@@ -29,6 +41,10 @@ OWN_PRIOR = 0.6
 #: conditions that differ between days. A change of a black-box coefficient is never a hypothesis, because a
 #: single one has no physical meaning.
 OTHER_PRIOR = 0.03
+#: Additional prior standard deviation of a coefficient whose change is a hypothesis, as a fraction of its
+#: value.
+#: A smaller change between days is no cause.
+OTHER_DAY = 0.01
 #: Correlation between the noise of a logged rate and that of the differentiated pose above which the rate
 #: counts as computed from the pose.
 DERIVED = 0.3
@@ -123,7 +139,7 @@ def begun(loaded: Loaded) -> Begun:
         logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
         own_data = any(digest in known_logs for digest in digests_of(logs).values())
     own = applied.fitted_per_trial()
-    if len(experiment.trials) >= FEWEST:
+    if len(experiment.trials) >= MIN_TRIALS:
         # Do not free the per-trial parameters of OWN. They are random effects in a diagnosis, and without a
         # prior they would absorb any gap.
         own -= OWN.keys()
@@ -206,7 +222,7 @@ def prior(
         sd = OWN_PRIOR * max(size, p.scale if known is None else 0.0)
         stderr = known.stderr if known is not None and known.stderr else math.nan
         if p.name in exact:
-            sd = min(sd, stderr)
+            sd = min(sd, math.hypot(stderr, OTHER_DAY * size))
         elif math.isfinite(stderr) and not own_data:
             sd = min(sd, math.hypot(stderr, OTHER_PRIOR * size))
         elif math.isfinite(stderr):

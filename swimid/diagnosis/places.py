@@ -9,11 +9,9 @@ import numpy as np
 import pandas as pd
 
 from swimid.diagnosis import settings
-from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.floor import split
 from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.remainder import beat_hz
-from swimid.fitting.model import Array
+from swimid.diagnosis.study import Fit, Study
 
 #: Number of bins of the stroke phase in which the gap is computed.
 PHASES = 8
@@ -29,25 +27,21 @@ class Map:
 
     Parameters
     ----------
-    residuals : sequence of ndarray, shape (n_k,)
-        Weighted residuals of each trial.
     floors : mapping of channel to float
         Noise floor of each channel, in the unit of the channel.
     """
 
-    def __init__(
-        self, context: FitContext, fit: Fit, residuals: Sequence[Array], floors: Mapping[str, float]
-    ) -> None:
-        self.trials = context.trials
+    def __init__(self, study: Study, fit: Fit, floors: Mapping[str, float]) -> None:
+        self.trials = study.trials
         parts = []
-        for k, (trial, residual) in enumerate(zip(self.trials, residuals, strict=True)):
+        for k, (trial, residual) in enumerate(zip(self.trials, fit.residuals, strict=True)):
             time = trial.time_s
             known = {
                 "trial": k,
                 "time_s": time,
                 "phase": np.minimum((time * beat_hz(trial) % 1.0 * PHASES).astype(int), PHASES - 1),
             }
-            for channel, series in split(fit, k, residual).items():
+            for channel, series in fit.split(k, residual).items():
                 square = (series / max(floors.get(channel, 1.0), 1e-300)) ** 2
                 parts.append(pd.DataFrame({**known, "channel": channel, "square": square}))
         #: One row for each sample of each channel. ``square`` is missing if the sample was not measured.

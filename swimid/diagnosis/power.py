@@ -18,9 +18,9 @@ from scipy.special import chndtrinc
 
 from swimid.diagnosis import candidates, crossval, posterior
 from swimid.diagnosis.candidates import Trialled
-from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
-from swimid.diagnosis.search import Search, context_of
+from swimid.diagnosis.search import Search, prepare
+from swimid.diagnosis.study import Study
 from swimid.effects.base import Effect
 from swimid.files import yamlio
 from swimid.files.yamlio import Number
@@ -145,13 +145,13 @@ POWER = 0.9
 ROUNDING = 1e-9
 
 
-def needed(record: Record, kinds: int) -> float:
+def needed(record: Record, numbers: int) -> float:
     """Return the minimum excess of squared residuals over the noise at which a gap is reported.
 
     The excess is that of the model without an effect. The effect is assumed to close the whole gap.
     """
-    costs = CALIBRATED.number * kinds - posterior.prior(1, record.effects)
-    wanted = costs + math.log((1.0 - UNSURE) / UNSURE)
+    costs = 0.5 * math.log(record.samples) * numbers - posterior.prior(1, record.effects)
+    wanted = math.log((1.0 - UNSURE) / UNSURE) + costs
     directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
     # The excess that refutes no hypothesis grows with the gap. If it grows too fast, no gap is ever reported.
@@ -183,7 +183,7 @@ def told_apart(record: Record, cosine: float) -> bool:
 
 
 def shown(
-    given: FitContext, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
+    given: Study, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
 ) -> tuple[list[Row], dict[str, str]]:
     """Return the detection power of each effect, and the reasons why it is unknown for some effects.
 
@@ -204,16 +204,16 @@ def shown(
     dict of name to reason
         Effects without a detection power.
     """
-    context, noise_model, fit, _ = context_of(given, effects)
-    search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed))
-    search.begin(context.start((), noise_model, fit))
+    study, fit, _ = prepare(given, effects)
+    search = Search(study, effects, effects, rng=np.random.default_rng(seed))
+    search.begin(study.start((), fit))
     search.learn(search.null)
     base, record = search.null.fit, search.record
     wanted = [e for e in effects if asked is None or e.name in asked]
     columns: list[list[Array]] = []
     lines: list[tuple[Trialled, Parameter, Array, NDArray[np.intp]]] = []
     left_out: dict[str, str] = {}
-    for tried in candidates.simulate(context, base, wanted):
+    for tried in candidates.simulate(search.study, base, wanted):
         found = _lines(tried, columns)
         lines += [(tried, *line) for line in found]
         if not found:
@@ -221,16 +221,17 @@ def shown(
             if tried.points:
                 why = "it changes nothing that was measured in these trials"
             left_out.setdefault(tried.effect.name, why)
-    inner = crossval.normal_equations(context, base, search.noise_model, columns)
+    inner = crossval.normal_equations(search.study, base, columns)
     left = crossval.projected(inner)[:-1, :-1]
     whole = inner.products.sum(axis=0).diagonal()[inner.shared : -1]
-    best: dict[str, tuple[float, Row, int]] = {}
+    best: dict[str, tuple[float, Row]] = {}
+    every: dict[str, list[int]] = {}
     for tried, p, values, places in lines:
         effect, kinds = tried.effect, len(tried.parameters)
+        every.setdefault(effect.name, []).extend(places.tolist())
         of_trials = sum(one.per_trial for one in tried.parameters)
-        shared, per_trial = kinds - of_trials, of_trials * len(context.trials)
-        penalty = posterior.penalty(shared, per_trial, record.samples, len(context.trials))
-        needs = noncentrality(needed(record, kinds) + penalty, shared + per_trial)
+        count = kinds - of_trials + of_trials * len(study.trials)
+        needs = noncentrality(needed(record, kinds - of_trials), count)
         squares, total = np.maximum(left.diagonal()[places], 0.0), whole[places]
         strengths = np.abs(values - p.start) / p.scale
         strength, at = _strength(strengths, np.where(squares > ROUNDING * total, squares, 0.0), needs)
@@ -244,15 +245,18 @@ def shown(
                 unit=p.unit,
                 absorbed=float(np.clip(1.0 - squares[at] / total[at], 0.0, 1.0)),
             )
-            best[effect.name] = strength, row, int(places[at])
-    for name, (_, row, place) in best.items():
+            best[effect.name] = strength, row
+    # A change that the parameters imitate is a rounding error, and like no other.
+    norm = np.where(left.diagonal() > ROUNDING * whole, np.sqrt(np.maximum(left.diagonal(), 0.0)), np.inf)
+    cosine = np.abs(left) / np.outer(norm, norm)
+    for name, (_, row) in best.items():
         if row.size is not None:
             row.alike = [
                 other
-                for other, (_, _, there) in best.items()
-                if other != name and not told_apart(record, _cosine(left, place, there))
+                for other, places in every.items()
+                if other != name and not told_apart(record, float(cosine[np.ix_(every[name], places)].max()))
             ]
-    return [row for _, row, _ in best.values()], {n: why for n, why in left_out.items() if n not in best}
+    return [row for _, row in best.values()], {n: why for n, why in left_out.items() if n not in best}
 
 
 def _lines(tried: Trialled, columns: list[list[Array]]) -> list[tuple[Parameter, Array, NDArray[np.intp]]]:
@@ -274,17 +278,6 @@ def _lines(tried: Trialled, columns: list[list[Array]]) -> list[tuple[Parameter,
         values, places = (np.array(part) for part in zip(*members, strict=True))
         found.append((tried.parameters[moved[0]], values, places))
     return found
-
-
-def _cosine(products: Array, i: int, j: int) -> float:
-    """Return the cosine between the changes of the trials by two effects; 0 if one change is zero.
-
-    The argument ``products`` has the inner products of all changes.
-    """
-    norm = np.sqrt(max(products[i, i], 0.0) * max(products[j, j], 0.0))
-    if norm <= 0:
-        return 0.0
-    return float(products[i, j] / norm)
 
 
 def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from swimid.diagnosis.answer import parameter_errors
-from swimid.diagnosis.context import FINE, STEPS, Fit, covariance
-from swimid.diagnosis.floor import by_channel, measured, rms
+from swimid.diagnosis.crossval import covariance
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import State
+from swimid.diagnosis.study import FINE, STEPS, Fit, rms
 from swimid.effects.base import Affected, Effect
 from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
@@ -52,7 +52,7 @@ def parameters(
     named = [e for e in state.base.effects if e.name in causes]
     if not named:
         return None
-    fit, values = _fits_of(state, named)
+    fit = _fit_of(state, named)
     own = [e for e in named if e.adds_to is None and not isinstance(e, OtherReading)]
     apart = [e for e in own if any(p.per_trial for p in _parameters_of(fit, e))]
     acting = [e for e in own if e not in apart]
@@ -61,10 +61,10 @@ def parameters(
         for name, value in causes[e.name].parameters.items():
             status[e.adds_to or f"{e.name}/{name}"] = value.status
     changes = {e.adds_to: f"{e.name}/change" for e in named if e.adds_to is not None}
-    errors = parameter_errors(state, fit)
-    shared = [p for p in state.context.parameters if not p.per_trial]
+    errors = parameter_errors(state.study, fit)
+    shared = [p for p in state.study.parameters if not p.per_trial]
     written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
-    found = {p.name: _estimate(values, p, changes.get(p.name), errors, status) for p in written}
+    found = {p.name: _estimate(fit, p, changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
     before = model.effects if isinstance(model, Affected) else ()
     answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
@@ -82,7 +82,7 @@ def parameters(
         identifiability=said,
         correlation=_correlation(state, fit, found, changes),
         settings=_settings(loaded, [*before, *acting], {**readings, **answers}),
-        fit=_fit_block(state, values, loaded),
+        fit=_fit_block(state, fit, loaded),
         provenance=dict(provenance),
     )
     if loaded.applied.file is not None:
@@ -92,18 +92,13 @@ def parameters(
     return made
 
 
-def _fits_of(state: State, named: Sequence[Effect]) -> tuple[Fit, Fit]:
-    """Return the fits of the model with the named causes that give the covariance, and the values.
-
-    The covariance contains the between-trial variation. The values are those that predict held-out data best.
-    """
+def _fit_of(state: State, named: Sequence[Effect]) -> Fit:
+    """Return the fit of the model with the named causes."""
     if len(named) == len(state.base.effects):
-        return state.base, state.predictive or state.base
-    context, noise_model = state.context, state.noise_model
-    start = context.start(named, noise_model, state.base)
-    starts = context.begins(context.problem(named, noise_model.random_effects), start)
-    fit = context.fit(named, noise_model, starts, tolerance=FINE, iterations=STEPS)
-    return fit, fit
+        return state.base
+    study = state.study
+    starts = study.begins(study.problem(named), study.start(named, state.base))
+    return study.fit(named, starts, tolerance=FINE, iterations=STEPS)
 
 
 def _parameters_of(fit: Fit, effect: Effect) -> list[Parameter]:
@@ -129,7 +124,10 @@ def _estimate(
         label = change
     if label not in fit.labels:
         return entry
-    entry.value, stderr = fit.value(p.name), errors[label.removesuffix("/change")]
+    entry.value, stderr = (
+        fit.value(p.name),
+        errors[label if change is None else change.removesuffix("/change")],
+    )
     inside = bool(fit.inside[fit.labels.index(label)])
     if change is not None:
         entry.value += fit.value(change)
@@ -148,7 +146,7 @@ def _correlation(
         return None
     # Each row of the matrix selects one parameter, or sums a parameter and its change.
     rows = np.array([np.isin(fit.labels, [n, changes.get(n, n)]) for n in names], dtype=float)
-    whole = covariance(fit, state.noise_model, state.context.precision(fit.problem))
+    whole = covariance(state.study, fit)
     part: Array = rows @ whole @ rows.T
     sd = np.sqrt(np.diag(part))
     return Correlation(names=names, matrix=(part / np.outer(sd, sd)).tolist())
@@ -173,11 +171,11 @@ def _settings(loaded: Loaded, effects: Sequence[Effect], readings: Mapping[str, 
 
 def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
     """Return the trials, the errors of each channel and the noise of a fit."""
-    context, file = state.context, loaded.applied.file
-    units = {c.name: c.unit for c in context.model.channels}
-    samples = measured(context, fit)
+    study, file = state.study, loaded.applied.file
+    units = {c.name: c.unit for c in study.model.channels}
+    samples = fit.measured()
     channels, noise = {}, {}
-    for channel, left in by_channel(fit, fit.residuals).items():
+    for channel, left in fit.by_channel().items():
         if file is not None and file.fit is not None and channel not in file.fit.channels:
             continue
         error, size = rms(left), float(np.ptp(samples[channel])) or 1.0
@@ -185,10 +183,10 @@ def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
         channels[channel], noise[channel] = known, {"value_sd": error}
     about: dict[str, Any] = {"method": "diagnosis"}
     about["samples_sha256"] = {t.id: t.digest for t in loaded.experiment.trials}
-    if context.model.swimmer is not None:
+    if study.model.swimmer is not None:
         from swimid.swimmer.trials import driven_range
 
-        drives = driven_range(context.trials)
+        drives = driven_range(study.trials)
         if drives:
             about["drives"] = {name: list(ends) for name, ends in drives.items()}
     trials = [t.id for t in loaded.experiment.trials if t.role == "fit"]

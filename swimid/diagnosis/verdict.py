@@ -1,7 +1,7 @@
 """Decide the verdict of a diagnosis from one table.
 
 Each row of the table asks one question. A row that does not pass states the strongest verdict that is then
-possible, and which causes are still named. The verdict is the weakest of these. The table depends on the
+possible, and whether causes are still named. The verdict is the weakest of these. The table depends on the
 facts in the gap file only (:class:`~swimid.diagnosis.gap_file.Facts`), so that it can be computed again from
 the file.
 """
@@ -9,36 +9,33 @@ the file.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy import special
 
-from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Shrinkage, Verdict
-from swimid.fitting.model import Array
+from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Verdict
+from swimid.diagnosis.posterior import CALIBRATED, UNSURE
 from swimid.results import numbers
 from swimid.results.numbers import listed, number, percent, probability_text
 
-#: Model whose squared error is the reference of a closed share: with the parameters as given, or refitted
-#: without the causes.
-Reference = Literal["as_given", "before"]
-#: The models whose squared gap the causes must close for the verdict "explained", with words for each.
-REFERENCES: dict[Reference, str] = {"before": "after a refit", "as_given": "of the model as given"}
 #: Verdicts from the strongest to the weakest.
-ORDER: tuple[Verdict, ...] = ("none", "explained", "ambiguous", "unexplained")
-#: Minimum probability of causes in the catalogue, divided by that of all causes, for the verdict "explained".
+ORDER: tuple[Verdict, ...] = ("none", "explained", "ambiguous", "partial", "unexplained")
+#: Minimum probability of causes in the catalogue, divided by that of all causes, and of a cause, divided by
+#: that of the cause and its rivals, for the verdict "explained".
 SURE = 0.8
-#: Minimum share of the squared gap that the causes must close for the verdict "explained".
+#: Minimum share of the squared gap that failed samples, or a black-box model, must close.
 MOST = 0.5
 #: Minimum probability that the causes reduce the errors on held-out data.
 CLEAR = 0.95
 #: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
 #: of nearly equal numbers.
 LEAST_GAP = 0.04
-#: Number of random samples of the weights of the held-out trials (Bayesian bootstrap).
-WEIGHTINGS = 1000
+#: Maximum width of the interval of a closed share that is stated.
+WIDEST = 1.0
+
+Errors = Callable[[HeldOutTrial], float]
 
 
 @dataclass(frozen=True)
@@ -52,9 +49,8 @@ class Row:
     passed : bool
     otherwise : Verdict
         Strongest verdict that is possible if the row does not pass.
-    names : {"all", "closing", "none"}
-        Causes that are named if the row does not pass: all of them, those that close part of the gap with a
-        probability above one half, or none.
+    named : bool
+        Whether causes are named if the row does not pass.
     reason : str
         Clause that states why the row does not pass.
     """
@@ -64,7 +60,7 @@ class Row:
     needed: str
     passed: bool
     otherwise: Verdict
-    names: Literal["all", "closing", "none"] = "all"
+    named: bool = True
     reason: str = ""
 
 
@@ -86,15 +82,14 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
     """
     failed = [row for row in rows(facts) if not row.passed and row.question != without]
     verdicts: list[Verdict] = ["none", *(row.otherwise for row in failed)]
-    causes = facts.proposed
-    for row in failed:
-        if row.names == "none":
-            causes = {}
-        if row.names == "closing":
-            causes = {name: c for name, c in causes.items() if c.closing > 0.5}
+    causes = tuple(facts.proposed) if all(row.named for row in failed) else ()
     if causes or facts.failed_samples:
         verdicts.append("explained")
-    return Decision(max(verdicts, key=ORDER.index), tuple(causes))
+    found = max(verdicts, key=ORDER.index)
+    if found == "partial" and not causes:
+        # Without a cause, nothing closes a part of the gap.
+        found = "ambiguous" if (facts.no_gap or 0.0) > UNSURE else "unexplained"
+    return Decision(found, causes)
 
 
 def rows(facts: Facts) -> Iterator[Row]:
@@ -102,213 +97,235 @@ def rows(facts: Facts) -> Iterator[Row]:
     if facts.unreproduced:
         found = listed([f"{percent(v, 2)} of {c}" for c, v in facts.unreproduced.items()])
         reason = f"the model reproduces {found}"
-        yield Row("output reproduced", found, "≥ 50 %", False, "unexplained", "none", reason)
+        yield Row("output reproduced", found, "≥ 50 %", False, "unexplained", False, reason)
     if facts.proposed:
         yield from _of_causes(facts)
     else:
         yield from _of_no_cause(facts)
-    for trial, times in facts.odd_trial.items():
-        reason = f"{trial} contradicts the other trials, with {number(times, 2)} times their error"
-        yield Row("trials agree", trial, "all", False, "unexplained", "none", reason)
 
 
 def _of_no_cause(facts: Facts) -> Iterator[Row]:
     """Yield the rows of a model to which the fits add no cause."""
     none, outside = facts.no_gap or 0.0, facts.outside or 0.0
     found = f"no gap {probability_text(none)}, a cause outside the catalogue {probability_text(outside)}"
-    reason = "a cause outside the catalogue is more probable than no gap"
-    yield Row("gap", found, "no gap likelier", none >= outside, "unexplained", "none", reason)
-    yield _predicted(facts.unpredicted, "unexplained")
-    found = listed(facts.differing) or "by chance"
-    reason = f"trials differ more than by chance: {found}"
-    yield Row(
-        "differences between trials", found, "by chance", not facts.differing, "unexplained", "none", reason
-    )
+    reason = f"no gap has a probability of {probability_text(none)} only"
+    yield Row("gap", found, "no gap > 50 %", none > 0.5, "unexplained", False, reason)
+    yield _inside(facts)
+
+
+def _inside(facts: Facts) -> Row:
+    """Return the row about held-out trials whose error noise does not explain."""
+    off = {name: t for name, t in facts.held_out.items() if t.after > t.limit}
+    ratios = [f"{name} has {number(t.after / t.expected, 2)} times" for name, t in off.items()]
+    reason = f"{listed(ratios)} the squared error that noise and uncertain parameters explain"
+    found = listed(list(off)) or "all within noise"
+    return Row("held-out trials", found, "within noise", not off, "unexplained", False, reason)
 
 
 def _of_causes(facts: Facts) -> Iterator[Row]:
     """Yield the rows of a model to which the fits add causes."""
     names = listed(list(facts.proposed))
     name, first = next(iter(facts.proposed.items()))
+    none = facts.no_gap or 0.0
+    reason = f"no gap has a probability of {probability_text(none)}"
+    yield Row(
+        "gap",
+        f"no gap {probability_text(none)}",
+        f"≤ {percent(UNSURE)}",
+        none <= UNSURE,
+        "ambiguous",
+        True,
+        reason,
+    )
     inside, outside = facts.catalogue or 0.0, facts.outside or 0.0
     share = inside / max(inside + outside, 1e-300)
-    verdict: Verdict = "ambiguous"
-    kept: Literal["all", "closing"] = "all"
-    if share <= 0.5:
-        verdict, kept = "unexplained", "closing"
     found = f"{probability_text(share)} of the probability of a gap"
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
-    yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, verdict, kept, reason)
+    remains = remaining_share(facts)
+    lowers = share > 0.5 or (remains is not None and remains <= 1.0 - MOST) or is_imitated(facts)
+    otherwise: Verdict = "partial" if lowers else "unexplained"
+    yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, otherwise, lowers, reason)
     rivals = listed(first.equivalent, "or")
     reason = f"these trials cannot tell {name} from {rivals or 'other effects'}"
-    passed = first.alone > 0.5 and not first.crowded
+    passed = first.alone >= SURE and not first.crowded
     found = f"{probability_text(first.alone)} of the probability of cause and rivals"
-    yield Row("cause against its rivals", found, "> 50 %", passed, "ambiguous", "all", reason)
-    if facts.imitated:
-        reason = f"the refitted parameters of the file imitate {names} on held-out data"
-        yield Row("cause against the parameters", "imitated", "distinct", False, "ambiguous", "all", reason)
-    yield from _held_out(facts, names)
-    yield _predicted(facts.unpredicted, "ambiguous")
-    left = facts.left or 0.0
-    reason = f"{percent(left, 2)} of the squared gap remains in the fit with {names}"
-    found = f"{percent(left, 2)} of the squared gap"
-    yield Row("remaining gap", found, f"≤ {percent(MOST)}", left <= MOST, "unexplained", "closing", reason)
+    yield Row("cause against its rivals", found, f"≥ {percent(SURE)}", passed, "ambiguous", True, reason)
+    if facts.diverged:
+        reason = f"a simulation of held-out data diverges with {names}"
+        yield Row("held-out simulation", "diverges", "finite", False, "unexplained", False, reason)
+    if facts.held_out:
+        yield from _of_errors(facts, names)
 
 
-def _predicted(unpredicted: dict[str, float], otherwise: Verdict) -> Row:
-    """Return the row about validation trials that the model does not predict."""
-    found = listed([f"{trial} is off by {number(t, 2)} times" for trial, t in unpredicted.items()])
-    reason = f"{found} the expected error"
-    return Row(
-        "validation trials", found or "predicted", "predicted", not unpredicted, otherwise, "all", reason
+def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
+    """Yield the rows about the squared errors of held-out data without and with the causes."""
+    needed = f"probability ≥ {percent(CLEAR)}"
+    refitted = probability_of_decrease(facts)
+    given = probability_of_decrease(facts, as_given=True)
+    imitated = is_imitated(facts)
+    found = f"probability {probability_text(given if imitated else refitted)}"
+    if imitated:
+        reason = f"refitted parameters of the file close the gap on held-out data as well as {names}"
+        yield Row("cause against the parameters", "imitated", "distinct", False, "ambiguous", True, reason)
+    carried = carrying_part(facts)
+    passed = refitted >= CLEAR or imitated
+    otherwise: Verdict = "unexplained"
+    reason = f"held-out errors do not clearly fall with {names} ({found})"
+    if carried:
+        otherwise, reason = "ambiguous", f"held-out errors fall with {names} in {carried} only"
+    elif (facts.no_gap or 0.0) > UNSURE:
+        otherwise = "ambiguous"
+    yield Row("held-out errors fall", found, needed, passed, otherwise, bool(carried), reason)
+    left = remaining_share(facts, as_given=imitated)
+    said = "unknown, because held-out data have no gap"
+    if left is not None:
+        said = f"{percent(left, 2)} of the squared gap"
+    passed = left is not None and left <= CALIBRATED.form
+    whose = "as given" if imitated else "after a refit"
+    reason = f"{said} {whose} remains on held-out data with {names}"
+    yield Row("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, "partial", True, reason)
+    worse = [
+        n for n, t in facts.held_out.items() if t.after > max(t.limit, t.as_given if imitated else t.before)
+    ]
+    reason = f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {listed(worse)} larger"
+    yield Row(
+        "held-out trials", listed(worse) or "none worse", "none worse", not worse, "ambiguous", True, reason
     )
 
 
-def _held_out(facts: Facts, names: str) -> Iterator[Row]:
-    """Yield the rows about the decrease of the squared error on held-out data."""
-    if facts.diverged:
-        reason = f"a simulation of held-out data diverges with {names}"
-        yield Row("held-out simulation", "diverges", "finite", False, "unexplained", "none", reason)
-    if not facts.gains:
-        return
-    lower = probability_of_decrease(facts)
-    needed, found = f"probability ≥ {percent(CLEAR)}", f"probability {probability_text(lower)}"
-    reason = f"held-out errors do not clearly fall with {names} ({found})"
-    yield Row("held-out errors fall", found, needed, lower >= CLEAR, "unexplained", "none", reason)
-    each = [(*closes_most(closed_share(facts, r)), words) for r, words in REFERENCES.items()]
-    passed, found, words = min(each, key=lambda one: one[0])
-    reason = f"less than half of the squared gap {words} closes on held-out data: {found}"
-    yield Row("squared gap closed", found, f"≥ {percent(MOST)}", passed, "ambiguous", "all", reason)
+def is_imitated(facts: Facts) -> bool:
+    """Return whether a refit without causes predicts held-out data as well as the causes do."""
+    left = refit_share(facts)
+    if left is None or left > CALIBRATED.form or probability_of_decrease(facts) >= CLEAR:
+        return False
+    return probability_of_decrease(facts, as_given=True) >= CLEAR
 
 
-def closes_most(closed: Closed) -> tuple[bool, str]:
-    """Return whether the causes close most of the squared gap, and the closed share as text."""
-    if closed.share is None:
-        return False, "unknown, because held-out data have no gap"
-    return closed.share >= MOST, f"{percent(closed.share, 2)} {interval_text(closed)}".strip()
+def probability_of_decrease(facts: Facts, *, as_given: bool = False) -> float:
+    """Return the probability that the causes reduce the error of held-out data.
 
+    It is the larger one of two: that of a t test of the decreases of the deviance of the held-out parts, and
+    that of a sign test. With one part it is one half, because nothing shows how much parts differ. It is zero
+    if the sum of the deviances does not fall, or that of the squared errors, unless noise explains them.
 
-def probability_of_decrease(facts: Facts) -> float:
-    """Return the probability that the causes reduce the errors on held-out data.
-
-    It is computed from the distances of the cross-validation folds and validation trials from their
-    predictions. If most of the squared error of the held-out trials is a gap, or if the causes are compared
-    with the model as given and not with its refit, it is also computed from these squared errors. One of the
-    two probabilities is then enough, unless the squared errors clearly grow in a gap of that size.
-
-    The folds and trials get random weights (Bayesian bootstrap).
+    Parameters
+    ----------
+    as_given : bool
+        Whether the causes are compared with the parameters as given, and not with their refit.
     """
-    of_distances = _probability(list(facts.gains.values()))
-    closed = closed_share(facts, "before")
-    is_clear = closed.before is not None and closed.before > 1.0 / (1.0 - MOST)
-    if not is_clear and any(t.before != t.as_given for t in facts.held_out.values()):
-        return of_distances
-    of_errors = _probability([t.before - t.after for t in facts.held_out.values()])
-    if is_clear and of_errors <= 1.0 - CLEAR:
-        return of_errors
-    return max(of_distances, of_errors)
+    lowered = _gains(facts, as_given)
+    n = len(lowered)
+    given, before, after, _, _ = _sums(facts.held_out)
+    grows = not after < (given if as_given else before) and any(
+        t.after > t.limit for t in facts.held_out.values()
+    )
+    if grows or not lowered.sum() > 0.0:
+        return 0.0
+    if n < 2:
+        return 0.5
+    error = float(np.std(lowered, ddof=1)) / math.sqrt(n)
+    mean = float(np.mean(lowered))
+    by_size = float(special.stdtr(n - 1, mean / error)) if error > 0.0 else float(mean > 0.0)
+    by_sign = float(special.bdtr(int(np.sum(lowered > 0.0)) - 1, n, 0.5))
+    return max(by_size, by_sign)
 
 
-def _probability(lowered: Sequence[float | None]) -> float:
-    """Return the probability that a sum of decreases with random weights is positive."""
-    values = np.array(lowered, dtype=float)
-    return float(np.mean(_weights(len(values)) @ values > 0.0))
+def _gains(facts: Facts, as_given: bool) -> np.ndarray:
+    """Return the decrease of the deviance of each held-out part by the causes."""
+    return np.array([t.gain_as_given if as_given else t.gain for t in facts.held_out.values()])
 
 
-def closed_share(facts: Facts, reference: Reference = "as_given") -> Closed:
-    """Return the closed share of the squared gap over all channels, with its interval.
-
-    See :func:`closed_gap` for the reference.
-    """
-    return closed_gap(facts.held_out, facts.noise, reference)
-
-
-def _weights(count: int) -> Array:
-    """Return random weights of trials, shape (WEIGHTINGS, count)."""
-    return np.random.default_rng(0).dirichlet(np.ones(count), WEIGHTINGS)
+def carrying_part(facts: Facts) -> str:
+    """Return the held-out part that alone carries the decrease of the error; empty if several carry it."""
+    lowered = _gains(facts, False)
+    left = remaining_share(facts)
+    if left is None or left > 1.0 - CALIBRATED.form or not lowered.sum() > 0.0:
+        return ""
+    names, largest = list(facts.held_out), int(np.argmax(lowered))
+    t = facts.held_out[names[largest]]
+    alone = lowered[largest] > 0.5 * np.maximum(lowered, 0.0).sum()
+    return names[largest] if alone and t.before > t.limit else ""
 
 
 # ---------------------------------------------------------------- closed share
 
 
-def share_closed(before: float, after: float, floor: float) -> float:
-    """Return the closed share of the squared gap, at most 1; NaN without a gap.
+def share_closed(before: float, after: float, expected: float) -> float | None:
+    """Return the closed share of a squared gap, at most 1; None without a gap.
 
-    The share is ``(before**2 - after**2) / (before**2 - floor**2)``.
+    The share is ``(before - after) / (before - expected)`` for squared errors.
     """
-    gap = before**2 - floor**2
-    if gap <= LEAST_GAP * max(before**2, 1e-300):
-        return math.nan
-    return float(min((before**2 - after**2) / gap, 1.0))
+    gap = before - expected
+    if not gap > LEAST_GAP * before:
+        return None
+    return min((before - after) / gap, 1.0)
 
 
-def closed_gap(
-    trials: Mapping[str, HeldOutTrial], noise: Mapping[str, float], reference: Reference = "as_given"
-) -> Closed:
-    """Return the closed share of the squared gap of held-out trials, with its 95 % interval.
+def _sums(trials: Mapping[str, HeldOutTrial]) -> tuple[float, float, float, float, int]:
+    """Return the sums of squared errors as given, refitted, with causes, and expected, and of samples."""
+    each = trials.values()
+    return (
+        sum(t.as_given for t in each),
+        sum(t.before for t in each),
+        sum(t.after for t in each),
+        sum(t.expected for t in each),
+        sum(t.samples for t in each),
+    )
 
-    Parameters
-    ----------
-    trials : mapping of trial to HeldOutTrial
-        Squared errors, in units of the noise variance.
-    noise : mapping of trial to float
-        Mean squared noise of each fitted trial, divided by that of all fitted trials.
-    reference : {"as_given", "before"}
-        Model whose gap closes: the model with the parameters as given, or the refitted model without causes.
+
+def remaining_share(facts: Facts, *, as_given: bool = False) -> float | None:
+    """Return the share of the squared gap on held-out data that the causes leave; None without a gap.
+
+    It is the gap that a refit without causes leaves, or that of the parameters as given.
     """
-    count = sum(t.samples for t in trials.values())
-    if not count:
+    given, before, after, expected, _ = _sums(facts.held_out)
+    share = share_closed(given if as_given else before, after, expected)
+    if share is None:
+        return None
+    # Errors that noise explains leave nothing.
+    explained = all(t.after <= t.limit for t in facts.held_out.values())
+    return 0.0 if explained else max(1.0 - share, 0.0)
+
+
+def refit_share(facts: Facts) -> float | None:
+    """Return the share of the squared gap as given that a refit leaves; None without a gap."""
+    given, before, _, expected, _ = _sums(facts.held_out)
+    share = share_closed(given, before, expected)
+    return None if share is None else max(1.0 - share, 0.0)
+
+
+def closed_gap(trials: Mapping[str, HeldOutTrial]) -> Closed:
+    """Return the squared errors of held-out data, and the shares of the gap that refit and causes close.
+
+    The interval of the share is that of a ratio of sums over held-out parts, with Student's distribution. It
+    is unknown from fewer than three parts, and if it is wider than :data:`WIDEST`.
+    """
+    given, before, after, expected, samples = _sums(trials)
+    if not samples:
         return Closed(before=None, after=None, share=None)
-    before = sum(getattr(t, reference) for t in trials.values()) / count
-    after = sum(t.after for t in trials.values()) / count
-    share = share_closed(math.sqrt(before), math.sqrt(after), 1.0)
-    return Closed(before=before, after=after, share=share, ci95=interval(share, before, trials, noise))
+    share = share_closed(given, after, expected)
+    found = Closed(
+        before=given / samples,
+        refitted=before / samples,
+        after=after / samples,
+        expected=expected / samples,
+        share=share,
+        by_refit=share_closed(given, before, expected),
+        by_causes=share_closed(before, after, expected),
+    )
+    if share is None or len(trials) < 3:
+        return found
+    left = np.array([(t.as_given - t.after) - share * (t.as_given - t.expected) for t in trials.values()])
+    n = len(left)
+    half = (
+        float(special.stdtrit(n - 1, 0.975)) * math.sqrt(n * float(np.var(left, ddof=1))) / (given - expected)
+    )
+    if 2.0 * half <= WIDEST:
+        found.ci95 = (share - half, min(share + half, 1.0))
+    return found
 
 
-def interval(
-    share: float, before: float, trials: Collection[str], noise: Mapping[str, float]
-) -> tuple[float | None, float | None]:
-    """Return the 95 % interval of the closed share of these held-out trials; unknown without a gap.
-
-    The share is uncertain because the errors contain the noise of the held-out trials, and because the floor
-    is estimated. The mean squared noise of a trial has a variance v, which is estimated from the fitted
-    trials. The variance of a mean squared error 1 + e is then v (1 + 2 e), as that of a noncentral
-    chi-squared variable. The interval uses Student's distribution. It is unknown from fewer than three fitted
-    trials.
-
-    Parameters
-    ----------
-    before : float
-        Mean squared error without the causes, in units of the noise variance.
-    trials : collection of str
-        Names of the held-out trials.
-    noise : mapping of trial to float
-        Mean squared noise of each fitted trial, divided by that of all fitted trials.
-    """
-    fitted = len(noise)
-    if fitted < 3 or not math.isfinite(share):
-        return None, None
-    gap, left = before - 1.0, max(1.0 - share, 0.0)
-    # Both errors contain the same noise, so that the part that the closed share multiplies is common to them.
-    variance = (share**2 + 2.0 * left * (1.0 + left) * gap) / len(trials)
-    if not noise.keys() & set(trials):
-        variance += share**2 / fitted
-    variance *= float(np.var(list(noise.values()), ddof=1))
-    half = float(special.stdtrit(fitted - 1, 0.975)) * math.sqrt(variance) / gap
-    return share - half, min(share + half, 1.0)
-
-
-def over_channels(found: Sequence[Shrinkage]) -> Closed:
-    """Return the closed share of the squared gap over channels from their errors, with equal weights."""
-    known = [s for s in found if s.floor and s.shipped is not None and s.after is not None]
-    if not known:
-        return Closed(before=None, after=None, share=None)
-    errors = np.array([[s.shipped, s.after] for s in known]) / np.array([[s.floor] for s in known])
-    before, after = np.mean(errors**2, axis=0).tolist()
-    return Closed(before=before, after=after, share=share_closed(math.sqrt(before), math.sqrt(after), 1.0))
-
-
-def interval_text(s: Closed | Shrinkage) -> str:
+def interval_text(s: Closed) -> str:
     """Return the 95 % interval of a closed share as text, for example ``(81 … 94 %)``."""
     low, high = s.ci95
     if low is None or high is None:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,6 +102,23 @@ def _filter_autoregression(rows, position, predictors, deviations):  # type: ign
             out[i, j] = error / deviations[order]
         log_variance += 2.0 * math.log(deviations[order])
     return out, log_variance
+
+
+@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _correlate(rows, decay):  # type: ignore[no-untyped-def]
+    """Return the correlation matrix of a first-order process, multiplied by columns."""
+    samples, columns = rows.shape
+    out = rows.copy()
+    for j in range(columns):
+        kept = 0.0
+        for i in range(samples):
+            out[i, j] += decay[i] * kept
+            kept = rows[i, j] + decay[i] * kept
+        kept = 0.0
+        for i in range(samples - 1, -1, -1):
+            out[i, j] += kept
+            kept = decay[i] * (rows[i, j] + kept)
+    return out
 
 
 @dataclass(frozen=True)
@@ -220,19 +237,36 @@ class NoiseForm:
     time_s: float = 0.0
     autoregression: Autoregression | None = None
 
-    def whiten(self, time_s: Array, place: NDArray[np.intp], columns: Array) -> tuple[Array, float]:
-        """Return columns with independent noise of equal variance, and the log determinant of the noise."""
+    def filter(self, time_s: Array, place: NDArray[np.intp]) -> Callable[[Array], tuple[Array, float]]:
+        """Return a function that whitens columns of the samples at given times and indices."""
         if self.autoregression is not None:
             ends = np.flatnonzero(np.diff(place, prepend=place[:1] - 2) > 1)
             position = np.arange(len(place)) - np.repeat(ends, np.diff(np.r_[ends, len(place)]))
             law = self.autoregression
-            out, log_determinant = _filter_autoregression(columns, position, law.predictors, law.deviations)
-        elif self.ratio > 0.0:
+            return lambda columns: _filter_autoregression(columns, position, law.predictors, law.deviations)
+        if self.ratio > 0.0:
             decay = np.exp(-np.diff(time_s, prepend=time_s[0]) / self.time_s)
-            out, log_determinant = _filter_slow(columns, decay, self.ratio)
-        else:
-            return columns, 0.0
+            return lambda columns: _filter_slow(columns, decay, self.ratio)
+        return lambda columns: (columns, 0.0)
+
+    def whiten(self, time_s: Array, place: NDArray[np.intp], columns: Array) -> tuple[Array, float]:
+        """Return columns with independent noise of equal variance, and the log determinant of the noise."""
+        out, log_determinant = self.filter(time_s, place)(columns)
         return np.asarray(out), float(log_determinant)
+
+    def correlate(self, time_s: Array, columns: Array) -> Array:
+        """Return the covariance matrix of noise whose independent part has unit variance, times columns.
+
+        The autocorrelation of an autoregression is replaced by that of its slowest mode.
+        """
+        if self.autoregression is not None:
+            slow, fast = 1.0, 0.0
+        else:
+            slow, fast = self.ratio, 1.0
+        if slow <= 0.0 or self.time_s <= 0.0:
+            return np.asarray((slow + fast) * columns)
+        decay = np.exp(-np.diff(time_s, prepend=time_s[:1]) / self.time_s)
+        return np.asarray(fast * columns + slow * _correlate(np.ascontiguousarray(columns), decay))
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,12 @@ def _of(rows: Sequence[Row], right: Callable[[Row], bool]) -> str:
 
 def is_named(row: Row) -> bool:
     """Return whether the verdict names a cause."""
-    return row["verdict"] in ("explained", "ambiguous")
+    return row["verdict"] in ("explained", "ambiguous", "partial") and row["named"] is not None
+
+
+def is_doubted(row: Row) -> bool:
+    """Return whether the verdict says that a cause outside the catalogue acts."""
+    return row["verdict"] in ("unexplained", "partial")
 
 
 def is_within(row: Row) -> bool:
@@ -95,11 +100,12 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
             f"{_of(large, is_within)}; {mean}",
         ),
         Figure("clean: a cause named", _of(kinds["clean"], is_named)),
-        Figure("clean: `unexplained`", _of(kinds["clean"], lambda r: r["verdict"] == "unexplained")),
+        Figure("clean: `unexplained` or `partial`", _of(kinds["clean"], is_doubted)),
         Figure(
-            f"outside the catalogue, gap {VISIBLE:g} x or more: `unexplained`",
-            _of(foreign, lambda r: r["verdict"] == "unexplained"),
+            f"outside the catalogue, gap {VISIBLE:g} x or more: `unexplained` or `partial`",
+            _of(foreign, is_doubted),
         ),
+        Figure("one effect: `unexplained` or `partial`", _of(large, is_doubted)),
         Figure("one effect: another cause named", _of(singles, lambda r: is_named(r) and not r["found"])),
         Figure("one effect, named: a second one made up", _of(right, lambda r: r["causes"] > 1)),
         Figure(

@@ -133,7 +133,8 @@ def one_suffices(gap: Row) -> bool:
     """Whether some effect alone describes the trials as well as every set of several that was fitted, what
     their numbers must gain included: then nothing tells that there is a second one.
     """
-    fitted = [(len(h["effects"]), h["score"]) for h in gap.get("hypotheses") or []]
+    hypotheses = gap.get("hypotheses") or []
+    fitted = [(len(h["effects"]), sum(h["deviances"]) + (h.get("strain") or 0.0)) for h in hypotheses]
     alone = min((score for size, score in fitted if size == 1), default=np.inf)
     return alone <= min((score for size, score in fitted if size > 1), default=np.inf) and alone < np.inf
 
@@ -163,7 +164,7 @@ def _shrinkage(
     if not width or not floor:
         return best["closed"], None, None
     true = closed_share(best["shipped"], best["after"], floor / width)
-    return best["closed"], true, _interval(best.get("ci95"))
+    return best["closed"], true, None
 
 
 def _interval(stated: Sequence[float | None] | None) -> tuple[float, float] | None:
@@ -196,14 +197,14 @@ def _accuracy(rows: Sequence[Row]) -> list[object]:
     wrong = [r for r in rows if r["verdict"] == "explained" and not r["within"]]
     sure = [r for r in wrong if (r["probability"] or 0) > SURE]
     answers = Counter(r["verdict"] for r in rows)
-    verdicts = [answers[v] for v in ("none", "explained", "ambiguous", "unexplained", "failed")]
+    verdicts = [answers[v] for v in ("none", "explained", "ambiguous", "partial", "unexplained", "failed")]
     first, within = (_share(rows, lambda r, k=k: _named(r) and r[k]) for k in ("first", "within"))
     return [len(rows), first, within, *verdicts, len(wrong), len(sure)]
 
 
 def _named(row: Row) -> bool:
     """Whether a cause was named at all: a gap without verdict names nothing."""
-    return row["verdict"] in ("explained", "ambiguous")
+    return figures.is_named(row)
 
 
 HEAD = [
@@ -213,6 +214,7 @@ HEAD = [
     "none",
     "explained",
     "ambiguous",
+    "partial",
     "unexplained",
     "failed",
     "wrong",
@@ -289,9 +291,7 @@ def summary(rows: Sequence[Row]) -> Row:
     return {
         "cases": len(rows),
         "failed": sum(r["verdict"] == "failed" for r in rows),
-        "false_alarms": share(
-            kind["clean"], lambda r: r["verdict"] in ("explained", "ambiguous", "unexplained")
-        ),
+        "false_alarms": share(kind["clean"], lambda r: r["verdict"] != "none"),
         "false_causes": share(kind["clean"], _named),
         "first": share(kind["single"], lambda r: _named(r) and r["first"]),
         "in_set": share(kind["single"], lambda r: _named(r) and r["within"]),
@@ -306,7 +306,9 @@ def summary(rows: Sequence[Row]) -> Row:
         "pairs_one": share(kind["pair"], lambda r: r["found"] == 1),
         "pairs_one_suffices": share(kind["pair"], lambda r: r["one_suffices"]),
         "spurious_second": share(kind["single"], lambda r: r["first"] and r["causes"] > 1 and _named(r)),
-        "outside_abstained": share(kind["outside"], lambda r: r["verdict"] in ("unexplained", "none")),
+        "outside_abstained": share(
+            kind["outside"], lambda r: r["verdict"] in ("unexplained", "partial", "none")
+        ),
         "outside_sure": share(
             kind["outside"], lambda r: r["verdict"] == "explained" and (r["probability"] or 0) > SURE
         ),

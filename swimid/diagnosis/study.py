@@ -1,18 +1,18 @@
-"""Fit hypotheses: the model with effects and random effects, to trials with coloured noise."""
+"""Fit hypotheses, the model with sets of effects, to trials with the noise of a noise model."""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.nominal import OWN_PRIOR
-from swimid.diagnosis.random_effects import RandomEffect
+from swimid.diagnosis.noise import NoiseModel
+from swimid.diagnosis.nominal import OWN_PRIOR, PREFIX
 from swimid.diagnosis.settings import folds
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
@@ -20,18 +20,20 @@ from swimid.fitting.problem import Problem, Solution, map_in_processes
 
 #: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0
+#: Factor by which the prior of a changed parameter is wider. Its typical scale is that of a small change.
+CHANGE_WIDTH = 10.0
 #: Prior standard deviation of the initial state of a trial, in units of the typical scales of its parameters.
 #: The prior mean comes from the first samples of the trial.
 START_PRIOR = 30.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
-#: Constants of the multistart search: number of starting points (HEATED) up to which each halving is preceded
-#: by HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS),
-#: relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
-HEATED, HEAT, STEPS, ROUGH, FINE = 4, 4, 80, 1e-3, 1e-4
-#: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
-#: their typical scales, and to the relative difference of the costs.
-ALIKE = 0.1
+#: Search from several starting points: number of iterations from the best one (HEAT), maximum number of
+#: iterations with new derivatives (STEPS), and relative tolerance of the cost before these last iterations
+#: (ROUGH) and in them (FINE).
+HEAT, STEPS, ROUGH, FINE = 4, 80, 1e-3, 1e-4
+#: Maximum number of iterations of a refit without one fold, which begins at the fit to all folds, and of the
+#: first steps from distorted coefficients.
+FEW = 3
 #: Distance of a coefficient from its prior mean, in prior standard deviations, above which a missing effect
 #: may have distorted the coefficient.
 DISTORTED = 2.0
@@ -50,50 +52,9 @@ NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
 ROUNDING = 1e-6
 
 
-class Mixed(Problem):
-    """Least-squares problem of a model on trials with random effects.
-
-    Parameters
-    ----------
-    random_effects : sequence of RandomEffect
-        Random effects. Each of them has a separate value for each trial.
-    """
-
-    def __init__(
-        self,
-        model: Model,
-        parameters: Sequence[Parameter],
-        trials: Sequence[Trial],
-        *,
-        random_effects: Sequence[RandomEffect] = (),
-        jobs: int = 1,
-    ) -> None:
-        known = {kind.label: kind for kind in random_effects}
-        own = {name: kind for name, kind in known.items() if kind.effect is None}
-        parameters = list(parameters)
-        for i, p in enumerate(parameters):
-            if p.name in own:
-                parameters[i] = own[p.name].number(p)
-        super().__init__(model, parameters, trials, jobs=jobs)
-        self.random_effects = tuple(random_effects)
-        self._differ = {i for i, p in enumerate(self.parameters) if p.name in known}
-
-    def differs(self, j: int) -> bool:
-        """Return whether the parameter with index ``j`` is a random effect of a trial."""
-        return self.slots[j][0] in self._differ
-
-    def begun(self, trial: int) -> list[int]:
-        """Return the indices of the parameters that describe the initial state of a trial."""
-        return [j for j in self.own(trial) if not self.differs(j)]
-
-    def differing(self, trial: int) -> list[int]:
-        """Return the indices of the parameters that are random effects of a trial."""
-        return [j for j in self.own(trial) if self.differs(j)]
-
-
 @dataclass(frozen=True)
 class Fit:
-    """Fit of a hypothesis: the model with its effects and random effects at the optimum.
+    """Fit of a hypothesis: the model with its effects at the optimum.
 
     Residuals and derivatives are computed when they are first needed.
 
@@ -101,24 +62,21 @@ class Fit:
     ----------
     effects : tuple of Effect
         Effects of the hypothesis.
-    acting : tuple of Effect
-        All effects in the model: random effects, then effects of the hypothesis.
     labels : list of str
         Labels of the parameters.
     theta : ndarray, shape (p,)
         Estimates of the parameters.
     cost : float
         Sum of squared whitened residuals and squared prior terms.
-    problem : Mixed
+    problem : Problem
         The residual problem that was solved.
     """
 
     effects: tuple[Effect, ...]
-    acting: tuple[Effect, ...]
     labels: list[str]
     theta: Array
     cost: float
-    problem: Mixed
+    problem: Problem
 
     @cached_property
     def residuals(self) -> list[Array]:
@@ -171,71 +129,36 @@ class Fit:
 
         The derivatives are multiplied by the typical scales of the m parameters.
         """
-        mine = self.problem.begun(k)
+        mine = self.problem.own(k)
         return self.columns(k, mine) * self.problem.scale[mine]
 
-    def centre(self, without: Collection[str] = ()) -> dict[str, float]:
-        """Return the mean of each random effect over trials, by parameter name.
+    def split(self, k: int, residual: Array) -> dict[str, Array]:
+        """Split weighted residuals of a trial into one series for each channel, in its unit.
 
-        Parameters
-        ----------
-        without : collection of str
-            Names of effects that do not act in this model. A random effect of the same name has its null
-            value in place of the mean.
+        The series are NaN where the channel has no sample.
         """
-        null = {p.name: p.start for p in self.problem.parameters}
-        found = {name: float(np.mean(values)) for name, values in self._differing().items()}
-        for kind in self.problem.random_effects:
-            if kind.label in found and kind.name.replace("_", "-") in without:
-                found[kind.label] = null[kind.label]
+        found = {}
+        parts = zip(self.problem.by_channel(k, residual), self.problem.sd[k], strict=True)
+        for (channel, mask, part), sd in parts:
+            found[channel] = np.full(len(mask), np.nan)
+            found[channel][mask] = part * sd[mask]
         return found
 
-    def scatter(self) -> dict[str, float]:
-        """Return the standard deviation of each random effect over trials, by parameter name, in its unit.
+    def by_channel(self) -> dict[str, Array]:
+        """Return the residuals of all trials by channel, in the channel's unit."""
+        parts: dict[str, list[Array]] = {}
+        for k, r in enumerate(self.residuals):
+            for channel, series in self.split(k, r).items():
+                parts.setdefault(channel, []).append(series[np.isfinite(series)])
+        return {c: np.concatenate(p) for c, p in parts.items()}
 
-        The mean over trials does not count, because a value that all trials share is an effect and not
-        random.
-        """
-        return {name: float(np.std(v, ddof=min(len(v) - 1, 1))) for name, v in self._differing().items()}
-
-    def _differing(self) -> dict[str, list[float]]:
-        """Return the values of each random effect in all trials, by parameter name."""
-        values: dict[str, list[float]] = {}
-        for j, (index, _) in enumerate(self.problem.slots):
-            if self.problem.differs(j):
-                values.setdefault(self.problem.parameters[index].name, []).append(float(self.theta[j]))
-        return values
-
-    def fixed_effects_residual(self, k: int, without: Collection[str] = ()) -> Array:
-        """Return the residuals of trial ``k`` with its random effects at their mean, shape (n_k,).
-
-        The simulation is linearised in the random effects.
-
-        Parameters
-        ----------
-        without : collection of str
-            As in :meth:`centre`.
-        """
-        mine = self.problem.differing(k)
-        centre = self.centre(without)
-        names = [self.problem.parameters[self.problem.slots[j][0]].name for j in mine]
-        away = np.array([self.theta[j] - centre[name] for j, name in zip(mine, names, strict=True)])
-        return np.asarray(self.residuals[k] + self.columns(k, mine) @ away)
-
-    def marginal_residuals(self, without: Collection[str] = ()) -> list[Array]:
-        """Return the residuals of each trial with random effects at their means.
-
-        The initial state of each trial is refitted.
-
-        Parameters
-        ----------
-        without : collection of str
-            As in :meth:`centre`.
-        """
-        return [
-            beyond(self.own(k), self.fixed_effects_residual(k, without)) if self.problem.differing(k) else r
-            for k, r in enumerate(self.residuals)
-        ]
+    def measured(self) -> dict[str, Array]:
+        """Return the measured samples of all trials by channel, in the channel's unit."""
+        parts: dict[str, list[Array]] = {}
+        for k, trial in enumerate(self.problem.trials):
+            for channel, mask in zip(self.problem.channels[k], self.problem.masks[k], strict=True):
+                parts.setdefault(channel, []).append(trial.measured[channel][mask])
+        return {c: np.concatenate(p) for c, p in parts.items()}
 
     def value(self, label: str) -> float:
         """Return the estimate of the parameter with a given label, or its value if it is fixed."""
@@ -244,8 +167,8 @@ class Fit:
         return next(p.start for p in self.problem.parameters if p.name == label)
 
 
-class FitContext:
-    """Model, trials and priors that all fits of a diagnosis share.
+class Study:
+    """Model, trials, priors and noise that all fits of a diagnosis share.
 
     Parameters
     ----------
@@ -280,25 +203,32 @@ class FitContext:
         self.correlation = correlation
         self.jobs = jobs
         self._known: dict[tuple[int, ...], Affected] = {}
-        self._without: list[tuple[Fit, NoiseModel, list[Array]]] = []
+        self._without: list[tuple[Fit, list[Array]]] = []
         self.shape = self.problem(())
+        self.noise = NoiseModel(self.shape.sd)
         stamps = [
             np.concatenate([np.empty(0), *(trial.time_s[mask] for mask in masks)])
             for trial, masks in zip(self.trials, self.shape.masks, strict=True)
         ]
         self.folds = folds(self.trials, stamps)
 
-    def replaced(self, model: Model, trials: Sequence[Trial]) -> FitContext:
-        """Return a context with the same priors, but with another model and other trials."""
+    def replaced(self, model: Model, trials: Sequence[Trial]) -> Study:
+        """Return a study with the same priors, but with another model and other trials."""
         more = {"correlation": self.correlation, "jobs": self.jobs}
-        return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
+        return Study(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
-    def finer(self, halvings: int) -> FitContext:
-        """Return a context with the same trials, whose model has a halved integration step."""
+    def finer(self, halvings: int) -> Study:
+        """Return a study with the same trials and noise, whose model has a halved integration step."""
         model = self.model
         for _ in range(halvings):
             model = model.refined() or model
-        return self.replaced(model, self.trials)
+        return self.replaced(model, self.trials).with_noise(self.noise)
+
+    def with_noise(self, noise: NoiseModel) -> Study:
+        """Return a study with another noise model."""
+        other = copy.copy(self)
+        other.noise, other._without = noise, []
+        return other
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
         """Return the model with the given effects added."""
@@ -311,28 +241,26 @@ class FitContext:
     def problem(
         self,
         effects: Sequence[Effect],
-        random_effects: Sequence[RandomEffect] = (),
         *,
         jobs: int | None = None,
         trials: Sequence[Trial] | None = None,
         known: Mapping[str, float] | None = None,
-    ) -> Mixed:
-        """Return the residual problem of the model with effects and random effects.
+    ) -> Problem:
+        """Return the residual problem of the model with effects.
 
         Parameters
         ----------
         trials : sequence of Trial, optional
-            Default: the trials of the context.
+            Default: the trials of the study.
         known : mapping of label to float, optional
             Shared parameters that are held at these values.
         """
-        acting = _acting(effects, random_effects)
-        model = self.affected(acting)
+        model = self.affected(effects)
         own = model.parameters[len(self.parameters) :]
         parameters = held_at((*self.parameters, *own), known or {})
-        if trials is None:
-            trials = self.trials
-        problem = Mixed(model, parameters, trials, random_effects=random_effects, jobs=jobs or self.jobs)
+        problem = Problem(
+            model, parameters, self.trials if trials is None else trials, jobs=jobs or self.jobs
+        )
         problem.near = NEAR
         return problem
 
@@ -373,7 +301,7 @@ class FitContext:
         own = {p.name: OWN_PRIOR * max(abs(p.start), 0.1 * p.scale) for p in self.parameters}
         return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
 
-    def expected(self, problem: Mixed) -> tuple[Array, Array]:
+    def expected(self, problem: Problem) -> tuple[Array, Array]:
         """Return the prior mean and the inverse prior standard deviation of each parameter.
 
         The inverse standard deviation of a parameter without a prior is 0.
@@ -382,19 +310,18 @@ class FitContext:
         known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
-            if problem.differs(j):
-                mean[j], weight[j] = p.start, 1.0 / p.scale
-            elif owner is None and p.name in known:
+            if owner is None and p.name in known:
                 mean[j], sd = known[p.name]
                 if sd > 0:
                     weight[j] = 1.0 / sd
             elif "/" in p.name:
-                mean[j], weight[j] = p.start, 1.0 / (EFFECT_PRIOR * p.scale)
+                wide = EFFECT_PRIOR * (CHANGE_WIDTH if p.name.startswith(PREFIX) else 1.0)
+                mean[j], weight[j] = p.start, 1.0 / (wide * p.scale)
             elif owner is not None:
                 weight[j] = 1.0 / (START_PRIOR * p.scale)
         return mean, weight
 
-    def root(self, problem: Mixed) -> Array:
+    def root(self, problem: Problem) -> Array:
         """Return a square root of the prior precision matrix, shape (m, p).
 
         The prior precision matrix is ``root.T @ root``. The number m counts the parameters with a prior.
@@ -411,12 +338,12 @@ class FitContext:
             root[np.ix_(places, places)] = np.linalg.cholesky(inverse).T * weight[places]
         return np.asarray(root[weight > 0])
 
-    def precision(self, problem: Mixed) -> Array:
+    def precision(self, problem: Problem) -> Array:
         """Return the prior precision matrix of all parameters, shape (p, p); see :meth:`root`."""
         root = self.root(problem)
         return np.asarray(root.T @ root)
 
-    def begins(self, problem: Mixed, theta: Array) -> list[Array]:
+    def begins(self, problem: Problem, theta: Array) -> list[Array]:
         """Return starting points of a fit: ``theta``, and the prior means if ``theta`` is far from them.
 
         A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
@@ -448,7 +375,6 @@ class FitContext:
     def fit(
         self,
         effects: Sequence[Effect],
-        noise_model: NoiseModel,
         starts: Sequence[Array],
         *,
         tolerance: float = TOLERANCE,
@@ -465,79 +391,46 @@ class FitContext:
             Fit whose derivatives are used first. If the optimum is near this fit, the search is five times as
             fast.
         """
-        problem = self.posed(effects, noise_model)
+        problem = self.posed(effects)
         if warm is not None:
             problem.hold_derivatives(warm.problem, warm.derivatives)
-        best = self.search(problem, noise_model, starts, tolerance, iterations)
-        return self.at(effects, noise_model, best.x, best.cost, problem)
+        best = self.search(problem, starts, tolerance, iterations)
+        return self.at(effects, best.x, best.cost, problem)
 
-    def multistart(
-        self,
-        effects: Sequence[Effect],
-        noise_model: NoiseModel,
-        starts: Sequence[Array],
-        *,
-        warm: Fit,
-        rough: bool = False,
-        jobs: int = 1,
+    def refit(self, fit: Fit, *, tolerance: float) -> Fit:
+        """Continue a fit to its optimum. Its derivatives are used as long as they are accurate enough."""
+        problem = self.posed(fit.effects, 1)
+        problem.reuse_derivatives(fit.theta, fit.derivatives)
+        best = self.search(problem, [fit.theta], tolerance, STEPS)
+        return self.at(fit.effects, best.x, best.cost, problem)
+
+    def first_steps(
+        self, effects: Sequence[Effect], starts: Sequence[Array], *, warm: Fit, iterations: int = 1
     ) -> Fit:
-        """Return the best optimum from many starting points by successive halving [1]_.
-
-        All starting points use the derivatives of a nearby fit, and own derivatives only with respect to the
-        other parameters. After each round the better half continues. The last one continues with derivatives
-        of its own.
+        """Return the best result of a few iterations from each of several starting points.
 
         Parameters
         ----------
-        starts : sequence of ndarray, shape (p,)
-            Starting points.
         warm : Fit
-            Nearby fit whose derivatives are used first.
-        rough : bool
-            Whether the search ends with the last round, and without new derivatives.
-
-        References
-        ----------
-        .. [1] K. Jamieson, A. Talwalkar, "Non-stochastic best arm identification and hyperparameter
-           optimization", AISTATS 2016.
+            Nearby fit. Its derivatives are used, and own derivatives only with respect to other parameters.
         """
-        problem = self.posed(effects, noise_model, jobs)
-
-        def one(start: Array, tolerance: float, steps: int) -> Solution:
-            return self.search(problem, noise_model, [start], tolerance, steps)
-
-        def cost(found: Solution) -> float:
-            return float(np.nan_to_num(found.cost, nan=math.inf))
-
-        # Compare starting points by the parameters of effects only, because every iteration changes the
-        # coefficients.
-        own = np.where(["/" in label for label in problem.labels], problem.scale, np.inf)
-
-        def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[Solution]:
-            found: list[Solution] = []
-            for ended in sorted((one(s, tolerance, steps) for s in starts), key=cost):
-                # Continue only one of several starting points that lead to the same optimum.
-                if not any(_same(ended, other, own) for other in found):
-                    found.append(ended)
-            return found
-
-        best: Solution | None = None
+        problem = self.posed(effects, 1)
         problem.hold_derivatives(warm.problem, warm.derivatives)
-        while len(starts) > 1 or (rough and best is None):
-            steps = 1
-            if len(starts) <= HEATED:
-                steps = HEAT
-            found = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, 1)]
-            best, starts = found[0], [one.x for one in found]
-        if best is None or not rough:
-            problem.release_derivatives()
-            best = one(starts[0], FINE, STEPS)
-        return self.at(effects, noise_model, best.x, best.cost, problem)
+        each = [self.search(problem, [point], ROUGH, iterations) for point in starts]
+        best = min(each, key=lambda one: float(np.nan_to_num(one.cost, nan=math.inf)))
+        return self.at(effects, best.x, best.cost, problem)
+
+    def multistart(self, effects: Sequence[Effect], starts: Sequence[Array], *, warm: Fit) -> Fit:
+        """Return a rough optimum from the best of several starting points (:meth:`first_steps`)."""
+        begun = self.first_steps(effects, starts, warm=warm) if len(starts) > 1 else None
+        problem = self.posed(effects, 1)
+        problem.hold_derivatives(warm.problem, warm.derivatives)
+        best = self.search(problem, [starts[0] if begun is None else begun.theta], ROUGH, HEAT)
+        return self.at(effects, best.x, best.cost, problem)
 
     def search(
         self,
-        problem: Mixed,
-        noise_model: NoiseModel,
+        problem: Problem,
         starts: Sequence[Array],
         tolerance: float,
         iterations: int,
@@ -557,7 +450,7 @@ class FitContext:
         problem.prior = prior or (self.expected(problem)[0], self.root(problem))
 
         def whiten(k: int, rows: Array) -> Array:
-            seen = noise_model.whiten(problem, k, rows)
+            seen = self.noise.whiten(problem, k, rows)
             if kept is None:
                 return seen
             return (seen.T * kept[k]).T
@@ -569,49 +462,45 @@ class FitContext:
         ]
         return min(found, key=lambda one: one.cost)
 
-    def without_each(self, fit: Fit, noise_model: NoiseModel) -> list[Array]:
+    def without_each(self, fit: Fit) -> list[Array]:
         """Return the estimates of refits that leave out one fold each, one array of shape (p,) for each fold.
 
         The noise model is not re-estimated. Per-trial parameters of the held-out fold are not estimated.
         """
 
         def one(f: int) -> Array:
-            problem = self.problem(fit.effects, fit.problem.random_effects, jobs=1)
-            noise_model.install(problem)
+            problem = self.posed(fit.effects, jobs=1)
             kept = [owner != f for owner in self.folds.owner]
             problem.reuse_derivatives(fit.theta, fit.derivatives)
-            return self.search(problem, noise_model, [fit.theta], FINE, STEPS, kept=kept).x
+            return self.search(problem, [fit.theta], ROUGH, FEW, kept=kept).x
 
-        for known, through, found in self._without:
-            if known is fit and through is noise_model:
+        for known, found in self._without:
+            if known is fit:
                 return found
         found = list(map_in_processes(one, range(self.folds.count), self.jobs))
-        self._without.append((fit, noise_model, found))
+        self._without.append((fit, found))
         return found
 
     def at(
         self,
         effects: Sequence[Effect],
-        noise_model: NoiseModel,
         theta: Array,
         cost: float = math.nan,
-        problem: Mixed | None = None,
+        problem: Problem | None = None,
     ) -> Fit:
         """Return a fit at the given parameter values, without a search for the optimum."""
-        problem = problem or self.posed(effects, noise_model)
-        acting = _acting(effects, problem.random_effects)
-        return Fit(tuple(effects), acting, problem.labels, theta, cost, problem)
+        problem = problem or self.posed(effects)
+        return Fit(tuple(effects), problem.labels, theta, cost, problem)
 
-    def posed(self, effects: Sequence[Effect], noise_model: NoiseModel, jobs: int | None = None) -> Mixed:
-        """Return the residual problem with the random effects and the weights of a noise model."""
-        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
-        noise_model.install(problem)
+    def posed(self, effects: Sequence[Effect], jobs: int | None = None) -> Problem:
+        """Return the residual problem with the weights of the noise model."""
+        problem = self.problem(effects, jobs=jobs)
+        problem.sd = [list(sds) for sds in self.noise.sd]
         return problem
 
     def start(
         self,
         effects: Sequence[Effect],
-        noise_model: NoiseModel,
         fit: Fit,
         own: Mapping[str, float] | None = None,
     ) -> Array:
@@ -620,7 +509,7 @@ class FitContext:
         A parameter starts at its value in ``own``, otherwise at its estimate in ``fit``, otherwise at its
         null value.
         """
-        problem = self.problem(effects, noise_model.random_effects)
+        problem = self.problem(effects)
         known = dict(zip(fit.labels, fit.theta, strict=True))
         own = own or {}
         return np.array(
@@ -629,6 +518,45 @@ class FitContext:
                 for label, start in zip(problem.labels, problem.start, strict=True)
             ]
         )
+
+    def project_out(
+        self,
+        fit: Fit,
+        k: int,
+        block: Array,
+        *,
+        to: NDArray[np.intp] | None = None,
+        noise: NoiseModel | None = None,
+    ) -> Array:
+        """Return whitened columns of a trial, with the parameters that only this trial has projected out.
+
+        Parameters
+        ----------
+        block : ndarray, shape (n_k, c)
+            Columns divided by the weights; the last column is the residual.
+        to : ndarray of int, optional
+            Indices of the parameters that are projected out. By default these are all parameters that only
+            this trial has and that are not at a bound.
+        noise : NoiseModel, optional
+            Default: the noise of the study.
+
+        Returns
+        -------
+        ndarray, shape (n_k + m, c)
+            One row for each sample, then one row for the prior of each of the m projected parameters. Inner
+            products of the columns account for the uncertainty of these parameters.
+        """
+        problem, noise = fit.problem, noise or self.noise
+        mine = fit.free_of_trial(k) if to is None else to
+        if not len(mine):
+            return noise.whiten(problem, k, block)
+        mean, weight = self.expected(problem)
+        n, scale = len(block), problem.scale[mine]
+        seen = noise.whiten(problem, k, np.column_stack((fit.columns(k, mine) * scale, block)))
+        own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
+        wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
+        wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
+        return np.asarray(wanted - own @ solved(own.T @ own, own.T @ wanted))
 
     def changes(self, base: Fit, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
         """Return the changes of the simulated samples by an effect for several parameter values.
@@ -643,14 +571,14 @@ class FitContext:
         points : sequence of ndarray
             Values of all parameters of the effect.
         """
-        model = self.affected((*base.acting, effect))
+        model = self.affected((*base.effects, effect))
         own = [base.problem.vector(base.theta, k) for k in range(len(self.trials))]
         runs = [
             (np.concatenate((values, point[: len(model.own[-1])])), trial)
             for point in points
             for values, trial in zip(own, self.trials, strict=True)
         ]
-        without = self.affected(base.acting).simulate_many(list(zip(own, self.trials, strict=True)))
+        without = self.affected(base.effects).simulate_many(list(zip(own, self.trials, strict=True)))
         simulated = iter(model.simulate_many(runs))
         unaffected = [base.problem.stacked(k, seen) for k, seen in enumerate(without)]
         return [
@@ -662,12 +590,6 @@ class FitContext:
         ]
 
 
-def _same(one: Solution, other: Solution, scale: Array) -> bool:
-    """Return whether two searches ended with equal effect parameters and equal cost."""
-    near = np.all(np.abs(one.x - other.x) <= ALIKE * scale)
-    return bool(near and abs(one.cost - other.cost) <= ALIKE * other.cost)
-
-
 def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
     """Return the parameters, with those in ``known`` fixed at the values given there."""
     found = list(parameters)
@@ -677,30 +599,15 @@ def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tupl
     return tuple(found)
 
 
-def _acting(effects: Sequence[Effect], random_effects: Sequence[RandomEffect]) -> tuple[Effect, ...]:
-    """Return all effects that act on the model: random effects, then the effects of the hypothesis."""
-    return (*(kind.acting for kind in random_effects if kind.acting is not None), *effects)
-
-
 def beyond(columns: Array, values: Array) -> Array:
     """Return the residuals of a linear least-squares fit of ``values`` by ``columns``, shape (n,)."""
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
-def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
-    """Return the posterior covariance matrix of the parameters of a fit, shape (p, p).
-
-    Parameters
-    ----------
-    precision : ndarray, shape (p, p)
-        Prior precision matrix of the parameters.
-    """
-    normal = precision.copy()
-    for k, rows in enumerate(fit.derivatives):
-        seen, own = noise_model.whiten(fit.problem, k, rows), fit.problem.taken[k]
-        normal[np.ix_(own, own)] += seen.T @ seen
-    return inverted(normal)
+def rms(values: Array) -> float:
+    """Return the root mean square of an array."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def inverted(normal: Array) -> Array:
@@ -709,3 +616,22 @@ def inverted(normal: Array) -> Array:
     scaled = scale[:, None] * normal * scale
     inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
     return np.asarray(scale[:, None] * inverse * scale)
+
+
+def solved(normal: Array, right: Array) -> Array:
+    """Solve scaled normal equations. Undetermined directions of the solution stay at zero.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (..., n, n)
+        One matrix or a stack of matrices.
+    right : ndarray, shape (..., n, m)
+        Right-hand sides.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
+    scaled = scale[..., :, None] * normal * scale[..., None, :]
+    scaled = scaled + 1e-11 * np.eye(normal.shape[-1])
+    try:
+        return np.asarray(scale[..., :, None] * np.linalg.solve(scaled, scale[..., :, None] * right))
+    except np.linalg.LinAlgError:
+        return np.asarray(scale[..., :, None] * (np.linalg.pinv(scaled) @ (scale[..., :, None] * right)))

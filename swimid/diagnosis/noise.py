@@ -1,0 +1,448 @@
+"""Noise of the trials of a diagnosis: measurement noise with a memory, and random effects of the trials.
+
+The measurement noise of a channel has one of the forms of :mod:`swimid.fitting.noise`, which a fit uses as
+well. It is estimated from the residuals of a fit with own values of all parameters, and of generic smooth
+terms, for each trial, so that neither a gap nor differences between trials count as noise.
+
+A random effect is a quantity that differs by chance between trials, for example the trim, the clock or the
+pulley friction. Its change of a trial is linearised, and its standard deviation is that of the largest
+restricted likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.diagnosis.nominal import MIN_TRIALS, OF_REPEATS, OWN, ParameterChange
+from swimid.diagnosis.settings import repeated
+from swimid.effects.base import Effect
+from swimid.fitting import uncertainty
+from swimid.fitting.model import Array, Trial
+from swimid.fitting.noise import NoiseForm, Rows, compute_posterior
+from swimid.fitting.problem import Problem
+
+if TYPE_CHECKING:
+    from swimid.diagnosis.study import Fit, Study
+
+#: Standard deviations of a random effect that are compared, in typical scales.
+DEVIATIONS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
+#: Maximum standard deviation of a random effect, in typical scales, if the trials have no structure in common
+#: (LARGEST_SD), and if a gap may remain that larger random effects would absorb (BESIDE_GAP).
+LARGEST_SD, BESIDE_GAP = 0.5, 0.2
+#: Minimum increase of the log-likelihood by a random effect.
+MIN_LIKELIHOOD = 4.0
+#: Noise beside a gap: fraction of its variance that has a memory (COLOURED), and correlation of that part
+#: between successive samples (POLE), as for a tracker. It replaces noise of more than SLOW times its level.
+COLOURED, POLE, SLOW = 0.4, 0.8, 2.2
+#: Minimum fraction of the samples of a channel that the own parameters and generic terms of the trials must
+#: leave free. With fewer, all trials share the generic terms.
+MIN_FREE = 0.4
+#: Minimum noise floor, as a fraction of the variance of the measurement noise.
+MIN_FLOOR = 1e-4
+#: Number of iterations that reweight the residuals before any effect is fitted.
+WEIGHTINGS = 2
+
+
+@dataclass(frozen=True)
+class RandomEffect:
+    """Random effect: a quantity that differs by chance between trials.
+
+    Attributes
+    ----------
+    name : str
+        Name of the effect or of the parameter that differs.
+    sd : float
+        Between-trial standard deviation, in typical scales.
+    """
+
+    name: str
+    sd: float
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Linear map from the weighted residuals of each trial to independent residuals of unit variance.
+
+    Attributes
+    ----------
+    sd : list of list of ndarray
+        Weights: standard deviation of each sample, by trial and channel (:attr:`Problem.sd`).
+    forms : mapping of channel to NoiseForm
+        Memory of the noise.
+    variance : mapping of channel to float
+        Variance of the weighted residuals of a channel that is noise. Its default is 1.
+    random_effects : tuple of RandomEffect
+    changes : tuple of ndarray, each shape (n_k, q)
+        Weighted change of each trial by one standard deviation of each random effect; empty without them.
+    """
+
+    sd: list[list[Array]]
+    forms: Mapping[str, NoiseForm] = field(default_factory=dict)
+    variance: Mapping[str, float] = field(default_factory=dict)
+    random_effects: tuple[RandomEffect, ...] = ()
+    changes: tuple[Array, ...] = ()
+    #: Noise floor of each channel in the fitted trials, in units of its weights (:func:`with_floors`).
+    floors: Mapping[str, float] = field(default_factory=dict)
+    #: Channels of each trial, in the order of ``sd``.
+    channels: list[list[str]] = field(default_factory=list, repr=False)
+
+    @property
+    def plain(self) -> NoiseModel:
+        """Noise model without random effects."""
+        return replace(self, random_effects=(), changes=())
+
+    @property
+    def white(self) -> NoiseModel:
+        """Independent noise at the noise floor of each channel."""
+        variance = {channel: floor**2 for channel, floor in self.floors.items()}
+        return replace(self.plain, forms={}, variance=variance)
+
+    @cached_property
+    def _projections(self) -> dict[int, tuple[Array, Array]]:
+        """Orthonormal basis of the whitened random effects of each trial, and factors that whiten them."""
+        return {}
+
+    def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
+        """Return the whitened residuals, or columns of derivatives, of trial ``k``.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (n_k,) or (n_k, m)
+            Weighted residuals or derivatives.
+        """
+        seen = self._filter(problem, k, rows)
+        if self.changes and len(seen):
+            if k not in self._projections:
+                basis, size, _ = np.linalg.svd(self._filter(problem, k, self.changes[k]), full_matrices=False)
+                self._projections[k] = basis, 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+            basis, factor = self._projections[k]
+            seen = seen - (basis * factor) @ (basis.T @ seen)
+        return seen
+
+    @cached_property
+    def _filters(self) -> dict[tuple[str, bytes, bytes], Callable[[Array], tuple[Array, float]]]:
+        """Filter of each series that was whitened, by channel, sample times and mask."""
+        return {}
+
+    def _filter(self, problem: Problem, k: int, rows: Array) -> Array:
+        """Return rows in which the measurement noise is independent and has unit variance."""
+        whole = rows.reshape(len(rows), -1)
+        time_s, first = problem.trials[k].time_s, 0
+        out = np.empty_like(whole)
+        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
+            key = channel, time_s.tobytes(), mask.tobytes()
+            if key not in self._filters:
+                form = self.forms.get(channel, NoiseForm())
+                self._filters[key] = form.filter(time_s[mask], np.flatnonzero(mask))
+            last = first + int(np.count_nonzero(mask))
+            white, _ = self._filters[key](whole[first:last])
+            out[first:last] = white
+            out[first:last] /= math.sqrt(self.variance.get(channel, 1.0))
+            first = last
+        return out.reshape(rows.shape)
+
+    def floor(self, channel: str) -> float:
+        """Return the standard deviation of noise and random effects of a channel, in units of its weights."""
+        return self.floors.get(channel, 1.0)
+
+    def covariance(self, channel: str, time_s: Array, columns: Array) -> Array:
+        """Return the covariance matrix of the weighted noise of a series, multiplied by columns."""
+        form = self.forms.get(channel, NoiseForm())
+        return self.variance.get(channel, 1.0) * form.correlate(time_s, columns)
+
+    def standardise(self, problem: Problem, k: int, rows: Array) -> Array:
+        """Return rows of trial ``k`` in units of the noise floor, not whitened."""
+        parts = [part / self.floor(channel) for channel, _, part in problem.by_channel(k, rows)]
+        return np.concatenate([rows[:0], *parts])
+
+    def of_new_trials(self, problem: Problem) -> None:
+        """Weight the trials of another problem by the median weight of each channel."""
+        weights: dict[str, list[Array]] = {}
+        for channels, sds in zip(self.channels, self.sd, strict=True):
+            for channel, sd in zip(channels, sds, strict=True):
+                weights.setdefault(channel, []).append(sd)
+        typical = {channel: float(np.median(np.concatenate(sds))) for channel, sds in weights.items()}
+        problem.sd = [
+            [np.full(len(m), typical.get(c, np.inf)) for c, m in zip(channels, masks, strict=True)]
+            for channels, masks in zip(problem.channels, problem.masks, strict=True)
+        ]
+
+
+def weigh(study: Study) -> tuple[NoiseModel, Fit]:
+    """Refit the model without effects, and weight the residuals by their own size.
+
+    Returns
+    -------
+    NoiseModel
+        Independent noise with these weights.
+    Fit
+    """
+    problem = study.problem(())
+    uncertainty.weigh_first(problem)
+    previous: dict[str, tuple[float, float]] = {}
+    start = np.clip(problem.start, problem.lower, problem.upper)
+    fit = None
+    for _ in range(1 + WEIGHTINGS):
+        if fit is not None:
+            previous = uncertainty.estimate(problem, fit.theta, previous)
+        known = NoiseModel([list(sds) for sds in problem.sd], channels=problem.channels)
+        starts = study.begins(problem, start) if fit is None else [fit.theta]
+        fit = study.with_noise(known).fit((), starts, tolerance=1e-3, warm=fit)
+    assert fit is not None
+    return known, fit
+
+
+class Differing(NamedTuple):
+    """Possible random effect, with the weighted change of each trial by one typical scale."""
+
+    name: str
+    changes: list[Array]
+
+
+def possible(study: Study, fit: Fit, effects: Sequence[Effect]) -> list[Differing]:
+    """Return the quantities that may differ by chance between trials.
+
+    They are the shared parameters of effects that scatter (:attr:`Effect.scatters`), and per-trial parameters
+    of the model (:data:`OWN`). Their changes are linearised about the fit.
+    """
+    model, trials = study.model, study.trials
+    value = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
+    is_repeated = len({repeated(t) for t in trials}) < len(trials)
+    tried: list[tuple[str, Effect, Array, float]] = []
+    for effect in (e for e in effects if e.scatters):
+        own = effect.parameters(model, trials)
+        for j, p in enumerate(own):
+            if not p.per_trial:
+                point = np.array([one.start for one in own])
+                sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
+                point[j] += 0.5 * sign * p.scale
+                tried.append((effect.name, effect, point, 2.0 * sign))
+    for p in study.parameters:
+        if p.per_trial and not p.free and p.name in OWN and (is_repeated or p.name not in OF_REPEATS):
+            share = OWN[p.name]
+            size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
+            tried.append((p.name, ParameterChange(p), np.array([0.5 * (size or p.scale)]), 2.0))
+    found = []
+    for name, effect, point, factor in tried:
+        changes = study.changes(fit, effect, [point])[0]
+        if all(np.isfinite(c).all() for c in changes) and any(c.any() for c in changes):
+            found.append(Differing(name, [factor * c for c in changes]))
+    return found
+
+
+def learn(
+    study: Study,
+    fit: Fit,
+    generic: Sequence[Sequence[Array]],
+    differing: Sequence[Differing],
+    *,
+    brief: bool = True,
+) -> NoiseModel:
+    """Estimate the measurement noise from the residuals of a fit.
+
+    Each trial has own values of all parameters and generic terms. What they explain does not count as noise.
+
+    Parameters
+    ----------
+    generic : sequence of lists of ndarray
+        Weighted changes of each trial by generic smooth terms, each with its typical size.
+    differing : sequence of Differing
+        Quantities that may differ between trials.
+    brief : bool
+        Whether a memory that is long compared with a trial does not count as noise, because it may be a gap.
+    """
+    problem = fit.problem
+    rows: dict[str, dict[int, Rows]] = {}
+    for k, trial in enumerate(study.trials):
+        changes = [*(c.changes[k] for c in differing), *(g[k] for g in generic)]
+        columns = np.column_stack([fit.derivatives[k] * problem.scale[problem.taken[k]], *changes])
+        parts = zip(problem.by_channel(k, fit.residuals[k]), problem.by_channel(k, columns), strict=True)
+        for (channel, mask, residual), (_, _, own) in parts:
+            rows.setdefault(channel, {})[k] = _rows(trial, mask, own, residual)
+    forms, variance = {}, {}
+    shared: Mapping[str, float] | None = None
+    for channel, of_trials in rows.items():
+        samples = sum(len(r.residual) for r in of_trials.values())
+        free = sum(len(r.residual) - r.basis.shape[1] for r in of_trials.values())
+        if free < MIN_FREE * samples:
+            shared = shared or _shared_level(study, fit, generic)
+            forms[channel], variance[channel] = NoiseForm(), shared[channel]
+            continue
+        known = compute_posterior(of_trials)
+        likeliest = int(np.argmax(known.probability))
+        forms[channel], variance[channel] = known.forms[likeliest], float(known.variance[likeliest])
+        if brief:
+            forms[channel], variance[channel] = _without_slow(of_trials, forms[channel], variance[channel])
+    return NoiseModel(problem.sd, forms, variance, channels=problem.channels)
+
+
+def _without_slow(rows: Mapping[int, Rows], form: NoiseForm, variance: float) -> tuple[NoiseForm, float]:
+    """Return noise of short memory in place of much slower noise, which may be a part of the gap.
+
+    Its level follows from the second differences of the residuals, to which low frequencies contribute
+    little.
+    """
+    bends = [np.diff(part.own_residual, 2)[np.diff(part.place, 2) == 0] for part in rows.values()]
+    steps = [np.diff(part.time_s) for part in rows.values()]
+    bend, step = np.concatenate(bends), np.concatenate(steps)
+    if not len(bend):
+        return form, variance
+    first, second = COLOURED * POLE, COLOURED * POLE**2
+    level = float(np.mean(bend**2)) / (6.0 - 8.0 * first + 2.0 * second)
+    if variance * (1.0 + form.ratio) <= SLOW**2 * level:
+        return form, variance
+    time_s = -float(np.median(step)) / math.log(POLE)
+    return NoiseForm(COLOURED / (1.0 - COLOURED), time_s), (1.0 - COLOURED) * level
+
+
+def _rows(trial: Trial, mask: NDArray[np.bool_], own: Array, residual: Array) -> Rows:
+    """Return the rows of a channel, without combinations of the columns that change it by less than noise."""
+    u, size, vt = np.linalg.svd(own, full_matrices=False)
+    kept = size > 1.0
+    return Rows(trial.time_s[mask], np.flatnonzero(mask), u[:, kept], size[kept, None] * vt[kept], residual)
+
+
+def _shared_level(study: Study, fit: Fit, generic: Sequence[Sequence[Array]]) -> dict[str, float]:
+    """Return the mean squared residual of each channel of a fit of all generic terms, shared by all trials.
+
+    It is corrected for the effective number of fitted parameters.
+    """
+    whole = np.concatenate(
+        [np.column_stack([fit.columns(k, np.arange(len(fit.theta)))]) for k in range(len(study.trials))]
+    )
+    terms = [np.concatenate(list(g)) for g in generic]
+    rows = np.column_stack([whole * fit.problem.scale, *terms])
+    residual = np.concatenate(fit.residuals)
+    ridge = np.concatenate((np.full(whole.shape[1], 1e-12), np.ones(len(terms))))
+    normal = rows.T @ rows
+    inverse = np.linalg.pinv(
+        normal + np.diag(ridge * max(float(np.trace(normal)) * 1e-12, 1.0)), hermitian=True
+    )
+    used = float(np.trace(inverse @ normal))
+    left = residual - rows @ (inverse @ (rows.T @ residual))
+    factor = len(residual) / max(len(residual) - used, 0.2 * len(residual), 1.0)
+    squares: dict[str, list[Array]] = {}
+    first = 0
+    for k in range(len(study.trials)):
+        own = left[first : first + len(fit.residuals[k])]
+        first += len(own)
+        for channel, _, part in fit.problem.by_channel(k, own):
+            squares.setdefault(channel, []).append(part**2)
+    return {c: max(factor * float(np.mean(np.concatenate(parts))), 1e-300) for c, parts in squares.items()}
+
+
+def with_random_effects(
+    study: Study, fit: Fit, noise: NoiseModel, differing: Sequence[Differing], *, largest: float
+) -> NoiseModel:
+    """Return the noise model with the random effects of the largest restricted likelihood.
+
+    They are added one by one, as long as the log-likelihood increases by :data:`MIN_LIKELIHOOD`.
+
+    Parameters
+    ----------
+    differing : sequence of Differing
+        Possible random effects.
+    largest : float
+        Maximum standard deviation of a random effect, in typical scales.
+    """
+    if not differing or not study.folds.whole or len(study.trials) < MIN_TRIALS:
+        return noise
+    noise = noise.plain
+    products = []
+    for k, residual in enumerate(fit.residuals):
+        block = np.column_stack(
+            [*(d.changes[k] for d in differing), fit.columns(k, study.shared(fit)), residual]
+        )
+        seen = study.project_out(fit, k, block, noise=noise)
+        products.append(seen.T @ seen)
+    stacked = np.array(products)
+    sd = np.zeros(len(differing))
+    likelihood = _likelihood(stacked, sd)
+    while True:
+        tried = []
+        for i in np.flatnonzero(sd == 0.0):
+            for size in (size for size in DEVIATIONS if size <= largest):
+                one = sd.copy()
+                one[i] = size
+                tried.append((_likelihood(stacked, one), one))
+        best, found = max(tried, key=lambda t: t[0], default=(-math.inf, sd))
+        if best < likelihood + MIN_LIKELIHOOD:
+            break
+        likelihood, sd = best, found
+    kept = np.flatnonzero(sd).tolist()
+    if not kept:
+        return noise
+    effects = tuple(RandomEffect(differing[i].name, float(sd[i])) for i in kept)
+    changes = tuple(
+        np.column_stack([sd[i] * differing[i].changes[k] for i in kept]) for k in range(len(study.trials))
+    )
+    return replace(noise, random_effects=effects, changes=changes)
+
+
+def with_floors(study: Study, fit: Fit) -> NoiseModel:
+    """Return the noise model of a study with the noise floor of each channel.
+
+    It is the root mean square that noise and random effects leave in the fitted trials, after a fit of the
+    initial state of each trial.
+    """
+    noise, problem = study.noise, fit.problem
+    squares: dict[str, list[tuple[float, int]]] = {}
+    for k, trial in enumerate(study.trials):
+        changes = noise.changes[k] if noise.changes else np.empty((len(fit.residuals[k]), 0))
+        own = np.linalg.qr(determined(fit.columns(k, problem.own(k))))[0]
+        left = changes - own @ (own.T @ changes)
+        parts = zip(problem.by_channel(k, own), problem.by_channel(k, left), strict=True)
+        for (channel, mask, basis), (_, _, chance) in parts:
+            time_s = trial.time_s[mask]
+            total = float(noise.covariance(channel, time_s[:1], np.ones((1, 1)))[0, 0]) * len(time_s)
+            total -= float(np.sum(basis * noise.covariance(channel, time_s, basis)))
+            squares.setdefault(channel, []).append((total + float(np.sum(chance**2)), len(time_s)))
+    floors = {}
+    for channel, each in squares.items():
+        total, count = (sum(part) for part in zip(*each, strict=True))
+        least = MIN_FLOOR * float(noise.covariance(channel, np.zeros(1), np.ones((1, 1)))[0, 0])
+        floors[channel] = math.sqrt(max(total / max(count, 1), least, 1e-300))
+    return replace(noise, floors=floors)
+
+
+def determined(columns: Array) -> Array:
+    """Return an orthonormal basis of columns, without undetermined directions."""
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    u, singular, _ = np.linalg.svd(columns / size, full_matrices=False)
+    return np.asarray(u[:, singular > 1e-7 * singular.max(initial=0.0)])
+
+
+def _likelihood(products: Array, sd: Array) -> float:
+    """Return the restricted log-likelihood of the residuals with random effects of given standard deviations.
+
+    Parameters
+    ----------
+    products : ndarray, shape (trials, q + p + 1, q + p + 1)
+        Inner products of the whitened changes by q random effects, of the derivatives with respect to p
+        shared parameters, and of the residual.
+    sd : ndarray, shape (q,)
+    """
+    used = np.flatnonzero(sd)
+    rest = products[:, len(sd) :, len(sd) :]
+    value = 0.0
+    if len(used):
+        size = sd[used]
+        inner = np.eye(len(used)) + size[:, None] * products[:, used[:, None], used] * size
+        mixed = size[:, None] * products[:, used, len(sd) :]
+        rest = rest - np.swapaxes(mixed, 1, 2) @ np.linalg.solve(inner, mixed)
+        value -= 0.5 * float(np.linalg.slogdet(inner)[1].sum())
+    total = rest.sum(axis=0)
+    normal, right = total[:-1, :-1], total[:-1, -1]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    size, vectors = np.linalg.eigh(scale[:, None] * normal * scale)
+    kept = size > 1e-9
+    along = vectors.T @ (scale * right)
+    value -= 0.5 * float(np.log(size[kept]).sum())
+    return value - 0.5 * (float(total[-1, -1]) - float(np.sum(along[kept] ** 2 / size[kept])))

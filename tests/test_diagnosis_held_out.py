@@ -1,0 +1,419 @@
+"""Squared errors of held-out data, and those that a correct model would have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swimid.diagnosis import held_out, noise
+from swimid.diagnosis.held_out import Prediction
+from swimid.diagnosis.noise import RandomEffect
+from swimid.diagnosis.study import Study
+from swimid.fitting.model import RigInput, Trial
+from swimid.fitting.noise import NoiseForm
+from tests.diagnosis_models import (
+    PLAIN,
+    Apart,
+    Hooked,
+    Seen,
+    noise_of,
+    nothing,
+    plain_study,
+    ring,
+    rise,
+    seen_trials,
+    trial,
+    with_sd,
+)
+from tests.toy_models import Toy, parameter
+
+DECAY = (*PLAIN, parameter("start", 0.0, per_trial=True))
+
+
+def decaying(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+    """Return a decay with an offset of each trial."""
+    return {"y": values[0] * np.exp(-t) + values[1]}
+
+
+def predicted(
+    study: Study, effects: Sequence[Seen] = (), validation: Sequence[Trial] = ()
+) -> list[Prediction]:
+    """Return the held-out predictions of the model with effects."""
+    fit = study.fit(effects, [study.problem(effects).start])
+    known = noise.with_floors(study, fit)
+    (found,) = held_out.predictions(study.with_noise(known), [fit], validation, known)
+    return found
+
+
+def slow(rng: np.random.Generator, n: int, form: NoiseForm, step_s: float) -> np.ndarray:
+    """Return noise of a form with independent samples of unit variance."""
+    kept = np.exp(-step_s / form.time_s) if form.time_s else 0.0
+    value, values = rng.normal(), np.empty(n)
+    for i in range(n):
+        values[i] = value
+        value = kept * value + np.sqrt(1.0 - kept**2) * rng.normal()
+    return rng.normal(size=n) + np.sqrt(form.ratio) * values
+
+
+# ---------------------------------------------------------------- expected errors of a correct model
+
+
+@pytest.mark.parametrize("held", ["validation", "folds"])
+@pytest.mark.parametrize("form", [NoiseForm(), NoiseForm(4.0, 0.3)])
+def test_a_correct_linear_model_has_the_expected_squared_error(
+    held: str, form: NoiseForm, rng: np.random.Generator
+) -> None:
+    """The trials are few and short, so that coefficients and start values take up much of the noise.
+
+    The mean ratio of squared errors to their expectation is 1 within five standard errors.
+    """
+    time, ratios, normal = 0.1 * np.arange(12.0), [], []
+    for _ in range(60):
+        trials = [
+            trial(k, time, 2.0 * np.exp(-time) + rng.normal() + 0.1 * slow(rng, 12, form, 0.1))
+            for k in range(6)
+        ]
+        last = replace(trials[-1], role="validate")
+        trials = trials if held == "folds" else trials[:-1]
+        study = Study(Toy(decaying, DECAY), DECAY, trials, {})
+        study = study.with_noise(replace(noise_of(study.shape, 0.1), forms={"y": form}))
+        found = predicted(study, (), [last] if held == "validation" else ())
+        found = [p for p in found if (p.trial.role == "validate") == (held == "validation")]
+        assert found
+        for p in found:
+            ratios.append(p.squared / p.expected)
+            normal.append((p.squared - p.expected) / np.sqrt(p.variance))
+    error = np.std(ratios) / np.sqrt(60)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=max(5.0 * error, 0.05))
+    # the errors of the parts scatter as stated, or less
+    assert np.std(normal) < 1.15
+    assert np.mean([abs(v) > 4.0 for v in normal]) < 0.02
+
+
+@pytest.mark.parametrize("held", ["validation", "folds"])
+@pytest.mark.parametrize("form", [NoiseForm(), NoiseForm(4.0, 0.3)])
+def test_the_deviance_of_a_held_out_trial_is_that_of_its_gaussian_prediction(
+    held: str, form: NoiseForm, rng: np.random.Generator
+) -> None:
+    """The offset of the trial is unknown, and the coefficient is known from the other trials."""
+    time = np.linspace(0.0, 2.0, 40)
+    trials = [
+        trial(k, time, 2.0 * np.exp(-time) + rng.normal() + 0.1 * slow(rng, 40, form, time[1]))
+        for k in range(5)
+    ]
+    last, fitted = replace(trials[-1], role="validate"), trials if held == "folds" else trials[:-1]
+    study = Study(Toy(decaying, DECAY), DECAY, fitted, {})
+    study = study.with_noise(replace(noise_of(study.shape, 0.1), forms={"y": form}))
+    found = predicted(study, (), [last] if held == "validation" else ())[-1]
+    assert found.part == "t4"
+    lag = np.abs(np.subtract.outer(time, time))
+    covariance = 0.01 * (np.eye(40) + form.ratio * np.exp(-lag / max(form.time_s, 1e-9)) * (form.ratio > 0.0))
+    # an orthonormal basis of what an offset does not change
+    free = np.linalg.qr(np.column_stack((np.ones(40), rng.normal(size=(40, 39)))))[0][:, 1:].T
+    known, column = free @ covariance @ free.T, free @ np.exp(-time)
+    ys = [free @ one.measured["y"] for one in trials]
+    information = column @ np.linalg.solve(known, column)
+    a = sum(column @ np.linalg.solve(known, y) for y in ys[:-1]) / (4.0 * information)
+    whole, error = known + np.outer(column, column) / (4.0 * information), ys[-1] - a * column
+    sizes = [np.linalg.slogdet(one)[1] for one in (whole, known)]
+    expected = error @ np.linalg.solve(whole, error) + sizes[0] - sizes[1]
+    assert found.deviance == pytest.approx(expected, abs=0.05)
+
+
+def test_held_out_data_have_another_noise_than_the_fits(rng: np.random.Generator) -> None:
+    """The fits know no random effects, and the held-out parts are expected to have them."""
+    time, ratios = np.linspace(0.0, 3.0, 50), []
+    for _ in range(100):
+        trials = [
+            trial(k, time, np.exp(-time) + 0.2 * rng.normal() * ring(time) + 0.1 * rng.normal(size=50))
+            for k in range(7)
+        ]
+        study = plain_study(trials[:-1], 0.1)
+        fit = study.fit((), [study.problem(()).start])
+        known = replace(
+            study.noise,
+            random_effects=(RandomEffect("ring", 0.2),),
+            changes=tuple(2.0 * ring(time)[:, None] for _ in study.trials),
+        )
+        last = replace(trials[-1], role="validate", id="last")
+        (alone,) = held_out.predictions(study, [fit], [last], study.noise)
+        (found,) = held_out.predictions(study, [fit], [last], known)
+        for with_effects, without in zip(found, alone, strict=True):
+            assert with_effects.squared == pytest.approx(without.squared)
+            assert with_effects.expected > 2.0 * without.expected
+        ratios.append(found[-1].squared / found[-1].expected)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=5.0 * np.std(ratios) / np.sqrt(100))
+
+
+@pytest.mark.parametrize("count", [4, 12])
+def test_few_correct_models_exceed_the_limit(count: int, rng: np.random.Generator) -> None:
+    """One part of all of them exceeds its limit in at most one of forty experiments."""
+    time, above = np.linspace(0.0, 3.0, 60), 0
+    for _ in range(80):
+        trials = [trial(k, time, np.exp(-time) + 0.1 * rng.normal(size=60)) for k in range(count)]
+        found = predicted(plain_study(trials, 0.1))
+        above += any(p.squared > p.limit(count) for p in found)
+    # binomial: five standard deviations above two of 80
+    assert above <= 2 + 5 * np.sqrt(2)
+
+
+def test_random_effects_are_expected_in_held_out_trials(rng: np.random.Generator) -> None:
+    """The ring has a random size in each trial, of which the noise model knows the standard deviation."""
+    time, ratios = np.linspace(0.0, 3.0, 50), {"validate": [], "fit": []}
+    for _ in range(100):
+        trials = [
+            trial(k, time, np.exp(-time) + 0.2 * rng.normal() * ring(time) + 0.1 * rng.normal(size=50))
+            for k in range(7)
+        ]
+        last = replace(trials[-1], role="validate", id="last")
+        study = plain_study(trials[:-1], 0.1)
+        known = replace(
+            noise_of(study.shape, 0.1),
+            random_effects=(RandomEffect("ring", 0.2),),
+            changes=tuple(2.0 * ring(time)[:, None] for _ in study.trials),
+        )
+        for p in predicted(study.with_noise(known), (), [last]):
+            ratios[p.trial.role].append(p.squared / p.expected)
+    for found in ratios.values():
+        error = np.std(found) / np.sqrt(100)
+        assert np.mean(found) == pytest.approx(1.0, abs=5.0 * error)
+
+
+@pytest.mark.parametrize("held", ["validation", "folds"])
+def test_errors_within_the_uncertainty_of_coefficients_refute_no_model(
+    held: str, rng: np.random.Generator
+) -> None:
+    """A slope known from one second predicts minutes badly, but no slope explains a step there."""
+    near, far = np.linspace(0.0, 1.0, 50), np.linspace(100.0, 200.0, 50)
+
+    def measured(time: np.ndarray, step: float = 0.0) -> dict[str, np.ndarray]:
+        return {"y": 2.0 * time + step * (time > time.mean()) + rng.normal(size=len(time))}
+
+    def last(step: float) -> Prediction:
+        known = [Trial(f"t{k}", "fit", near, measured(near), rig=RigInput(force=float(k))) for k in range(4)]
+        far_trial = Trial("far", "validate", far, measured(far, step))
+        if held == "folds":
+            known.append(replace(far_trial, role="fit"))
+        slope = (parameter("slope", 0.0),)
+        study = with_sd(Study(Toy(lambda v, t: {"y": v[0] * t}, slope, ("y",)), slope, known, {}), 1.0)
+        found = predicted(study, (), [far_trial] if held == "validation" else ())
+        return next(p for p in found if p.part == "far")
+
+    assert last(0.0).squared <= last(0.0).limit(5)
+    # far from the slope's expected error of a hundred times the noise
+    assert last(2000.0).squared > last(2000.0).limit(5)
+
+
+def test_per_trial_values_say_nothing_about_a_held_out_trial() -> None:
+    """Each trial has a curve of its own size. A held-out trial of another size is not mispredicted."""
+    time = np.linspace(0.0, 6.0, 200)
+
+    def last(more: float) -> Prediction:
+        rng = np.random.default_rng(5)
+        first, second, held = (
+            trial(k, time, np.exp(-time) + k * ring(time) + 0.1 * rng.normal(size=200)) for k in (1, -2, 3)
+        )
+        held.measured["y"] += more * np.cos(7.0 * time)
+        found = predicted(plain_study([first, second], 0.1), (Apart("ring", ring),), [held])
+        return next(p for p in found if p.part == "t3")
+
+    assert last(0.0).squared == pytest.approx(200.0, abs=5.0 * np.sqrt(400.0))
+    assert last(0.0).squared < last(0.0).limit(3)
+    assert last(1.0).squared > 200.0 + 0.5 * 200.0 * 0.5 / 0.1**2
+    assert last(1.0).squared > last(1.0).limit(3)
+
+
+@pytest.mark.parametrize(("more", "off"), [(0.0, False), (0.3, True)])
+def test_a_validation_trial_beyond_the_noise_is_above_its_limit(
+    more: float, off: bool, rng: np.random.Generator
+) -> None:
+    time = np.linspace(0.0, 6.0, 200)
+
+    def made(name: str, added: float) -> Trial:
+        y = 2.0 * np.exp(-time) + added * ring(time) + 0.1 * rng.normal(size=200)
+        return Trial(name, "fit", time, {"y": y})
+
+    study = plain_study([made(f"t{k}", 0.0) for k in range(4)], 0.1)
+    held = [made("as-ever", 0.0), made("other", more)]
+    found = predicted(study, (), held)[-2:]
+    assert [p.squared > p.limit(6) for p in found] == [False, off]
+    # squares of a sine of amplitude 0.3 and of the noise, divided by the noise
+    expected = 1.0 + 0.5 * (more / 0.1) ** 2
+    assert found[1].squared / found[1].expected == pytest.approx(expected, rel=0.3)
+
+
+def test_the_parts_of_few_trials_are_named(rng: np.random.Generator) -> None:
+    time = np.linspace(0.0, 3.0, 80)
+    trials = [trial(k, time, np.exp(-time) + 0.1 * rng.normal(size=80)) for k in range(2)]
+    found = predicted(plain_study(trials, 0.1))
+    assert [p.part for p in found] == [f"t{k}, part {n}" for k in range(2) for n in range(1, 5)]
+    assert sum(p.samples for p in found) == 160
+
+
+def test_validation_trials_are_held_out_beside_the_folds(rng: np.random.Generator) -> None:
+    time = np.linspace(0.0, 3.0, 80)
+    trials = [trial(k, time, np.exp(-time) + 0.1 * rng.normal(size=80)) for k in range(5)]
+    found = predicted(plain_study(trials[:4], 0.1), (), trials[4:])
+    assert [p.part for p in found] == [f"t{k}" for k in range(5)]
+
+
+def test_the_model_as_given_keeps_its_shared_parameters(rng: np.random.Generator) -> None:
+    """Only the start values are fitted. The true coefficient is 2, and the given one is 0.5."""
+    time = np.linspace(0.0, 3.0, 80)
+    trials = [trial(k, time, 2.0 * np.exp(-time) + k + 0.1 * rng.normal(size=80)) for k in range(5)]
+    study = with_sd(Study(Toy(decaying, DECAY), DECAY, trials, {}), 0.1)
+    given = held_out.as_given(study)
+    assert given.value("a") == 0.5
+    refitted = study.fit((), [study.problem(()).start])
+    before, after = held_out.predictions(study, [given, refitted], [], study.noise)
+    for k, (b, a) in enumerate(zip(before, after, strict=True)):
+        left = trials[k].measured["y"] - 0.5 * np.exp(-time)
+        assert b.squared == pytest.approx(np.sum((left - left.mean()) ** 2) / 0.1**2, rel=0.01)
+        assert b.squared > 10.0 * a.squared
+
+
+# ---------------------------------------------------------------- tables of the answer
+
+
+def made(
+    squared: float,
+    *,
+    part: str = "t0",
+    expected: float = 200.0,
+    channel: str = "x_m",
+    size: float = 0.01,
+    deviance: float = 0.0,
+) -> Prediction:
+    """Return a prediction of 200 samples with a given squared error of one channel."""
+    time = np.arange(200) / 20
+    error = size * np.sqrt(squared / 200) * np.where(np.arange(200) % 2, 1.0, -1.0)
+    whole = Trial(part.split(",")[0], "fit", time, {channel: np.sin(time)})
+    residuals, squares = {channel: error}, {channel: squared}
+    return Prediction(whole, part, residuals, squares, expected, 2.0 * expected, 200, deviance)
+
+
+def test_the_table_has_a_row_for_each_part() -> None:
+    given, before, after = (
+        [made(squared, deviance=deviance), made(190.0, part="t1")]
+        for squared, deviance in ((950.0, 700.0), (900.0, 600.0), (210.0, 150.0))
+    )
+    found = held_out.table(given, before, after)
+    assert list(found) == ["t0", "t1"]
+    row = found["t0"]
+    assert (row.samples, row.as_given, row.before, row.after) == (200, 950.0, 900.0, 210.0)
+    assert (row.gain_as_given, row.gain) == (550.0, 450.0)
+    assert (found["t1"].gain_as_given, found["t1"].gain) == (0.0, 0.0)
+    assert row.expected == 200.0
+    # quantile of chi-squared of 200 degrees for one of 80, and a hundredth of the noise
+    assert row.limit == pytest.approx(247.0 + 2.0, abs=1.0)
+
+
+def test_a_wider_uncertainty_has_a_larger_limit() -> None:
+    known = made(200.0)
+    wide = replace(known, variance=4.0 * known.variance)
+    assert known.limit(1) < known.limit(10) < wide.limit(10)
+
+
+def test_the_steps_are_means_over_the_samples() -> None:
+    parts = {
+        "as given": [made(900.0), made(1100.0, part="t1")],
+        "refitted": [made(300.0, expected=210.0), made(100.0, part="t1", expected=190.0)],
+    }
+    first, second, last = held_out.waterfall(parts, {"x_m": 0.01})
+    assert (first.label, first.squared, first.expected) == ("as given", 5.0, 1.0)
+    assert first.rmse["x_m"] == pytest.approx(0.01 * np.sqrt(5.0))
+    assert (second.label, second.squared, second.expected) == ("refitted", 1.0, 1.0)
+    assert (last.label, last.squared, last.rmse) == ("noise alone", 1.0, {"x_m": 0.01})
+
+
+def test_errors_of_a_channel_are_shares_of_its_fitted_range() -> None:
+    given, before, after = [made(5200.0)], [made(5200.0)], [made(400.0)]
+    (found,) = held_out.shrinkages(given, before, after, {"x_m": 0.01}, {"x_m": 4.0})
+    assert found.floor == pytest.approx(0.01 / 4.0)
+    assert found.before == pytest.approx(0.01 * np.sqrt(26.0) / 4.0)
+    assert found.after == pytest.approx(0.01 * np.sqrt(2.0) / 4.0)
+    assert found.closed == pytest.approx(24.0 / 25.0)
+
+
+def test_a_channel_of_held_out_trials_only_has_no_closed_share() -> None:
+    """The noise of such a channel is unknown."""
+    (found,) = held_out.shrinkages([made(5200.0)], [made(5200.0)], [made(400.0)], {}, {})
+    assert (found.floor, found.closed) == (None, None)
+
+
+def test_samples_without_noise_have_no_prediction(rng: np.random.Generator) -> None:
+    """A validation trial has a channel that the fitted trials do not have."""
+    time = np.linspace(0.0, 3.0, 50)
+
+    def both(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        return {"y": values[0] * np.exp(-t), "v": values[0] * t}
+
+    trials = [trial(k, time, np.exp(-time) + 0.1 * rng.normal(size=50)) for k in range(4)]
+    last = Trial("last", "validate", time, {"y": trials[0].measured["y"], "v": 5.0 * time})
+    study = with_sd(Study(Toy(both, PLAIN, ("y", "v")), PLAIN, trials, {}), 0.1)
+    found = predicted(study, (), [last])[-1]
+    assert found.samples == 50
+    assert list(found.squares) == ["y"]
+
+
+def test_the_worst_held_out_trial_has_the_largest_ratio() -> None:
+    """Its parts are joined in the order of time."""
+    first, second = np.arange(200) < 100, np.arange(200) >= 100
+    before, after = [], []
+    for name, squared in (("t0", 900.0), ("t1", 1800.0)):
+        for chosen, part in ((first, "part 1"), (second, "part 2")):
+            for value, found in ((4.0 * squared, before), (squared, after)):
+                one = made(value, part=f"{name}, {part}", expected=1000.0 if name == "t1" else 200.0)
+                found.append(replace(one, residuals={"x_m": np.where(chosen, one.residuals["x_m"], np.nan)}))
+    (found,) = held_out.worst(before, after)
+    assert found.trial.id == "t0"
+    error = found.measured - found.after
+    np.testing.assert_allclose(np.abs(error), 0.01 * np.sqrt(900.0 / 200.0))
+    np.testing.assert_allclose(np.abs(found.measured - found.before), 2.0 * np.abs(error))
+    assert held_out.worst([], []) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sound"), [(5.0, 500.0, True), (5.0, 1e13, False), (1e13, 2e13, True)]
+)
+def test_a_cause_with_which_a_held_out_trial_diverges_is_reported(
+    before: float, after: float, sound: bool
+) -> None:
+    """Another trial is predicted well with the cause."""
+    found = held_out.sound([made(5.0), made(before, part="t1")], [made(2.0), made(after, part="t1")])
+    assert found is sound
+
+
+def test_a_diverged_simulation_has_a_finite_error(rng: np.random.Generator) -> None:
+    class Diverging(Seen):
+        """Effect with which the simulation of one trial diverges."""
+
+        def hooks(self, values, trial, model):  # type: ignore[no-untyped-def]
+            """Return the hook that adds infinite values to the held-out trial."""
+            if trial.id != "last":
+                return super().hooks(values, trial, model)
+            return Seen("", lambda t: np.full(len(t), np.inf)).hooks(values, trial, model)
+
+    trials = seen_trials(rng, 0.3, 0.0)
+    last = replace(trials[-1], id="last", role="validate")
+    study = plain_study(trials[:-1], 0.02)
+    effect = Diverging("rise", rise)
+    fits = [study.fit(e, [study.problem(e).start]) for e in ((), (effect,))]
+    with np.errstate(invalid="ignore"):
+        before, after = held_out.predictions(study, fits, [last], study.noise)
+    assert np.isfinite(after[-1].squared)
+    assert not held_out.sound(before, after)
+
+
+def test_the_noise_floor_of_a_channel_is_in_its_unit(rng: np.random.Generator) -> None:
+    time = np.linspace(0.0, 3.0, 50)
+    trials = [trial(k, time, 0.3 * rng.normal(size=50)) for k in range(4)]
+    study = with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), 0.3)
+    fit = study.at((), np.empty(0))
+    study = study.with_noise(replace(study.noise, variance={"y": 4.0}))
+    study = study.with_noise(noise.with_floors(study, fit))
+    assert held_out.floors(study, fit) == {"y": pytest.approx(0.6)}
+    assert study.noise.floor("y") == pytest.approx(2.0)
