@@ -164,7 +164,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
 def _of_causes(file: GapFile) -> Iterable[ev.Check]:
     first, *_ = file.causes
     for c in file.causes:
-        if c.gain is not None:
+        if c.gain is not None and len(file.causes) > 1:
             gain, passed = numbers.measured(c.gain, c.gain_stderr), c.gain > 2.0 * (c.gain_stderr or 0.0)
             reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
             yield ev.check(f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason)
