@@ -317,6 +317,22 @@ def test_a_wider_uncertainty_has_a_larger_limit() -> None:
     assert known.limit(1) < known.limit(10) < wide.limit(10)
 
 
+def test_a_random_effect_of_few_trials_has_a_larger_limit(rng: np.random.Generator) -> None:
+    """A new trial exceeds the limit as seldom as stated, if its variance is estimated from six trials.
+
+    Of 20,000 trials one in forty does so, give or take four standard errors.
+    """
+    seen, new = rng.normal(size=(20_000, 6)), rng.normal(size=20_000)
+    variances = 1e6 * np.var(seen, axis=1, ddof=1)
+    above = 0
+    for variance, squared in zip(variances, 1e6 * new**2, strict=True):
+        one = replace(
+            made(squared), expected=variance, variance=2.0 * variance**2, by_chance=variance, trials=6
+        )
+        above += squared > one.limit(1)
+    assert above / 20_000 == pytest.approx(0.025, abs=0.0045)
+
+
 def test_the_steps_are_means_over_the_samples() -> None:
     parts = {
         "as given": [made(900.0), made(1100.0, part="t1")],

@@ -50,6 +50,10 @@ class Prediction:
         Number of held-out samples of channels whose noise is known.
     deviance : float
         Minus twice the log predictive density of the samples, up to a constant.
+    by_chance : float
+        Part of the mean that comes from random effects.
+    trials : int
+        Number of trials from which the random effects were estimated.
     """
 
     trial: Trial
@@ -60,6 +64,8 @@ class Prediction:
     variance: float
     samples: int
     deviance: float
+    by_chance: float = 0.0
+    trials: int = 0
 
     @property
     def squared(self) -> float:
@@ -69,11 +75,13 @@ class Prediction:
     def limit(self, count: int) -> float:
         """Largest squared error that noise explains, if ``count`` parts are held out.
 
-        The squared error is approximated by a scaled chi-squared variable (Satterthwaite). A model error of a
-        tenth of the noise is allowed.
+        The squared error is approximated by a scaled chi-squared variable (Satterthwaite), and so is its
+        expectation, because the variance of a random effect is known from a few trials only. Their ratio has
+        an F distribution. A model error of a tenth of the noise is allowed.
         """
         degrees = 2.0 * self.expected**2 / max(self.variance, 1e-300)
-        largest = self.expected / degrees * float(special.chdtri(degrees, CHANCE / max(count, 1)))
+        known = max(self.trials - 1, 1) * (self.expected / max(self.by_chance, 1e-9 * self.expected)) ** 2
+        largest = self.expected * float(special.fdtri(degrees, known, 1.0 - CHANCE / max(count, 1)))
         return largest + TENTH**2 * self.samples
 
 
@@ -118,8 +126,9 @@ class Rows:
         left = np.clip(free(standard(self.residual)), -math.sqrt(WORST), math.sqrt(WORST))
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        moved = free(np.column_stack((standard(self.shared @ root), standard(self.chance))))
-        gram = moved.T @ moved
+        random = free(standard(self.chance))
+        moved = np.column_stack((free(standard(self.shared @ root)), random))
+        gram, by_chance = moved.T @ moved, float(np.sum(random**2))
         expected, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
         residuals, squares, samples = {}, {}, 0
         whole, place = np.full((len(chosen), basis.shape[1] + 1), np.nan), np.flatnonzero(chosen)
@@ -140,7 +149,9 @@ class Rows:
             expected += max(single * count - absorbed, MIN_FREE * count)
             variance += 2.0 * _squared_covariance(noise, channel, time_s) / floor**4
         deviance = self._deviance(noise, problem, k, chosen)
-        return Prediction(trial, part, residuals, squares, expected, variance, samples, deviance)
+        return Prediction(
+            trial, part, residuals, squares, expected, variance, samples, deviance, by_chance, len(noise.sd)
+        )
 
     def _deviance(self, noise: NoiseModel, problem: Problem, k: int, chosen: NDArray[np.bool_]) -> float:
         """Return minus twice the log predictive density of the samples that a mask chooses."""
@@ -262,7 +273,8 @@ def _of_validation(study: Study, fit: Fit, trial: Trial, noise: NoiseModel) -> P
     # The random effects change a new trial as much as a fitted one.
     each = [float(np.sum(noise.standardise(fit.problem, k, c) ** 2)) for k, c in enumerate(noise.changes)]
     extra = sum(each) / max(sum(fit.problem.counts), 1) * found.samples
-    return replace(found, expected=found.expected + extra, variance=found.variance + 2.0 * extra**2)
+    expected, variance = found.expected + extra, found.variance + 2.0 * extra**2
+    return replace(found, expected=expected, variance=variance, by_chance=extra)
 
 
 # ---------------------------------------------------------------- tables of the answer

@@ -184,13 +184,17 @@ def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
     whose = "as given" if imitated else "after a refit"
     reason = f"{said} {whose} remains on held-out data with {names}"
     yield Row("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, "partial", True, reason)
-    worse = [
-        n for n, t in facts.held_out.items() if t.after > max(t.limit, t.as_given if imitated else t.before)
-    ]
+    worse = [n for n, t in facts.held_out.items() if _is_worse(t, imitated)]
     reason = f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {listed(worse)} larger"
     yield Row(
         "held-out trials", listed(worse) or "none worse", "none worse", not worse, "ambiguous", True, reason
     )
+
+
+def _is_worse(t: HeldOutTrial, imitated: bool) -> bool:
+    """Return whether the causes make both the squared error and the deviance of a held-out part larger."""
+    before, gain = (t.as_given, t.gain_as_given) if imitated else (t.before, t.gain)
+    return gain < 0.0 and t.after > max(t.limit, before)
 
 
 def is_imitated(facts: Facts) -> bool:
