@@ -211,6 +211,59 @@ def test_a_memory_that_is_long_compared_with_a_trial_may_be_a_gap(
     assert memory_s < 0.2 if brief else memory_s > 3.0
 
 
+def repeats(number: int, time: np.ndarray, values: list[np.ndarray]) -> list[Trial]:
+    """Return repeats of one setting."""
+    each = [trial(number, time, y) for y in values]
+    return [replace(one, id=f"{one.id}{letter}") for one, letter in zip(each, "abc", strict=False)]
+
+
+@pytest.mark.parametrize("shift_s", [0.0, 0.4 * STEP_S])
+def test_what_repeats_have_in_common_is_no_noise(shift_s: float, rng: np.random.Generator) -> None:
+    """Each setting has a slow pattern of its own. The clocks of repeats may be apart by less than a step."""
+    time = STEP_S * np.arange(600)
+    trials = []
+    for number in range(4):
+        pattern = slow(rng, time, 1.0, 3.0)
+        series = [pattern + 0.1 * rng.normal(size=600) for _ in range(3)]
+        one = repeats(number, time, series)
+        trials += [replace(t, time_s=time + k * shift_s / 2) for k, t in enumerate(one)]
+    known, _ = estimated(trials, brief=False)
+    assert known.forms["y"].ratio == 0.0
+    assert level(known) == pytest.approx(0.1, rel=5.0 / np.sqrt(2 * 8 * 600))
+
+
+def test_slow_noise_that_differs_between_repeats_is_noise(rng: np.random.Generator) -> None:
+    """Its memory is a third of a trial, which may be a gap if no setting is repeated."""
+    time = STEP_S * np.arange(1000)
+    trials = []
+    for number in range(4):
+        series = [0.1 * rng.normal(size=1000) + slow(rng, time, 1.0, 7.0) for _ in range(2)]
+        trials += repeats(number, time, series)
+    known, _ = estimated(trials)
+    assert known.forms["y"].time_s > 2.0
+
+
+def test_repeated_rows_of_a_table_tell_their_noise(rng: np.random.Generator) -> None:
+    """A model of zero misses a level of each setting that is ten times the noise."""
+    levels = []
+    for _ in range(20):
+        trials = []
+        for number in range(30):
+            values = [np.array([10.0 * np.sin(number) + rng.normal()]) for _ in range(2)]
+            trials += repeats(number, np.zeros(1), values)
+        known, _ = estimated(trials)
+        levels.append(level(known) ** 2)
+    assert np.mean(levels) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (20 * 30)))
+
+
+def test_few_repeats_do_not_tell_the_noise(rng: np.random.Generator) -> None:
+    """Three trials of eight are repeats. Their slow pattern counts as noise, as that of all others does."""
+    time = STEP_S * np.arange(1000)
+    trials = [trial(k, time, 0.1 * rng.normal(size=1000) + slow(rng, time, 1.0, 7.0)) for k in range(7)]
+    known, _ = estimated([*trials, replace(trials[0], id="again")], brief=False)
+    assert known.forms["y"].time_s > 2.0
+
+
 def test_own_parameters_of_each_trial_take_no_noise(rng: np.random.Generator) -> None:
     """Each trial has 24 samples and eight generic terms. They leave two thirds of the squares."""
     time = np.arange(24.0)
@@ -277,6 +330,16 @@ def test_a_random_effect_is_found_with_its_standard_deviation(sd: float, rng: np
 def test_clean_trials_have_no_random_effect(seed: int) -> None:
     rng = np.random.default_rng(seed)
     assert scattering(tilted(rng, np.zeros(8)), [Tilt()]).random_effects == ()
+
+
+def test_what_repeats_have_in_common_is_no_random_effect(rng: np.random.Generator) -> None:
+    """The slope differs between settings, and much less between the repeats of one."""
+    common, own = rng.normal(size=4), 0.05 * rng.normal(size=(4, 3))
+    study = tilted(rng, (common[:, None] + own).ravel(), sd=0.02)
+    trials = [replace(t, rig=study.trials[k // 3 * 3].rig) for k, t in enumerate(study.trials)]
+    study = with_sd(study.replaced(study.model, trials), 0.02)
+    (found,) = scattering(study, [Tilt()]).random_effects
+    assert found.sd in (0.02, 0.05, 0.1)
 
 
 def test_of_two_similar_random_effects_one_is_found(rng: np.random.Generator) -> None:

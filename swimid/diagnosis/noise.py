@@ -44,6 +44,9 @@ COLOURED, POLE, SLOW = 0.4, 0.8, 2.2
 #: Minimum fraction of the samples of a channel that the own parameters and generic terms of the trials must
 #: leave free. With fewer, all trials share the generic terms.
 MIN_FREE = 0.4
+#: Minimum number of samples of the contrasts between repeats, as a fraction of all samples, with which the
+#: noise is estimated from them alone. Pairs of repeats have one half.
+MIN_PURE = 0.4
 #: Minimum noise floor, as a fraction of the variance of the measurement noise.
 MIN_FLOOR = 1e-4
 #: Number of iterations that reweight the residuals before any effect is fitted.
@@ -248,6 +251,8 @@ def learn(
     """Estimate the measurement noise from the residuals of a fit.
 
     Each trial has own values of all parameters and generic terms. What they explain does not count as noise.
+    If most settings were repeated, the noise is estimated from the differences between repeats, in which
+    everything that depends on the setting cancels (pure error).
 
     Parameters
     ----------
@@ -259,16 +264,19 @@ def learn(
         Whether a memory that is long compared with a trial does not count as noise, because it may be a gap.
     """
     problem = fit.problem
-    rows: dict[str, dict[int, Rows]] = {}
+    series: dict[str, dict[int, _Series]] = {}
     for k, trial in enumerate(study.trials):
         changes = [*(c.changes[k] for c in differing), *(g[k] for g in generic)]
         columns = np.column_stack([fit.derivatives[k] * problem.scale[problem.taken[k]], *changes])
         parts = zip(problem.by_channel(k, fit.residuals[k]), problem.by_channel(k, columns), strict=True)
-        for (channel, mask, residual), (_, _, own) in parts:
-            rows.setdefault(channel, {})[k] = _rows(trial, mask, own, residual)
+        for ((channel, mask, residual), (_, _, own)), sd in zip(parts, problem.sd[k], strict=True):
+            one = _Series(trial.time_s[mask], np.flatnonzero(mask), own, residual, sd[mask])
+            series.setdefault(channel, {})[k] = one
     forms, variance = {}, {}
     shared: Mapping[str, float] | None = None
-    for channel, of_trials in rows.items():
+    for channel, of_channel in series.items():
+        pure = _contrasts(study.trials, of_channel)
+        of_trials = pure or {k: one.rows() for k, one in of_channel.items()}
         samples = sum(len(r.residual) for r in of_trials.values())
         free = sum(len(r.residual) - r.basis.shape[1] for r in of_trials.values())
         if free < MIN_FREE * samples:
@@ -278,7 +286,7 @@ def learn(
         known = compute_posterior(of_trials)
         likeliest = int(np.argmax(known.probability))
         forms[channel], variance[channel] = known.forms[likeliest], float(known.variance[likeliest])
-        if brief:
+        if brief and not pure:
             forms[channel], variance[channel] = _without_slow(of_trials, forms[channel], variance[channel])
     return NoiseModel(problem.sd, forms, variance, channels=problem.channels)
 
@@ -302,11 +310,94 @@ def _without_slow(rows: Mapping[int, Rows], form: NoiseForm, variance: float) ->
     return NoiseForm(COLOURED / (1.0 - COLOURED), time_s), (1.0 - COLOURED) * level
 
 
-def _rows(trial: Trial, mask: NDArray[np.bool_], own: Array, residual: Array) -> Rows:
-    """Return the rows of a channel, without combinations of the columns that change it by less than noise."""
-    u, size, vt = np.linalg.svd(own, full_matrices=False)
-    kept = size > 1.0
-    return Rows(trial.time_s[mask], np.flatnonzero(mask), u[:, kept], size[kept, None] * vt[kept], residual)
+class _Series(NamedTuple):
+    """Weighted residual of one channel of one trial, columns of its own terms, and weights."""
+
+    time_s: Array
+    place: NDArray[np.intp]
+    own: Array
+    residual: Array
+    sd: Array
+
+    def rows(self) -> Rows:
+        """Return the rows, without combinations of the columns that change them by less than noise."""
+        u, size, vt = np.linalg.svd(self.own, full_matrices=False)
+        kept = size > 1.0
+        return Rows(self.time_s, self.place, u[:, kept], size[kept, None] * vt[kept], self.residual)
+
+    def at(self, index: NDArray[np.intp]) -> _Series:
+        """Return the samples with the given indices."""
+        time_s, place, own, residual, sd = self
+        return _Series(time_s[index], place[index], own[index], residual[index], sd[index])
+
+
+def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[int, Rows]:
+    """Return orthogonal contrasts of the repeats of each setting, as rows of independent series of noise.
+
+    A sample is compared with the sample of the other repeat that is nearest in time. The contrasts are those
+    of Helmert: a repeat against the mean of those before it. They are empty if they have less than
+    :data:`MIN_PURE` of the samples.
+    """
+    groups: dict[str, list[_Series]] = {}
+    for k, one in series.items():
+        groups.setdefault(repeated(trials[k]), []).append(one)
+    found: dict[int, Rows] = {}
+    for group in groups.values():
+        paired = _paired(group)
+        for j in range(1, len(paired)):
+            weights = [1.0 / j] * j + [-1.0]
+            sd = np.sqrt(sum((w * one.sd) ** 2 for w, one in zip(weights, paired, strict=False)))
+            shares = [w * one.sd / sd for w, one in zip(weights, paired, strict=False)]
+            own = [share[:, None] * one.own for share, one in zip(shares, paired, strict=False)]
+            residual = np.sum([s * one.residual for s, one in zip(shares, paired, strict=False)], axis=0)
+            first = paired[0]
+            found[len(found)] = _Series(first.time_s, first.place, np.hstack(own), residual, sd).rows()
+    count = sum(len(one.residual) for one in series.values())
+    return found if sum(len(rows.residual) for rows in found.values()) >= MIN_PURE * count else {}
+
+
+def _differences(trials: Sequence[Trial], series: Sequence[Array], random: int) -> list[Array]:
+    """Return Helmert contrasts of the whitened rows of repeats, or none with too few of them.
+
+    Parameters
+    ----------
+    series : sequence of ndarray, shape (n_k, c)
+        Rows of each trial. The first ``random`` columns are changes by random effects, which are alike in
+        repeats and independent in each.
+    """
+    groups: dict[str, list[int]] = {}
+    for k, trial in enumerate(trials):
+        groups.setdefault(f"{repeated(trial)} {trial.time_s[:2]}", []).append(k)
+    found = []
+    for group in groups.values():
+        count = min(len(series[k]) for k in group)
+        rows = np.array([series[k][:count] for k in group])
+        for j in range(1, len(group)):
+            contrast = (rows[:j].mean(axis=0) - rows[j]) / math.sqrt(1.0 + 1.0 / j)
+            contrast[:, :random] = rows[: j + 1, :, :random].mean(axis=0)
+            found.append(contrast)
+    enough = sum(map(len, found)) >= MIN_PURE * sum(map(len, series))
+    return found if enough else []
+
+
+def _paired(group: Sequence[_Series]) -> list[_Series]:
+    """Return the samples of repeats at the times that all of them have, within half a sampling step."""
+    first = group[0]
+    counts = {len(one.time_s) for one in group}
+    if counts == {1}:
+        # The rows of a table have no terms of their own.
+        return [one._replace(own=one.own[:, :0]) for one in group]
+    if len(group) < 2 or min(counts) < 2:
+        return []
+    half = 0.5 * float(np.median(np.diff(first.time_s)))
+    nearest = []
+    for one in group:
+        after = np.clip(np.searchsorted(one.time_s, first.time_s), 1, len(one.time_s) - 1)
+        earlier = first.time_s - one.time_s[after - 1] < one.time_s[after] - first.time_s
+        nearest.append(after - earlier)
+    apart = [np.abs(one.time_s[at] - first.time_s) for one, at in zip(group, nearest, strict=True)]
+    common = np.max(apart, axis=0) <= half * (1.0 + 1e-6)
+    return [one.at(at[common]) for one, at in zip(group, nearest, strict=True)]
 
 
 def _shared_level(study: Study, fit: Fit, generic: Sequence[Sequence[Array]]) -> dict[str, float]:
@@ -343,26 +434,30 @@ def with_random_effects(
 ) -> NoiseModel:
     """Return the noise model with the random effects of the largest restricted likelihood.
 
-    They are added one by one, as long as the log-likelihood increases by :data:`MIN_LIKELIHOOD`.
+    They are added one by one, as long as the log-likelihood increases by :data:`MIN_LIKELIHOOD`. If most
+    settings were repeated, the likelihood is that of the differences between repeats.
 
     Parameters
     ----------
     differing : sequence of Differing
         Possible random effects.
     largest : float
-        Maximum standard deviation of a random effect, in typical scales.
+        Maximum standard deviation of a random effect, in typical scales. It does not limit what differs
+        between repeats.
     """
     if not differing or not study.folds.whole or len(study.trials) < MIN_TRIALS:
         return noise
     noise = noise.plain
-    products = []
+    series = []
     for k, residual in enumerate(fit.residuals):
         block = np.column_stack(
             [*(d.changes[k] for d in differing), fit.columns(k, study.shared(fit)), residual]
         )
-        seen = study.project_out(fit, k, block, noise=noise)
-        products.append(seen.T @ seen)
-    stacked = np.array(products)
+        series.append(study.project_out(fit, k, block, noise=noise))
+    pure = _differences(study.trials, series, len(differing))
+    if pure:
+        series, largest = pure, LARGEST_SD
+    stacked = np.array([rows.T @ rows for rows in series])
     sd = np.zeros(len(differing))
     likelihood = _likelihood(stacked, sd)
     while True:

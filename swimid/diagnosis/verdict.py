@@ -141,8 +141,8 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     share = inside / max(inside + outside, 1e-300)
     found = f"{probability_text(share)} of the probability of a gap"
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
-    remains = remaining_share(facts)
-    lowers = share > 0.5 or (remains is not None and remains <= 1.0 - MOST) or is_imitated(facts)
+    _, before, after, expected, _ = _sums(facts.held_out)
+    lowers = share > 0.5 or (share_closed(before, after, expected) or 0.0) >= MOST or is_imitated(facts)
     otherwise: Verdict = "partial" if lowers else "unexplained"
     yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, otherwise, lowers, reason)
     rivals = listed(first.equivalent, "or")
