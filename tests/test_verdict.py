@@ -308,7 +308,8 @@ def test_errors_of_noise_have_no_closed_share() -> None:
 
 
 def test_nothing_remains_where_noise_explains_the_errors() -> None:
-    assert remaining_share(facts("waves", held_out=held_out(90.0, before=100.0))) == 0.0
+    assert remaining_share(facts("waves", held_out=held_out(140.0, before=500.0))) == 0.0
+    assert remaining_share(facts("waves", held_out=held_out(90.0, before=100.0))) is None
 
 
 @pytest.mark.parametrize(

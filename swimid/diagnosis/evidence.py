@@ -22,7 +22,7 @@ from swimid.diagnosis.gap_file import (
     Step,
     Value,
 )
-from swimid.diagnosis.verdict import interval_text
+from swimid.diagnosis.verdict import interval_text, otherwise_text
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
 from swimid.logs import log as log_format
@@ -100,7 +100,7 @@ def evidence(
         "Effects tried": str(len({s.effect for s in file.scores}) or ""),
     }
     if file.facts.no_gap is not None:
-        about["Probability"] = otherwise_text(file)
+        about["Probability"] = otherwise_text(file.facts)
     methods = _methods(file, said)
     cited = [*sources, *REFERENCES]
     if any(a.separates for a in file.advice):
@@ -267,7 +267,7 @@ def _causes(file: GapFile) -> ev.Table:
     columns = "effect | parameter | value ± sd | probability | equivalent | stage | what it is"
     caption = (
         "Probability: that it, or one of its equivalents, closes most of the gap; "
-        f"{otherwise_text(file)}. Several causes act together."
+        f"{otherwise_text(file.facts)}. Several causes act together."
     )
     return _table("causes", "Causes", columns, rows, caption, folded=False)
 
@@ -467,12 +467,6 @@ def value_text(value: Value) -> str:
     return text
 
 
-def otherwise_text(file: GapFile) -> str:
-    """Return text with the probabilities of no gap and of a cause outside the catalogue, in percent."""
-    none, outside = probability_text(file.facts.no_gap), probability_text(file.facts.outside)
-    return f"no gap {none}, a cause outside the catalogue {outside}"
-
-
 def remaining_text(file: GapFile) -> str:
     """Return text that says which fraction of the squared gap the causes do not close, and where."""
     left = file.remaining
@@ -533,7 +527,7 @@ def _methods(file: GapFile, answer: str) -> list[str]:
         f"of {refitted}{of} candidate effects as part of the model (Kennedy and O'Hagan 2001).",
         "Sets of effects were compared by the log predictive density of held-out data, by one Gauss-Newton "
         "step for each fold (Rad and Maleki 2020), with a discrepancy of unknown variance and folds weighted "
-        f"by the Bayesian bootstrap (Yao et al. 2018): {otherwise_text(file)}.",
+        f"by the Bayesian bootstrap (Yao et al. 2018): {otherwise_text(file.facts)}.",
     ]
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")

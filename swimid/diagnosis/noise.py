@@ -12,6 +12,7 @@ restricted likelihood.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -226,14 +227,17 @@ def possible(study: Study, fit: Fit, effects: Sequence[Effect]) -> list[Differin
                 point = np.array([one.start for one in own])
                 sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
                 point[j] += 0.5 * sign * p.scale
-                tried.append((effect.name, effect, point, 2.0 * sign))
+                tried.append((f"{effect.name}/{p.name}", effect, point, 2.0 * sign))
     for p in study.parameters:
         if p.per_trial and not p.free and p.name in OWN and (is_repeated or p.name not in OF_REPEATS):
             share = OWN[p.name]
             size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
             tried.append((p.name, ParameterChange(p), np.array([0.5 * (size or p.scale)]), 2.0))
     found = []
-    for name, effect, point, factor in tried:
+    forms = Counter(effect.name for _, effect, _, _ in tried)
+    for label, effect, point, factor in tried:
+        # The name of the effect is enough unless it has several forms or parameters.
+        name = label if forms[effect.name] > 1 else label.partition("/")[0]
         changes = study.changes(fit, effect, [point])[0]
         if all(np.isfinite(c).all() for c in changes) and any(c.any() for c in changes):
             found.append(Differing(name, [factor * c for c in changes]))

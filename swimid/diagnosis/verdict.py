@@ -106,11 +106,24 @@ def rows(facts: Facts) -> Iterator[Row]:
 
 def _of_no_cause(facts: Facts) -> Iterator[Row]:
     """Yield the rows of a model to which the fits add no cause."""
-    none, outside = facts.no_gap or 0.0, facts.outside or 0.0
-    found = f"no gap {probability_text(none)}, a cause outside the catalogue {probability_text(outside)}"
+    none = facts.no_gap or 0.0
+    found = otherwise_text(facts)
     reason = f"no gap has a probability of {probability_text(none)} only"
     yield Row("gap", found, "no gap > 50 %", none > 0.5, "unexplained", False, reason)
     yield _inside(facts)
+
+
+def otherwise_text(facts: Facts) -> str:
+    """Return text with the probabilities of no gap and of a cause outside the catalogue, in percent.
+
+    The prior probability of a cause outside the catalogue is no finding. It is stated only where the data
+    raise it.
+    """
+    none, outside = facts.no_gap or 0.0, facts.outside or 0.0
+    said = "no sign of a cause outside the catalogue"
+    if outside > UNSURE:
+        said = f"a cause outside the catalogue {probability_text(outside)}"
+    return f"no gap {probability_text(none)}, {said}"
 
 
 def _inside(facts: Facts) -> Row:
@@ -288,11 +301,12 @@ def remaining_share(facts: Facts, *, as_given: bool = False) -> float | None:
     It is the gap that a refit without causes leaves, or that of the parameters as given.
     """
     given, before, after, expected, _ = _sums(facts.held_out)
-    if facts.held_out and all(t.after <= t.limit for t in facts.held_out.values()):
-        # Errors that noise explains leave nothing.
-        return 0.0
     share = share_closed(given if as_given else before, after, expected)
-    return None if share is None else max(1.0 - share, 0.0)
+    if share is None:
+        return None
+    # Errors that noise explains leave nothing.
+    explained = all(t.after <= t.limit for t in facts.held_out.values())
+    return 0.0 if explained else max(1.0 - share, 0.0)
 
 
 def refit_share(facts: Facts) -> float | None:
