@@ -38,7 +38,6 @@ import numpy as np
 from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.remainder import ResidualForce
 from swimid.effects import catalogue
-from swimid.effects.base import Affected
 from swimid.fitting.drives import Beat, Cycle
 from swimid.fitting.model import NONE, SwimInput, Trial
 from swimid.robots import file as robot
@@ -141,7 +140,7 @@ def bench_effects() -> None:
         own = [p for form in chosen for p in form.parameters(lanes, swims)]
         point = np.array([np.clip(p.start + 0.3 * p.scale, p.lower, p.upper) for p in own])
         runs = [(np.concatenate([given * (1.0 + 1e-6 * k), point]), swims[k % 2]) for k in range(BATCH)]
-        models = [Affected(model, chosen, swims) for model in (scalar, lanes)]
+        models = [model.with_effects(chosen, swims) for model in (scalar, lanes)]
         off = sum(
             lanes.kernels.choose(
                 lanes.request(values[: len(given)], swim, models[1].hooks(values, swim)), lanes.frame
@@ -150,9 +149,9 @@ def bench_effects() -> None:
             for values, swim in runs
         )
 
-        def fresh(model: Affected, runs: Any = runs) -> None:
-            model.model.forget(swims)
-            model.simulate_many(runs)
+        def fresh(model: Any, runs: Any = runs) -> None:
+            model.forget(swims)
+            model.run_many(runs)
 
         slow, fast = best(*(partial(fresh, model) for model in models))
         name = "none" if effect is None else effect.name

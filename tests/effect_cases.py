@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from swimid.blackbox.model import ArxModel
-from swimid.effects.base import Affected, Effect
+from swimid.effects.base import Effect
 from swimid.fitting.drives import Beat
 from swimid.fitting.model import Model, RigInput, SwimInput, Trial
 from swimid.results import parameters
@@ -84,9 +84,9 @@ def start(model: Model, **values: float) -> np.ndarray:
 
 def acted(model: Model, trial: Trial, effects: Sequence[tuple[Effect, Any]], **values: float) -> dict:
     """Simulate a model under effects with these parameter values."""
-    affected = Affected(model, [effect for effect, _ in effects], [trial])
+    affected = model.with_effects([effect for effect, _ in effects], [trial])
     own = np.concatenate([np.atleast_1d(np.asarray(v, dtype=float)) for _, v in effects])
-    return affected.simulate(np.concatenate([start(model, **values), own]), trial)
+    return affected.run(np.concatenate([start(model, **values), own]), trial)
 
 
 def check_null(model: Model, trial: Trial, effect: Effect) -> None:
@@ -101,8 +101,8 @@ def check_null(model: Model, trial: Trial, effect: Effect) -> None:
         low, high = np.array([p.lower for p in own]), np.array([p.upper for p in own])
         assert np.all((low <= null) & (null <= high))
         assert all(p.scale > 0 and np.isfinite(p.scale) for p in own)
-        affected = Affected(model, [variant], [trial])
-        seen = affected.simulate(np.concatenate([values, null]), trial)
+        affected = model.with_effects([variant], [trial])
+        seen = affected.run(np.concatenate([values, null]), trial)
         hooked = model.hooked(values, trial, variant.hooks(null, trial, model))
         for name in plain:
             assert np.array_equal(plain[name], seen[name])
@@ -111,7 +111,7 @@ def check_null(model: Model, trial: Trial, effect: Effect) -> None:
         assert tries
         for point in tries:
             assert np.all((low <= point) & (point <= high))
-        moved = affected.simulate(np.concatenate([values, tries[-1]]), trial)
+        moved = affected.run(np.concatenate([values, tries[-1]]), trial)
         assert all(np.isfinite(moved[name]).all() for name in moved)
         assert any(np.abs(moved[name] - plain[name]).max() > 1e-7 for name in trial.measured)
 

@@ -14,7 +14,7 @@ from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import Search, State
 from swimid.diagnosis.study import Study
 from swimid.effects import catalogue
-from swimid.effects.base import Affected, Effect
+from swimid.effects.base import Effect
 from swimid.fitting.drives import Beat
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, RigInput, SwimInput, Trial
@@ -103,12 +103,12 @@ def test_another_reading_replaces_the_nominal_robot(
 ) -> None:
     """As a model of the robot file read so from the start, to the last bit, with the nominal parameters."""
     effects = [others[f"reading:{key}={option}"] for key, option in answers.items()]
-    acting = Affected(fish.model, effects, fish.trials)
+    acting = fish.model.with_effects(effects, fish.trials)
     assert acting.parameters == fish.model.parameters
     _, model = swimmer_trials.robot_model("tfish", readings=answers)
     values = starts(fish.model)
     wanted, plain = model.simulate(values, swim()), fish.model.simulate(values, swim())
-    for found in (acting.simulate(values, swim()), acting.simulate_many([(values, swim())])[0]):
+    for found in (acting.run(values, swim()), acting.run_many([(values, swim())])[0]):
         for channel in swim().measured:
             assert np.array_equal(found[channel], wanted[channel])
             assert not np.allclose(found[channel], plain[channel], rtol=1e-3)
@@ -120,21 +120,21 @@ def test_effects_act_on_a_robot_in_another_reading(fish: Experiment, others: dic
     )
     reading = others["reading:drag_point=strips"]
     _, model = swimmer_trials.robot_model("tfish", readings={"drag_point": "strips"})
-    acting = Affected(fish.model, [ingress, reading], fish.trials)
-    wanted = Affected(model, [ingress], fish.trials)
-    values = np.concatenate((starts(fish.model), [0.05] * len(wanted.own[0])))
-    found, expected = acting.simulate(values, swim()), wanted.simulate(values, swim())
+    acting = fish.model.with_effects([ingress, reading], fish.trials)
+    wanted = model.with_effects([ingress], fish.trials)
+    values = np.concatenate((starts(fish.model), [0.05] * len(wanted.acting[0].parameters)))
+    found, expected = acting.run(values, swim()), wanted.run(values, swim())
     assert all(np.array_equal(found[c], expected[c]) for c in expected)
 
 
 def test_a_finer_step_keeps_the_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
-    acting = Affected(fish.model, [others["reading:areas=as-printed"]], fish.trials)
+    acting = fish.model.with_effects([others["reading:areas=as-printed"]], fish.trials)
     finer = acting.refined()
     assert finer is not None
-    assert isinstance(finer.model, Swimmer)
+    assert isinstance(finer, Swimmer)
     assert isinstance(fish.model, Swimmer)
-    assert finer.model.max_step == 0.5 * fish.model.max_step
-    assert finer.model.robot.readings["areas"].chosen == "as-printed"
+    assert finer.max_step == 0.5 * fish.model.max_step
+    assert finer.robot.readings["areas"].chosen == "as-printed"
 
 
 def test_two_answers_of_one_question_cannot_be_combined(others: dict[str, OtherReading]) -> None:

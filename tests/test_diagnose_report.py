@@ -18,7 +18,6 @@ from swimid.diagnosis import verdict
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import Closed, GapFile, HeldOut, Value
 from swimid.effects import catalogue
-from swimid.effects.base import Affected
 from swimid.fitting.model import Hooks, Model, Trial
 from swimid.results import evidence as ev
 from swimid.results.report import report
@@ -450,9 +449,6 @@ class Steady(Model):
     channels = ()
     offers = frozenset({"command"})
 
-    def simulate(self, values: np.ndarray, trial: Trial) -> dict[str, np.ndarray]:
-        return self.hooked(values, trial, Hooks())
-
     def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
         angle = np.sin(trial.time_s)
         return {"angle_rad": hooks.actuated(trial.time_s, angle)}
@@ -466,12 +462,12 @@ def test_the_example_of_the_manual_works() -> None:
     trial = Trial("a", "fit", time, {})
     model = Steady()
     (form,) = droop.variants(model, [trial])
-    affected = Affected(model, [form], [trial])
+    affected = model.with_effects([form], [trial])
     (parameter,) = affected.parameters
     assert parameter.name == "drive-droop/rate_1_s"
     plain = model.simulate(np.array([]), trial)["angle_rad"]
-    np.testing.assert_array_equal(affected.simulate(np.array([0.0]), trial)["angle_rad"], plain)
-    weak = affected.simulate(np.array([rate]), trial)["angle_rad"]
+    np.testing.assert_array_equal(affected.run(np.array([0.0]), trial)["angle_rad"], plain)
+    weak = affected.run(np.array([rate]), trial)["angle_rad"]
     np.testing.assert_allclose(weak / plain, [1.0, math.exp(-rate), 0.5], rtol=1e-12)
 
 

@@ -13,7 +13,7 @@ import pytest
 from swimid.diagnosis import answer, odd, search
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.study import Study
-from swimid.effects.base import Affected, Inside
+from swimid.effects.base import Inside
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Hooks, Model, Parameter, Trial
 from tests.diagnosis_models import (
@@ -268,9 +268,10 @@ def test_a_parameter_that_changed_is_a_cause_alone_and_beside_an_effect(
 
 def test_a_change_stays_within_the_bounds_of_its_parameter() -> None:
     own = (parameter("a", 0.5, lower=0.0, upper=1.0),)
-    model = Affected(Toy(plainly, own), [ParameterChange(own[0])], [])
-    assert model.shifted(np.array([0.6, 0.2]))[0] == pytest.approx(0.8)
-    assert model.shifted(np.array([0.6, 0.5]))[0] == 1.0
+    model = Toy(plainly, own).with_effects([ParameterChange(own[0])], [])
+    trial = Trial("start", "fit", np.zeros(1), {})
+    assert model.run(np.array([0.6, 0.2]), trial)["y"][0] == pytest.approx(0.8)
+    assert model.run(np.array([0.6, 0.5]), trial)["y"][0] == 1.0
     assert model.parameters[1].bounds == (-0.5, 0.5)
 
 

@@ -11,7 +11,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from swimid.effects import actuation
-from swimid.effects.base import Affected, for_every_joint
+from swimid.effects.base import for_every_joint
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Hooks, Stroke, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
@@ -171,17 +171,17 @@ class TestNull:
         variants = effect.variants(model, [trial])
         assert bool(variants) == bool(effect.needs & model.offers)
         for variant in variants:
-            both = Affected(model, [variant], [trial])
+            both = model.with_effects([variant], [trial])
             null, nominal = starts(both), model.simulate(starts(model), trial)
-            for name, values in both.simulate(null, trial).items():
+            for name, values in both.run(null, trial).items():
                 np.testing.assert_array_equal(values, nominal[name])
-            own = both.own[0]
+            own = both.acting[0].parameters
             for point in variant.tries(own):
                 assert all(p.lower <= v <= p.upper for p, v in zip(own, point, strict=True))
             moved = variant.tries(own)[-1]
             near = np.concatenate([starts(model), starts_of(own) + 1e-7 * (moved - starts_of(own))])
             far = np.concatenate([starts(model), moved])
-            close, apart = (both.simulate(v, trial) for v in (near, far))
+            close, apart = (both.run(v, trial) for v in (near, far))
             change = {n: np.nanmax(np.abs(apart[n] - nominal[n])) for n in nominal}
             assert max(change.values()) > 0
             for name in nominal:
@@ -195,8 +195,8 @@ def starts_of(parameters):
 class TestFish:
     def angles(self, fish, effect, values):
         model, trial = fish
-        both = Affected(model, [effect], [trial])
-        found = both.simulate(np.concatenate([starts(model), values]), trial)
+        both = model.with_effects([effect], [trial])
+        found = both.run(np.concatenate([starts(model), values]), trial)
         return np.array([found[a.column] for a in model.tree.driven])
 
     def told(self, fish, time):

@@ -10,7 +10,6 @@ import pytest
 from scipy.optimize import fsolve
 
 from swimid.effects import sensing
-from swimid.effects.base import Affected
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, RigInput, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel
@@ -88,8 +87,8 @@ def black_box(output):
 def seen(case, effect, *values):
     """Return the channels of the log without and with the effect."""
     model, trial = case
-    both = Affected(model, [effect], [trial])
-    return model.simulate(starts(model), trial), both.simulate(
+    both = model.with_effects([effect], [trial])
+    return model.simulate(starts(model), trial), both.run(
         np.concatenate([starts(model), np.array(values)]), trial
     )
 

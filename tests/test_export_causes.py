@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.effects.base import Affected, Effect
+from swimid.effects.base import Effect
 from swimid.effects.catalogue import catalogue
 from swimid.exporters.mjcf import water
 from swimid.files import yamlio
@@ -472,10 +472,10 @@ def test_mujoco_swims_with_a_cause_as_swimid_does(
     trial = Trial("run", "fit", time, {}, swim=SwimInput(drive))
     model = _model()
     form, values = _form(name, SWIMMING[name], model)
-    affected = Affected(model, [form], [trial])
+    affected = model.with_effects([form], [trial])
     null = np.array([p.start for p in affected.parameters])
-    simulated = affected.simulate(np.concatenate([null[: -len(values)], values]), trial)
-    plain = affected.simulate(null, trial)
+    simulated = affected.run(np.concatenate([null[: -len(values)], values]), trial)
+    plain = affected.run(null, trial)
     truth, without = (np.array([found["x_m"], found["y_m"]]) for found in (simulated, plain))
     influence, error = (
         float(np.sqrt(np.mean((path - truth) ** 2))) for path in (without, swum({name: SWIMMING[name]}))

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from swimid.effects import catalogue as effect_catalogue
-from swimid.effects.base import Affected
 from swimid.fitting import drives
 from swimid.fitting.model import SwimInput, Trial
 from swimid.fitting.parameter_map import share
@@ -232,15 +231,16 @@ def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
         ("load-friction", "lift-damping"),
     ):
         effects = [names[n] for n in chosen]
-        one, many = Affected(plain, effects, own), Affected(fish, effects, own)
-        scale = np.concatenate([[p.scale for p in parameters] for parameters in one.own] or [[]])
-        null = np.concatenate([[p.start for p in parameters] for parameters in one.own] or [[]])
-        upper = np.concatenate([[p.upper for p in parameters] for parameters in one.own] or [[]])
+        one, many = plain.with_effects(effects, own), fish.with_effects(effects, own)
+        added = one.parameters[len(plain.parameters) :]
+        scale = np.array([p.scale for p in added])
+        null = np.array([p.start for p in added])
+        upper = np.array([p.upper for p in added])
         acting = np.minimum(null + 0.3 * scale, upper)
         runs = [(np.r_[start * (1 + 0.01 * k), acting if k % 2 else null], own[k % 3]) for k in range(8)]
         runs += runs[:2]
-        for (values, trial), simulated in zip(runs, many.simulate_many(runs), strict=True):
-            for channel, series in one.simulate(values, trial).items():
+        for (values, trial), simulated in zip(runs, many.run_many(runs), strict=True):
+            for channel, series in one.run(values, trial).items():
                 np.testing.assert_allclose(simulated[channel], series, rtol=0, atol=1e-9, err_msg=f"{chosen}")
 
 
@@ -249,7 +249,7 @@ def test_a_single_run_takes_the_kernel_too(fish: MultilinkModel) -> None:
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
     runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(8)]
-    together = fish.simulate_many(runs)
+    together = fish.run_many(runs)
     for values, trial in runs:
         fish.forget([trial])
         alone = fish.simulate(values, trial)
@@ -269,7 +269,7 @@ def test_a_run_that_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel
         model = Failing(robot_format.read("tfish"))
         model.kernels.own, model.kernels.used = fish.kernels.own, side_by_side
         start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
-        seen = model.simulate_many([(start, t) for t in trials()])
+        seen = model.run_many([(start, t) for t in trials()])
         assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
 
 
@@ -310,7 +310,7 @@ def test_a_cached_run_outlives_later_batches(fish: MultilinkModel) -> None:
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
     fish.forget(own)
     before = fish.simulate(start, own[0])
-    fish.simulate_many([(start * (1 + 0.01 * k), own[1 + k % 2]) for k in range(24)])
+    fish.run_many([(start * (1 + 0.01 * k), own[1 + k % 2]) for k in range(24)])
     start[fish.index("start_x")] += 0.1
     after = fish.simulate(start, own[0])
     np.testing.assert_allclose(after["x_m"], before["x_m"] + 0.1, rtol=0, atol=1e-12)
@@ -360,13 +360,13 @@ def test_threads_simulate_whole_batches(fish: MultilinkModel, monkeypatch: pytes
     """Six runs fill one batch. Two half-empty batches would take twice the processor time."""
     parts: list[int] = []
 
-    simulate_many = fish.simulate_many
+    run_many = fish.run_many
 
     def counted(runs: Any) -> Any:
         parts.append(len(runs))
-        return simulate_many(runs)
+        return run_many(runs)
 
-    monkeypatch.setattr(fish, "simulate_many", counted)
+    monkeypatch.setattr(fish, "run_many", counted)
     problem = Problem(fish, fish.parameters, trials(), jobs=2)
     problem._typical_s = 1.0
     problem.simulated([(problem.start, k % 3) for k in range(6)])

@@ -14,9 +14,9 @@ import pytest
 
 from swimid.diagnosis.remainder import AXES, ResidualForce
 from swimid.effects import catalogue
-from swimid.effects.base import Affected, Effect
+from swimid.effects.base import Effect
 from swimid.fitting import drives
-from swimid.fitting.model import TRACEABLE, SwimInput, Trial
+from swimid.fitting.model import TRACEABLE, Model, SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer import lanes
 from swimid.swimmer.planar.model import MultilinkModel
@@ -61,7 +61,7 @@ def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
     found = {}
     for effect in every:
         names = [p.name for p in effect.parameters(model, own)]
-        hooks = effect.hooks(acting(Affected(model, [effect], own)), own[0], model)
+        hooks = effect.hooks(acting(model.with_effects([effect], own)), own[0], model)
         run = model.request(given(model), own[0], hooks)
         lane = model.kernels.choose(run, model.frame)
         if lane is None or lane[0] is model.kernels.wide:
@@ -69,24 +69,24 @@ def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
     return found
 
 
-def acting(affected: Affected) -> np.ndarray:
+def acting(affected: Model) -> np.ndarray:
     """Return values of the parameters at which all effects act."""
-    own = [p for parameters in affected.own for p in parameters]
+    own = [p for acting in affected.acting for p in acting.parameters]
     return np.array([np.clip(p.start + 0.4 * p.scale, p.lower, p.upper) for p in own])
 
 
 def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], count: int) -> None:
     """Compare channels, with a tolerance of one unit in the last place for each operation of a run."""
     plain = MultilinkModel(model.robot)
-    one, many = (Affected(m, effects, own) for m in (plain, model))
+    one, many = (m.with_effects(effects, own) for m in (plain, model))
     values = np.concatenate([given(model), acting(one)])
     runs = [(values * (1.0 + 0.01 * k), own[k % 2]) for k in range(count)]
     assert model.kernels.wide is not None
     steps = (own[0].time_s[-1] - own[0].time_s[0]) / model.max_step
     operations = 4 * len(model.kernels.wide.traced.operations) * steps
     model.forget(own)
-    for (point, trial), simulated in zip(runs, many.simulate_many(runs), strict=True):
-        for channel, series in one.simulate(point, trial).items():
+    for (point, trial), simulated in zip(runs, many.run_many(runs), strict=True):
+        for channel, series in one.run(point, trial).items():
             far = operations * np.finfo(float).eps * np.max(np.abs(series))
             np.testing.assert_allclose(simulated[channel], series, rtol=0.0, atol=far, err_msg=channel)
 
@@ -101,7 +101,7 @@ def test_every_force_and_element_agrees_with_the_engine(fish: MultilinkModel) ->
         "tether", "wall", "residual",
     }  # fmt: skip
     for effect in found.values():
-        hooks = effect.hooks(acting(Affected(fish, [effect], own)), own[0], fish)
+        hooks = effect.hooks(acting(fish.with_effects([effect], own)), own[0], fish)
         assert fish.kernels.choose(fish.request(given(fish), own[0], hooks), fish.frame) is not None, effect
         compared(fish, [effect], own, 3)
 
@@ -119,11 +119,11 @@ def test_runs_of_one_batch_keep_their_own_effects(fish: MultilinkModel) -> None:
     """An effect may read coefficients from the tables. They differ from run to run, as in derivatives."""
     own = swims(fish, 0.6)
     for effect in widened(fish, own).values():
-        affected = Affected(fish, [effect], own)
+        affected = fish.with_effects([effect], own)
         values = [np.concatenate([share * given(fish), acting(affected)]) for share in (0.8, 1.0, 1.2)]
-        alone = [Affected(fish, [effect], own).simulate_many([(one, own[0])])[0] for one in values]
+        alone = [fish.with_effects([effect], own).run_many([(one, own[0])])[0] for one in values]
         fish.forget(own)
-        together = affected.simulate_many([(one, own[0]) for one in values])
+        together = affected.run_many([(one, own[0]) for one in values])
         for first, second in zip(alone, together, strict=True):
             for name, column in first.items():
                 np.testing.assert_array_equal(second[name], column, err_msg=effect.name)
@@ -132,8 +132,8 @@ def test_runs_of_one_batch_keep_their_own_effects(fish: MultilinkModel) -> None:
 def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None:
     own = swims(fish, 1.0)
     walls = [e for e in widened(fish, own).values() if e.name == "wall"][:2]
-    hooks = Affected(fish, walls, own).hooks(
-        np.concatenate([given(fish), acting(Affected(fish, walls, own))]), own[0]
+    hooks = fish.with_effects(walls, own).hooks(
+        np.concatenate([given(fish), acting(fish.with_effects(walls, own))]), own[0]
     )
     assert len(hooks.force) == 2
     assert fish.kernels.choose(fish.request(given(fish), own[0], hooks), fish.frame) is None
@@ -144,7 +144,7 @@ def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None
 def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel) -> None:
     own = swims(fish, 1.0)
     fish.forget(own)
-    none = Affected(fish, [], own).hooks(given(fish), own[0])
+    none = fish.with_effects([], own).hooks(given(fish), own[0])
     lane = fish.kernels.choose(fish.request(given(fish), own[0], none), fish.frame)
     assert lane is not None
     assert lane[0] is fish.kernels.own

@@ -14,11 +14,11 @@ import pytest
 import swimid as package
 from swimid.diagnosis.gap_file import GapFile
 from swimid.effects import catalogue as effect_catalogue
-from swimid.effects.base import Affected
 from swimid.errors import InputError, UsageError
-from swimid.fitting.model import SwimInput, Trial
+from swimid.fitting.model import Model, SwimInput, Trial
 from swimid.logs import log as log_format
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
+from swimid.swimmer.planar.model import MultilinkModel
 from tests.conftest import ROOT, SAMPLES, Ran
 from tests.effect_cases import coasting, start, swim, swimmer
 from tests.generators.rig import write_falls
@@ -270,8 +270,8 @@ def test_effects_act_on_an_affected_model_as_beside_its_effects(names: tuple[str
     trials = [swim(model), coasting(model)]
     found = {e.name: e for e in effect_catalogue.applicable(effect_catalogue.catalogue(), model, trials)}
     first, second = (found[name] for name in names)
-    both = Affected(model, [first, second], trials)
-    nested = Affected(Affected(model, [first], trials), [second], trials)
+    both = model.with_effects([first, second], trials)
+    nested = model.with_effects([first], trials).with_effects([second], trials)
     assert [p.name for p in nested.parameters] == [p.name for p in both.parameters]
     values = np.concatenate(
         [start(model), *(e.tries(e.parameters(model, trials))[0] for e in (first, second))]
@@ -281,13 +281,37 @@ def test_effects_act_on_an_affected_model_as_beside_its_effects(names: tuple[str
         (both.refined(), nested.refined()),
         (both.coarser(), nested.coarser()),
     ):
-        wanted = [one.simulate(values, trial) for trial in trials]
-        many = other.simulate_many([(values, trial) for trial in trials])
+        wanted = [one.run(values, trial) for trial in trials]
+        many = other.run_many([(values, trial) for trial in trials])
         for trial, expected, seen in zip(trials, wanted, many, strict=True):
-            alone = other.simulate(values, trial)
+            alone = other.run(values, trial)
             for channel, series in expected.items():
                 assert np.array_equal(series, alone[channel]), channel
                 assert np.array_equal(series, seen[channel]), channel
+
+
+def test_copies_with_effects_or_another_step_keep_their_simulations_apart() -> None:
+    """Simulated in turn with its copies, each model gives what it gives alone."""
+    trial = swim(swimmer("tfish"))
+
+    def models(model: MultilinkModel) -> list[Model]:
+        known = effect_catalogue.applicable(effect_catalogue.catalogue(), model, [trial])
+        affected = model.with_effects([e for e in known if e.name == "linear-drag"], [trial])
+        return [model, affected, model.refined(), affected.refined(), affected.coarser()]
+
+    def values(model: Model) -> np.ndarray:
+        return np.array([p.start + p.scale * ("/" in p.name) for p in model.parameters])
+
+    alone = [
+        models(swimmer("tfish"))[k].run(values(m), trial) for k, m in enumerate(models(swimmer("tfish")))
+    ]
+    together = models(swimmer("tfish"))
+    for _ in range(2):
+        for model, expected in zip(together, alone, strict=True):
+            np.testing.assert_array_equal(model.run(values(model), trial)["x_m"], expected["x_m"])
+    plain, affected, fine = (one["x_m"] for one in alone[:3])
+    assert np.abs(affected - plain).max() > 1e-4
+    assert 0.0 < np.abs(fine - plain).max() < 1e-4
 
 
 def test_the_torques_of_a_pulled_fish_balance() -> None:
@@ -295,14 +319,14 @@ def test_the_torques_of_a_pulled_fish_balance() -> None:
     model = swimmer("tfish")
     trial = Trial("run", "fit", np.arange(0.0, 3.0, 0.01), {}, swim=SwimInput(swim(model).swim.beat))
     effects = {e.name: e for e in effect_catalogue.applicable(effect_catalogue.catalogue(), model, [trial])}
-    acting = Affected(model, [effects["tether"], effects["water-ingress"]], [trial])
-    own = [2.0, 0.0, 5.0, 0.1, 0.05, 0.02]
-    hooks = acting.hooks(np.concatenate([start(model), own]), trial)
+    acting = model.with_effects([effects["tether"], effects["water-ingress"]], [trial])
+    values = np.concatenate([start(model), [2.0, 0.0, 5.0, 0.1, 0.05, 0.02]])
+    hooks = acting.hooks(values, trial)
     run = model.request(start(model), trial, hooks)
     trajectory = model.trajectory(start(model), trial, hooks)
     torques, _ = model.torques(run, trajectory, 0)
     assert np.abs(torques[:, 0]).max() < 1e-9 * np.abs(torques).max()
-    pulled = model.with_energetics([(start(model), trial)], [1.0], [hooks])[0][1]
+    pulled = acting.with_energetics([(values, trial)], [1.0])[0][1]
     free = model.with_energetics([(start(model), trial)], [1.0])[0][1]
     assert pulled.mean_power_W() != pytest.approx(free.mean_power_W(), rel=1e-3)
 

@@ -11,7 +11,7 @@ import pytest
 
 from swimid.fitting import global_search, output_error
 from swimid.fitting.fit_common import load_experiment
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
+from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial, chosen
 from swimid.notices import SwimidWarning
 from swimid.rig import model
 from swimid.rig import model as rig_model
@@ -104,9 +104,9 @@ def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
     counted = [0]
 
     class Counting(rig_model.RigModel):
-        def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
             counted[0] += 1
-            return super().simulate(values, trial)
+            return super().hooked(values, trial, hooks)
 
         def refined(self) -> None:  # type: ignore[override]
             return None

@@ -59,7 +59,7 @@ def test_a_fit_whose_step_breaks_down_at_its_start_takes_a_smaller_one(tmp_path:
     robot = robot_format.read(str(path))
     fine, model = MultilinkModel(robot, max_step=5e-4), MultilinkModel(robot, max_step=0.01)
     seen = fine.simulate(given(fine), TRIAL)
-    assert not np.isfinite(model.attempt(given(model), TRIAL)["x_m"]).all()
+    assert not np.isfinite(model.run(given(model), TRIAL)["x_m"]).all()
     rng = np.random.default_rng(1)
     measured = {n: seen[n] + rng.normal(0.0, 2e-4, len(seen[n])) for n in ("x_m", "y_m", "yaw_rad")}
     held = chosen(model.parameters, fixed={"k_t": 0.1}, freed=["c_d"])

@@ -31,7 +31,7 @@ from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
 from swimid.fitting import uncertainty as rt
 from swimid.fitting.fit_common import read_log
-from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial
+from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.logs import sampling
 from swimid.logs import trials as trials_format
 from swimid.logs.experiments import TrialEntry
@@ -371,9 +371,7 @@ class ArxModel(Model):
             result[piece.rows[measured_rows]] = run[measured_rows] + self.output_level
         return {self.output: result}
 
-    def at_own_level(
-        self, values: Array, trial: Trial, hooks: Hooks = NONE
-    ) -> tuple[ArxModel, dict[str, float]]:
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[ArxModel, dict[str, float]]:
         """Return a copy of the model whose working point has the output level of a trial, and this level.
 
         The level minimises the sum of squared errors of the free run of the trial. A model without a working
@@ -382,7 +380,7 @@ class ArxModel(Model):
         if not (self.output_level or self.source_level):
             return self, {}
         levels = (self.output_level, self.output_level + 1.0)
-        run, raised = (self._at_level(one).hooked(values, trial, hooks)[self.output] for one in levels)
+        run, raised = (self._at_level(one).run(values, trial)[self.output] for one in levels)
         level = self.output_level + best_level(trial.measured[self.output], run, raised)
         return self._at_level(level), {"output_level": level}
 

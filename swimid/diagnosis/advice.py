@@ -166,7 +166,7 @@ class Rival:
     def simulated(self, trial: Trial) -> dict[str, Array]:
         """Return all channels of a proposed trial, measured or not."""
         problem, theta = self.problem(trial)
-        return problem.model.simulate_many([(problem.vector(theta, 0), problem.trials[0])])[0]
+        return problem.model.run(problem.vector(theta, 0), problem.trials[0])
 
     def predicted(self, trial: Trial) -> tuple[Array, Array, Array]:
         """Return the whitened samples of a proposed trial, their derivatives, and the prior precision.

@@ -19,7 +19,6 @@ from swimid.diagnosis.power import DetectionPower
 from swimid.diagnosis.proposals import Limits
 from swimid.diagnosis.study import Study
 from swimid.effects import catalogue as effect_catalogue
-from swimid.effects.base import Affected
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
@@ -67,7 +66,7 @@ def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequen
     UsageError
         If an effect does not exist, or acts in the model already.
     """
-    acting = [e.name for e in model.effects] if isinstance(model, Affected) else []
+    acting = [e.name for e in model.effects]
     for name in effects:
         if name in acting:
             raise UsageError(f"the effect '{name}' is part of the model in the parameter file")
@@ -205,9 +204,8 @@ def diagnose(
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # The noise is estimated with the whole catalogue, even if only some effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
-        if isinstance(model, Affected):
-            # An effect of the parameter file is part of the model, and no hypothesis.
-            known = [e for e in known if e.joins(model.effects)]
+        # An effect of the parameter file is part of the model, and no hypothesis.
+        known = [e for e in known if e.joins(model.effects)]
         begun = nominal.begun(loaded)
         asked = None
         if options.effects:

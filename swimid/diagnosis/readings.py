@@ -162,7 +162,7 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
         return [], {}
     reread = Reread(path, nominal)
     values = _away(nominal)
-    seen = [nominal.attempt(values, trial) for trial in trials]
+    seen = [nominal.run(values, trial) for trial in trials]
     found, left_out = [], {}
     for key, reading in experiment.robot.readings.items():
         for option, answer in reading.options.items():
@@ -214,7 +214,7 @@ def _away(model: Model) -> Array:
 def _alike(other: Model, values: Array, trials: Sequence[Trial], seen: Sequence[Mapping[str, Array]]) -> bool:
     """Return whether another model gives the same simulation of all measured channels."""
     for trial, plain in zip(trials, seen, strict=True):
-        found = other.attempt(values, trial)
+        found = other.run(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(plain[channel]))
             # A simulation that diverges counts as different.

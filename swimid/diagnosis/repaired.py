@@ -14,7 +14,7 @@ from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import State
 from swimid.diagnosis.study import FINE, STEPS, Fit, rms
-from swimid.effects.base import Affected, Effect
+from swimid.effects.base import Effect
 from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
 from swimid.fitting.model import Array, Parameter
@@ -66,7 +66,6 @@ def parameters(
     written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
     found = {p.name: _estimate(fit, p, changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
-    before = model.effects if isinstance(model, Affected) else ()
     answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
     said = [
         f"the trials cannot distinguish {c.effect} from {listed(c.equivalent, 'or')}"
@@ -77,11 +76,11 @@ def parameters(
     made = ParameterFile(
         model=model.name,
         robot=fit_common.robot_reference(experiment, folder),
-        effects=[e.name for e in (*before, *acting)],
+        effects=[e.name for e in (*model.effects, *acting)],
         parameters=found,
         identifiability=said,
         correlation=_correlation(state, fit, found, changes),
-        settings=_settings(loaded, [*before, *acting], {**readings, **answers}),
+        settings=_settings(loaded, [*model.effects, *acting], {**readings, **answers}),
         fit=_fit_block(state, fit, loaded),
         provenance=dict(provenance),
     )

@@ -228,7 +228,7 @@ def step_of(
     """
     runs = list(zip(vectors, trials, strict=True))
     allowances = []
-    for k, (trial, seen) in enumerate(zip(trials, model.simulate_many(runs), strict=True)):
+    for k, (trial, seen) in enumerate(zip(trials, model.run_many(runs), strict=True)):
         own = {}
         for name in trial.measured:
             sd = white_noise_sd(trial.measured[name] - seen[name], 0.0)
@@ -250,16 +250,16 @@ def step_of_search(study: Study, fit: Fit, effects: Sequence[Effect]) -> Step:
     trials = study.trials
     vectors = [fit.problem.vector(fit.theta, k) for k in range(len(trials))]
     found = step_of(study.model, vectors, trials, [{}] * len(trials))
-    without = study.model.simulate_many(list(zip(vectors, trials, strict=True)))
+    without = study.model.run_many(list(zip(vectors, trials, strict=True)))
     for effect in effects:
         tries = effect.tries(effect.parameters(study.model, trials))
-        affected = study.affected((effect,))
-        if not tries or affected.model is not study.model:
+        if not tries or effect.in_place_of(study.model) is not study.model:
             continue
+        affected = study.affected((effect,))
         own = [np.concatenate((values, tries[len(tries) // 2])) for values in vectors]
         if not affected.hooks(own[0], trials[0]).command:
             continue
-        simulated = affected.simulate_many(list(zip(own, trials, strict=True)))
+        simulated = affected.run_many(list(zip(own, trials, strict=True)))
         changes = [
             {name: float(np.max(np.abs(seen[name] - plain[name]))) for name in trial.measured}
             for trial, seen, plain in zip(trials, simulated, without, strict=True)
@@ -356,7 +356,7 @@ class Search:
         Worker processes would compile them several times.
         """
         for effects in acting:
-            self.study.affected(effects).model.prepare(effects=True)
+            self.study.affected(effects).prepare(effects=True)
 
     def begin(self, start: Array) -> Hypothesis:
         """Fit the model without effects.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR, PREFIX
 from swimid.diagnosis.settings import folds
-from swimid.effects.base import Affected, Effect
+from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem, Solution, map_in_processes
 
@@ -202,7 +202,7 @@ class Study:
         self.prior = dict(prior)
         self.correlation = correlation
         self.jobs = jobs
-        self._known: dict[tuple[int, ...], Affected] = {}
+        self._known: dict[tuple[int, ...], Model] = {}
         self._without: list[tuple[Fit, list[Array]]] = []
         self.shape = self.problem(())
         self.noise = NoiseModel(self.shape.sd)
@@ -230,12 +230,12 @@ class Study:
         other.noise, other._without = noise, []
         return other
 
-    def affected(self, effects: Sequence[Effect]) -> Affected:
+    def affected(self, effects: Sequence[Effect]) -> Model:
         """Return the model with the given effects added."""
         # Cache the model with effects, because the typical scales of effects are computed from the trials.
         key = tuple(id(e) for e in effects)
         if key not in self._known:
-            self._known[key] = Affected(self.model, effects, self.trials)
+            self._known[key] = self.model.with_effects(effects, self.trials)
         return self._known[key]
 
     def problem(
@@ -296,7 +296,8 @@ class Study:
         The result is empty for the interpretation in the robot file. The usual priors come from other trials
         that were fitted with that interpretation, and are too narrow for another one.
         """
-        if getattr(problem.model, "model", self.model) is self.model:
+        added = problem.model.acting[len(self.model.acting) :]
+        if all(acting.model is self.model for acting in added):
             return {}
         own = {p.name: OWN_PRIOR * max(abs(p.start), 0.1 * p.scale) for p in self.parameters}
         return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
@@ -574,12 +575,12 @@ class Study:
         model = self.affected((*base.effects, effect))
         own = [base.problem.vector(base.theta, k) for k in range(len(self.trials))]
         runs = [
-            (np.concatenate((values, point[: len(model.own[-1])])), trial)
+            (np.concatenate((values, point[: len(model.acting[-1].parameters)])), trial)
             for point in points
             for values, trial in zip(own, self.trials, strict=True)
         ]
-        without = self.affected(base.effects).simulate_many(list(zip(own, self.trials, strict=True)))
-        simulated = iter(model.simulate_many(runs))
+        without = self.affected(base.effects).run_many(list(zip(own, self.trials, strict=True)))
+        simulated = iter(model.run_many(runs))
         unaffected = [base.problem.stacked(k, seen) for k, seen in enumerate(without)]
         return [
             [

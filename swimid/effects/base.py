@@ -1,4 +1,4 @@
-"""Base class of effects (unmodelled physics), and model on which effects act.
+"""Base class of effects (unmodelled physics), and parts of which effects are made.
 
 An effect has a name, parameters without influence at their start values, and hooks. Hooks are functions that
 change a simulation (:class:`~swimid.fitting.model.Hooks`). The ``stage`` of an effect is the part of the
@@ -22,7 +22,6 @@ from scipy.interpolate import CubicSpline
 from swimid.files.kernels import numba
 from swimid.fitting.model import (
     MEAN_SPEED,
-    NONE,
     POSITIONS,
     Array,
     Command,
@@ -30,14 +29,10 @@ from swimid.fitting.model import (
     Hooks,
     Model,
     Parameter,
-    Rig,
-    Scales,
     Stroke,
     Trial,
     typical,
-    unless_broken,
 )
-from swimid.notices import Progress, silent
 
 if TYPE_CHECKING:
     from swimid.swimmer.planar.model import Body
@@ -178,261 +173,6 @@ class Effect(ABC):
 
 #: Type of the result of :meth:`Effect.variants`: the forms of an effect that apply to a model.
 Effects = Sequence[Effect]
-
-
-class Affected(Model):
-    """Model on which effects act.
-
-    The parameters are those of the model, followed by those of each effect as ``effect/parameter``. With the
-    effect parameters at their start values, the simulation is that of the model. An effect may replace this
-    model by another one (:meth:`Effect.in_place_of`). Further effects may act on the result, because the
-    given model may be an affected model as well. All other properties are those of the given model.
-
-    Parameters
-    ----------
-    model : Model
-    effects : sequence of Effect
-    trials : sequence of Trial
-        Trials from which the effects take the scales of their parameters.
-    """
-
-    def __init__(self, model: Model, effects: Sequence[Effect], trials: Sequence[Trial]) -> None:
-        self.nominal = self.model = model
-        self.effects = tuple(effects)
-        for effect in self.effects:
-            self.model = effect.in_place_of(self.model)
-        self.name = model.name
-        self.channels = model.channels
-        self.abscissa = model.abscissa
-        self.offers = model.offers
-        self.force_unit = model.force_unit
-        self.timed_runs = model.timed_runs
-        self.has_gaps = model.has_gaps
-        self.in_space = model.in_space
-        self._trials = tuple(trials)
-        self.own = [effect.parameters(model, trials) for effect in self.effects]
-        self._contents = [effect.content() for effect in self.effects]
-        self._null = [[p.start for p in parameters] for parameters in self.own]
-        self._latest: dict[tuple[str, int], tuple[Trial, list[float], Hooks]] = {}
-        renamed: list[Parameter] = []
-        self._added = []
-        for effect, parameters in zip(self.effects, self.own, strict=True):
-            if effect.adds_to is not None:
-                self._added.append((model.index(effect.adds_to), len(model.parameters) + len(renamed)))
-            renamed += [replace(p, name=f"{effect.name}/{p.name}") for p in parameters]
-        self.parameters = (*model.parameters, *renamed)
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a property of the model that effects do not change, for example the robot with links."""
-        if name.startswith("_") or "model" not in vars(self):
-            raise AttributeError(name)
-        return getattr(self.model, name)
-
-    @property
-    def rig(self) -> Rig | None:
-        """Coordinate of the body if the model is a test rig (see :attr:`Model.rig`)."""
-        return self.model.rig
-
-    @property
-    def body(self) -> Any:
-        """Body of a planar robot with links, without effects (see :attr:`Model.body`)."""
-        return self.model.body
-
-    @property
-    def swimmer(self) -> Any:
-        """The affected model if it is a robot with links (see :attr:`Model.swimmer`)."""
-        return None if self.model.swimmer is None else self
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """World axes along which the body can travel."""
-        return self.model.axes
-
-    def scales(self, trials: Sequence[Trial]) -> Scales:
-        """Return the typical scales in the given trials, at the start values of this model."""
-        found = self.model.scales(trials)
-        found.model = self
-        return found
-
-    def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the initial position in a trial (see :meth:`Model.origin`)."""
-        return self.model.origin(trial)
-
-    def stated(self) -> dict[str, float]:
-        """Return the parameter values of the robot file (see :meth:`Model.stated`)."""
-        return self.model.stated()
-
-    def commanded(self, trial: Trial) -> bool:
-        """Return whether the input of a trial is a command (see :meth:`Model.commanded`)."""
-        return self.model.commanded(trial)
-
-    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield times, command and maximum rate of each actuator, before any effect acts on the command."""
-        return self.model.commands(trial)
-
-    def onset(self, trial: Trial) -> float:
-        """Return the start time of the simulation, s (see :meth:`Model.onset`)."""
-        return self.model.onset(trial)
-
-    def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """Return the known drive frequencies of the trials, Hz."""
-        return self.model.beats(trials)
-
-    def given(self, trial: Trial) -> list[str]:
-        """Return the measured channels of a trial that are inputs of the model."""
-        return self.model.given(trial)
-
-    def hooks(self, values: Array, trial: Trial) -> Hooks:
-        """Return the combined hooks of all effects for one trial at the given parameter values."""
-        hooks, at = NONE, len(self.model.parameters)
-        for number, (effect, null) in enumerate(zip(self.effects, self._null, strict=True)):
-            own = values[at : at + len(null)]
-            at += len(null)
-            if effect.adds_to is None and own.tolist() != null:
-                hooks = joined(hooks, self._hooks_of(number, own, trial))
-        return hooks
-
-    def _hooks_of(self, number: int, own: Array, trial: Trial) -> Hooks:
-        """Return the hooks of one effect at its parameter values. The latest result is cached."""
-        known, point = self._latest.get((trial.id, number)), own.tolist()
-        if known is not None and known[0] is trial and known[1] == point:
-            return known[2]
-        hooks = self.effects[number].hooks(own, trial, self.model)
-        if hooks.moves:
-            key = self._contents[number] + own.tobytes()
-            hooks = replace(hooks, key=key, command_key=key if hooks.command else b"")
-        # Hooks that change model coefficients may store the values that they read. Create them anew for each
-        # simulation.
-        if not (hooks.tables or hooks.coefficients):
-            self._latest[trial.id, number] = trial, point, hooks
-        return hooks
-
-    def shifted(self, values: Array) -> Array:
-        """Return the model parameters with the changes by effects added, limited to the bounds.
-
-        Parameters
-        ----------
-        values : ndarray, shape (len(parameters),)
-
-        Returns
-        -------
-        ndarray, shape (len(model.parameters),)
-        """
-        own = values[: len(self.model.parameters)].copy()
-        for index, at in self._added:
-            p = self.model.parameters[index]
-            own[index] = np.clip(own[index] + values[at], p.lower, p.upper)
-        return own
-
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial with all effects (see :meth:`Model.simulate`)."""
-        return self.hooked(values, trial, NONE)
-
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate one trial with all effects of this model, followed by further effects."""
-        own = self.shifted(values)
-        acting = joined(self.hooks(values, trial), hooks)
-        if acting is NONE:
-            return self.model.simulate(own, trial)
-        return self.model.hooked(own, trial, acting)
-
-    def motion(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial without the effects of sensors and clocks (see :meth:`Model.motion`)."""
-        return self.model.hooked(self.shifted(values), trial, self.hooks(values, trial).unmeasured())
-
-    @property
-    def together(self) -> int:
-        """Return the number of simulations that the model runs as one batch in the time of one."""
-        return self.model.together
-
-    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several trials with all effects of this model, each followed by further effects."""
-        own = unless_broken(self.hooks, [(values, trial) for values, trial, _ in runs])
-        asked = zip(runs, own, strict=True)
-        sound = [(self.shifted(v), trial, joined(h, more)) for (v, trial, more), h in asked if h is not None]
-        simulated = iter(self.model.hooked_many(sound))
-        return [
-            self.broken_down(trial) if h is None else next(simulated)
-            for (_, trial, _), h in zip(runs, own, strict=True)
-        ]
-
-    def with_energetics(
-        self,
-        runs: Sequence[tuple[Array, Trial]],
-        last_s: Sequence[float],
-        hooks: Sequence[Hooks] | None = None,
-    ) -> list[Any]:
-        """Simulate the motion of a robot with links in several trials, with torques and powers.
-
-        The effects act on the motion, but not those of sensors and clocks
-        (:meth:`swimid.swimmer.model.Swimmer.with_energetics`).
-        """
-        more = hooks or [NONE] * len(runs)
-        acting = [
-            joined(self.hooks(*run), further).unmeasured() for run, further in zip(runs, more, strict=True)
-        ]
-        own = [(self.shifted(values), trial) for values, trial in runs]
-        found: list[Any] = self.model.swimmer.with_energetics(own, last_s, acting)
-        return found
-
-    def cruise(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Any:
-        """Return the steady swimming of a robot with links, with all effects."""
-        acting = joined(self.hooks(values, trial), hooks)
-        return self.model.swimmer.cruise(self.shifted(values), trial, acting)
-
-    def at_own_level(
-        self, values: Array, trial: Trial, hooks: Hooks = NONE
-    ) -> tuple[Model, dict[str, float]]:
-        """Return the model with the output offset of one trial (see :meth:`Model.at_own_level`)."""
-        acting = joined(self.hooks(values, trial), hooks)
-        model, level = self.model.at_own_level(self.shifted(values), trial, acting)
-        if model is self.model:
-            return self, level
-        return self._upon(model), level
-
-    def forget(self, trials: Sequence[Trial]) -> None:
-        """Remove the cached results of trials that will not be simulated again."""
-        gone = {trial.id for trial in trials}
-        self._latest = {key: known for key, known in self._latest.items() if key[0] not in gone}
-        self.model.swimmer.forget(trials)
-
-    def prepare(self, progress: Progress = silent, *, effects: bool = False) -> None:
-        """Compile the simulation (see :meth:`Model.prepare`)."""
-        own = any(effect.stage not in ("actuation", "sensing") for effect in self.effects)
-        self.model.prepare(progress, effects=effects or own)
-
-    def refined(self) -> Affected | None:
-        """Return the model with its effects and half the integration step.
-
-        Return None if the model does not integrate in time.
-        """
-        finer = self.nominal.refined()
-        return None if finer is None else self._upon(finer)
-
-    def coarser(self) -> Affected | None:
-        """Return the model with its effects and twice the integration step; None if that saves no time."""
-        quick = self.nominal.coarser()
-        return None if quick is None else self._upon(quick)
-
-    def read_otherwise(self, robot: Any) -> Affected:
-        """Return the model with its effects for another interpretation of the robot's source."""
-        other = self.nominal.swimmer.read_otherwise(robot)
-        if [p.name for p in other.parameters] == [p.name for p in self.nominal.parameters]:
-            return self._upon(other)
-        return Affected(other, self.effects, self._trials)
-
-    def _upon(self, model: Model) -> Affected:
-        """Return the effects, with the parameters of this model, on another model with equal parameters."""
-        other = Affected(model, self.effects, self._trials)
-        other.parameters = self.parameters
-        return other
-
-
-def joined(first: Hooks, second: Hooks) -> Hooks:
-    """Return the hooks of effects that act one after the other."""
-    if first is NONE:
-        return second
-    return first if second is NONE else first + second
 
 
 # ---------------------------------------------------------------- parts of effects

@@ -604,7 +604,7 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     own = [p.name for p in model.parameters if p.per_trial]
     starts = {name: trial.starts[name] for name in own if name in trial.starts}
     values = np.array([starts.get(p.name, p.start) for p in model.parameters])
-    series = model.attempt(values, trial).get(channel)
+    series = model.run(values, trial).get(channel)
     if series is None or not np.isfinite(series).all():
         return np.zeros(len(trial.time_s))
     return series

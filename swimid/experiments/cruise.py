@@ -143,10 +143,11 @@ class Cruise(Trials):
                 )
 
         def compute(applied: Any, values: Array) -> list[float]:
-            mean, terminal = (float(applied.model.motion(values, one)[SPEED][0]) for one in (trial, far))
+            runs = applied.model.run_many([(values, trial), (values, far)], measured=False)
+            mean, terminal = (float(run[SPEED][0]) for run in runs)
             if options.distance_m is None:
                 mean = math.nan
-            hooks, force = applied.hooks(values, far), math.nan
+            hooks, force = applied.model.hooks(values, far), math.nan
             if not hooks.flow:
                 c = hooks.changed(model.resistance(), "coefficients")
                 force = c["dry"] + terminal * (c["linear"] + terminal * c["quadratic"])

@@ -145,7 +145,8 @@ class FallingWeight(Trials):
         trial = Trial("run", "fit", time_s, {}, rig=on_rig)
 
         def compute(applied: Any, values: Array) -> list[float]:
-            simulated, hooks = applied.model.motion(values, trial), applied.hooks(values, trial)
+            simulated = applied.model.run(values, trial, measured=False)
+            hooks = applied.model.hooks(values, trial)
             top = math.nan
             if not (hooks.force or hooks.flow):
                 balance = hooks.changed(model.equation(values, trial), "coefficients")

@@ -7,14 +7,14 @@ reports use only this interface, so that a new model needs only one new class.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import numpy as np
 from numba.core.errors import NumbaExperimentalFeatureWarning
@@ -25,6 +25,7 @@ from swimid.files.kernels import numba
 from swimid.notices import Progress, silent
 
 if TYPE_CHECKING:
+    from swimid.effects.base import Effect
     from swimid.fitting.drives import Beat, Cycle, Motion
 
 Array = NDArray[np.float64]
@@ -468,6 +469,10 @@ class Hooks:
     command_key: bytes = b""
 
     def __add__(self, other: Hooks) -> Hooks:
+        if self is NONE:
+            return other
+        if other is NONE:
+            return self
         return Hooks(*(getattr(self, name) + getattr(other, name) for name in _FIELDS))
 
     @property
@@ -521,24 +526,77 @@ class Hooks:
 _FIELDS = tuple(field.name for field in fields(Hooks))
 #: Hooks that change nothing in a simulation.
 NONE = Hooks()
+#: Type of the arguments of a simulation: values of the parameters, trial, and hooks of its effects.
+Request = tuple[Array, Trial, Hooks]
 
 
 # ---------------------------------------------------------------- model
 
 
-class Model(ABC):
+class Acting:
+    """Effect that acts in the simulations of a model.
+
+    Parameters
+    ----------
+    effect : Effect
+    model : Model
+        Model without this effect.
+    parameters : tuple of Parameter
+        Parameters of the effect.
+    first : int
+        Index of the first of them among the parameters of the model with all effects.
+    """
+
+    def __init__(self, effect: Effect, model: Model, parameters: tuple[Parameter, ...], first: int) -> None:
+        self.effect, self.model, self.parameters, self.first = effect, model, parameters, first
+        #: Index of the parameter of the model to which the effect is added; None if it has hooks instead.
+        self.adds_to = None if effect.adds_to is None else model.index(effect.adds_to)
+        self._null = [p.start for p in parameters]
+        self._content = effect.content()
+        self._latest: dict[str, tuple[Trial, list[float], Hooks]] = {}
+
+    def hooks(self, values: Array, trial: Trial) -> Hooks:
+        """Return the hooks of the effect at the given values of all parameters. The latest ones are kept."""
+        own = values[self.first : self.first + len(self.parameters)]
+        point = own.tolist()
+        if self.adds_to is not None or point == self._null:
+            return NONE
+        known = self._latest.get(trial.id)
+        if known is not None and known[0] is trial and known[1] == point:
+            return known[2]
+        hooks = self.effect.hooks(own, trial, self.model)
+        if hooks.moves:
+            key = self._content + own.tobytes()
+            hooks = replace(hooks, key=key, command_key=key if hooks.command else b"")
+        # Hooks that change model coefficients may store the values that they read. Create them anew for each
+        # simulation.
+        if not (hooks.tables or hooks.coefficients):
+            self._latest[trial.id] = trial, point, hooks
+        return hooks
+
+    def forget(self, trials: Iterable[str]) -> None:
+        """Remove the hooks that were kept for trials."""
+        for name in trials:
+            self._latest.pop(name, None)
+
+
+class Model:
     """Interface of a model for fits, comparisons and diagnoses.
 
-    A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. Other members
-    state properties that only some models have: the coordinate on a :attr:`rig`, the links (:attr:`body`),
-    the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
+    A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. It overrides
+    :meth:`hooked` instead of :meth:`simulate` if it supports other hooks than ``output`` and ``clock``. Other
+    members state properties that only some models have: the coordinate on a :attr:`rig`, the links
+    (:attr:`body`), the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
+
+    Effects act on a copy of the model (:meth:`with_effects`). :meth:`run` and :meth:`run_many` simulate
+    trials with all effects of the model.
 
     Attributes
     ----------
     name : str
         Name of the model in the parameter file.
     parameters : tuple of Parameter
-        Parameters, in the order of the values that :meth:`simulate` takes.
+        Parameters, in the order of the values that :meth:`run` takes. Those of the effects come last.
     channels : tuple of Channel
         Channels that the model simulates.
     abscissa : str
@@ -555,6 +613,8 @@ class Model(ABC):
     in_space : bool
         Whether the model is a robot with links that moves in 3-D, and not in a plane. It is simulated for one
         stroke cycle after the other.
+    acting : tuple of Acting
+        Effects that act on the model.
 
     Examples
     --------
@@ -566,7 +626,7 @@ class Model(ABC):
     ...     def simulate(self, values, trial):
     ...         return {"x_m": values[0] * trial.time_s}
     >>> run = Trial("run 1", "fit", time_s=np.array([0.0, 1.0, 2.0]), measured={})
-    >>> Drifting().simulate(np.array([0.25]), run)["x_m"].tolist()
+    >>> Drifting().run(np.array([0.25]), run)["x_m"].tolist()
     [0.0, 0.25, 0.5]
     """
 
@@ -579,6 +639,7 @@ class Model(ABC):
     timed_runs: bool = False
     has_gaps: bool = False
     in_space: bool = False
+    acting: tuple[Acting, ...] = ()
 
     @property
     def rig(self) -> Rig | None:
@@ -636,19 +697,142 @@ class Model(ABC):
         """Return the measured channels of a trial that are inputs of the model, which it does not predict."""
         return []
 
+    # -------------------------------------------------------- effects
+
+    def with_effects(self, effects: Sequence[Effect], trials: Sequence[Trial]) -> Model:
+        """Return a copy of the model on which further effects act.
+
+        The parameters of the copy are those of the model, followed by those of each effect as
+        ``effect/parameter``. With the effect parameters at their start values, the simulation is that of the
+        model. An effect may replace the model by another one (:meth:`Effect.in_place_of`).
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        trials : sequence of Trial
+            Trials from which the effects take the scales of their parameters.
+        """
+        model = self
+        for effect in effects:
+            model = effect.in_place_of(model)
+        return model._with_acting([(effect, effect.parameters(self, trials)) for effect in effects])
+
+    def _with_acting(self, effects: Iterable[tuple[Effect, tuple[Parameter, ...]]]) -> Self:
+        """Return a copy of the model on which further effects act with given parameters."""
+        other = copy.copy(self)
+        for effect, parameters in effects:
+            other.acting = (*other.acting, Acting(effect, self, parameters, len(other.parameters)))
+            named = (replace(p, name=f"{effect.name}/{p.name}") for p in parameters)
+            other.parameters = (*other.parameters, *named)
+        return other
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects that act on the model."""
+        return tuple(acting.effect for acting in self.acting)
+
+    def _acted(self, values: Array) -> Array:
+        """Return parameter values with the changes by effects added, limited to the bounds."""
+        # A later effect may change the parameter of an earlier one.
+        for acting in reversed(self.acting):
+            if acting.adds_to is not None:
+                p, values = self.parameters[acting.adds_to], values.copy()
+                changed = values[acting.adds_to] + values[acting.first]
+                values[acting.adds_to] = np.clip(changed, p.lower, p.upper)
+        return values
+
+    def hooks(self, values: Array, trial: Trial) -> Hooks:
+        """Return the combined hooks of all effects in one trial at the given parameter values."""
+        values = self._acted(values)
+        return sum((acting.hooks(values, trial) for acting in self.acting), NONE)
+
+    def _arguments(self, values: Array, trial: Trial, *, measured: bool = True) -> Request:
+        """Return the arguments with which :meth:`hooked` simulates a trial with all effects of the model.
+
+        Parameters
+        ----------
+        measured : bool
+            Whether effects of sensors and clocks act.
+        """
+        hooks = self.hooks(values, trial)
+        if not measured:
+            hooks = hooks.unmeasured()
+        own = self.acting[0].first if self.acting else len(values)
+        return self._acted(values)[:own], trial, hooks
+
     # -------------------------------------------------------- simulation
 
-    def at_own_level(
-        self, values: Array, trial: Trial, hooks: Hooks = NONE
-    ) -> tuple[Model, dict[str, float]]:
-        """Return the model with the output offset of one trial, and this offset by parameter name.
+    def run(self, values: Array, trial: Trial, *, measured: bool = True) -> dict[str, Array]:
+        """Simulate one trial with all effects (see :meth:`run_many`)."""
+        return self.run_many([(values, trial)], measured=measured)[0]
 
-        The effects that ``hooks`` describe act in the trial. A model whose output has no offset for each
-        trial is returned unchanged.
+    def run_many(
+        self, runs: Sequence[tuple[Array, Trial]], *, measured: bool = True
+    ) -> list[dict[str, Array]]:
+        """Simulate several trials with all effects of the model.
+
+        Parameters
+        ----------
+        runs : sequence of (values, trial)
+            One value for each of :attr:`parameters`. A per-trial parameter has the value of the trial.
+        measured : bool
+            Whether effects of sensors and clocks act. Without them the result is the motion of the robot.
+
+        Returns
+        -------
+        list of dict of channel name to ndarray, each shape (n,)
+            Simulated values at the sample times of the trial. If a simulation diverges, all values of this
+            trial are NaN.
         """
-        return self, {}
+        requests = unless_broken(partial(self._arguments, measured=measured), runs)
+        simulated = iter(self.hooked_many([one for one in requests if one is not None]))
+        return [
+            self.broken_down(trial) if one is None else next(simulated)
+            for one, (_, trial) in zip(requests, runs, strict=True)
+        ]
 
-    def prepare(self, progress: Progress = silent, *, effects: bool = False) -> None:  # noqa: B027
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Simulate one trial without effects. A model overrides this method or :meth:`hooked`.
+
+        Parameters
+        ----------
+        values : ndarray, shape (k,)
+            One value for each parameter of the model, without those of effects. A per-trial parameter has the
+            value of this trial.
+        trial : Trial
+
+        Returns
+        -------
+        dict of channel name to ndarray, each shape (n,)
+            Simulated values at the sample times of the trial. NaN where the simulation diverges.
+        """
+        if type(self).hooked is Model.hooked:
+            raise NotImplementedError(f"the model {self.name} has no method 'simulate'")
+        return self.hooked(values, trial, NONE)
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate one trial with the given hooks (see :meth:`simulate`).
+
+        A model that supports other hooks than ``output`` and ``clock`` overrides this method.
+        """
+        late = replace(trial, time_s=hooks.happened(trial.time_s)) if hooks.late else trial
+        return hooks.seen(self.simulate(values, late), trial.time_s)
+
+    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
+        """Simulate several trials, each with its hooks (see :meth:`hooked`).
+
+        A model that simulates batches faster overrides this method. If a simulation diverges, all values of
+        this trial are NaN.
+        """
+        found = unless_broken(self.hooked, runs)
+        return [one or self.broken_down(trial) for one, (_, trial, _) in zip(found, runs, strict=True)]
+
+    @property
+    def together(self) -> int:
+        """Number of trials that the model simulates together in about the time of one trial."""
+        return 1
+
+    def prepare(self, progress: Progress = silent, *, effects: bool = False) -> None:
         """Compile the simulation if this machine does not have it yet, and show the progress.
 
         Without this call the first simulation compiles it.
@@ -660,63 +844,12 @@ class Model(ABC):
             modules of all effects, including those of the user, must have been imported.
         """
 
-    @abstractmethod
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial.
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[Model, dict[str, float]]:
+        """Return the model with the output offset of one trial, and this offset by parameter name.
 
-        Parameters
-        ----------
-        values : ndarray, shape (len(self.parameters),)
-            One value for each parameter, in the order of :attr:`parameters`. A per-trial parameter has the
-            value of this trial.
-        trial : Trial
-
-        Returns
-        -------
-        dict of channel name to ndarray, each shape (n,)
-            Simulated values at the sample times of the trial. NaN where the simulation diverges.
+        A model whose output has no offset for each trial is returned unchanged.
         """
-
-    def attempt(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial, and suppress numpy's warnings if the simulation diverges."""
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return self.simulate(values, trial)
-
-    def motion(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate the motion of the robot itself in one trial, without effects of sensors and clocks."""
-        return self.simulate(values, trial)
-
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate one trial with effects.
-
-        A model that supports other hooks than ``output`` and ``clock`` overrides this method.
-        """
-        late = replace(trial, time_s=hooks.happened(trial.time_s)) if hooks.late else trial
-        return hooks.seen(self.simulate(values, late), trial.time_s)
-
-    def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
-        """Simulate several trials as :meth:`simulate` does.
-
-        If a simulation diverges, all values of this trial are NaN.
-        """
-        return self.hooked_many([(values, trial, NONE) for values, trial in runs])
-
-    @property
-    def together(self) -> int:
-        """Number of trials that the model simulates together in about the time of one trial."""
-        return 1
-
-    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several trials, each with its effects.
-
-        A model that simulates batches faster overrides this method.
-        """
-
-        def simulated(values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-            return self.simulate(values, trial) if hooks is NONE else self.hooked(values, trial, hooks)
-
-        found = unless_broken(simulated, runs)
-        return [one or self.broken_down(trial) for one, (_, trial, _) in zip(found, runs, strict=True)]
+        return self, {}
 
     def broken_down(self, trial: Trial) -> dict[str, Array]:
         """Return the channels of a simulation that diverged: NaN at every sample."""
@@ -725,8 +858,8 @@ class Model(ABC):
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the time derivative of each simulated channel, for trials with uncertain time stamps."""
         step = 1e-4
-        late = self.simulate(values, replace(trial, time_s=trial.time_s + step))
-        early = self.simulate(values, replace(trial, time_s=np.maximum(trial.time_s - step, 0)))
+        late = self.run(values, replace(trial, time_s=trial.time_s + step))
+        early = self.run(values, replace(trial, time_s=np.maximum(trial.time_s - step, 0)))
         width = trial.time_s + step - np.maximum(trial.time_s - step, 0)
         return {name: (late[name] - early[name]) / width for name in late}
 

@@ -729,7 +729,7 @@ def _series(problem: Problem, result: FitResult) -> list[Series]:
         for channel, sd in zip(channels, of_trial, strict=True)
     }
     for trial in result.trials:
-        simulated = fitted.get(trial.id) or problem.model.simulate(result.values(trial.id), trial)
+        simulated = fitted.get(trial.id) or problem.model.run(result.values(trial.id), trial)
         for channel in (c.name for c in problem.model.channels if c.name in trial.measured):
             known = np.full(len(trial.time_s), getattr(result.noise.get(channel), "value_sd", math.nan))
             sd = sds.get((trial.id, channel), known)
@@ -996,6 +996,6 @@ def with_held_out(result: FitResult) -> FitResult:
     if not found:
         return result
     result = replace(result, start_states=found)
-    shown = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
+    shown = {t.id: result.model.run(result.values(t.id), t) for t in waiting}
     series = [replace(s, simulated=shown.get(s.trial, {}).get(s.channel, s.simulated)) for s in result.series]
     return replace(result, series=series)

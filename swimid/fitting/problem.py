@@ -470,10 +470,10 @@ class Problem:
             together = self.model.together
             share = math.ceil(len(runs) / threads / together) * together
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
-            with map_in_threads(self.model.simulate_many, parts, threads) as batches:
+            with map_in_threads(self.model.run_many, parts, threads) as batches:
                 found = [one for batch in batches for one in batch]
         else:
-            found = self.model.simulate_many(runs)
+            found = self.model.run_many(runs)
         if runs:
             self._typical_s = min(self._typical_s, (time.perf_counter() - begun) * threads / len(runs))
         return [

@@ -81,8 +81,8 @@ def choose_step(
     rest = list(range(len(runs)))
     rough: list[dict[str, Array]] = []
     while rest and (finer := models[-1].refined()) is not None:
-        rough = rough or model.simulate_many(runs)
-        fine = finer.simulate_many([runs[k] for k in rest])
+        rough = rough or model.run_many(runs)
+        fine = finer.run_many([runs[k] for k in rest])
         for k, one, other in zip(rest, rough, fine, strict=True):
             changes[k] = _changes(runs[k][1], one, other, noise[k])
         left = [j for j, k in enumerate(rest) if _largest(changes[k]) > 1.0]

@@ -366,7 +366,7 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
     reference = fitted.noise[SPEED].value_sd
     for trial in trials:
-        predicted = fitted.model.simulate(fitted.values(trial.id), trial)[SPEED]
+        predicted = fitted.model.run(fitted.values(trial.id), trial)[SPEED]
         at = np.isclose(trial.inputs["frequency_hz"], level) & np.isfinite(trial.measured[SPEED])
         at &= predicted > 0
         shares += list(trial.measured[SPEED][at] / predicted[at] - 1)
@@ -644,4 +644,4 @@ def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: 
     amplitude = np.deg2rad(amplitude_deg)
     inputs = {"frequency_hz": frequency, "amplitude_rad": amplitude, "distance_m": distance}
     runs = replace(trial, time_s=np.arange(len(frequency), dtype=float), inputs=inputs)
-    return 100 * result.model.simulate(result.values(trial.id), runs)[SPEED]
+    return 100 * result.model.run(result.values(trial.id), runs)[SPEED]

@@ -11,7 +11,6 @@ import numpy as np
 from swimid.files.kernels import numba
 from swimid.fitting.model import (
     MEAN_SPEED,
-    NONE,
     Array,
     Channel,
     Hooks,
@@ -215,10 +214,6 @@ class RecoilModel(Model):
         """Return the coefficients of drag and friction, and the moving mass, without effects."""
         return {"quadratic": self.drag_area_kg_m, "linear": 0.0, "dry": 0.0, "mass": self.moving_mass_kg}
 
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the predicted average speed of each cruise run of a trial (see :meth:`Model.simulate`)."""
-        return self.hooked(values, trial, NONE)
-
     def scales(self, trials: Sequence[Trial]) -> RecoilScales:
         """Return the typical sizes of speed, force and inertia in cruise trials."""
         return RecoilScales(self, trials)
@@ -290,10 +285,6 @@ class SurgeModel(Model):
             Parameter("frequency_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=many, meaning="of thrust"),
             Parameter("initial_speed", "m/s", -inf, inf, 0.0, 0.2 * speed_m_s, True, True, start),
         )
-
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the simulated surge at the samples of a trial, m/s (see :meth:`Model.simulate`)."""
-        return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> SurgeScales:
         """Return the typical sizes of speed and force per mass in straight swimming trials."""

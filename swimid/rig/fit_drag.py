@@ -648,7 +648,7 @@ def sign_check(result: FitResult) -> ev.Check:
     start = np.array([p.start for p in result.model.parameters])
 
     def mean_square(trial: Trial) -> float:
-        simulated = result.model.simulate(start, trial)[channel]
+        simulated = result.model.run(start, trial)[channel]
         return float(np.nanmean((trial.measured[channel] - simulated) ** 2))
 
     turned = {}
@@ -856,7 +856,7 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
     if "drag_coefficient" not in known:
         return
     sized = [(t, a) for t, a in zip(result.trials, areas, strict=True) if t.role == "fit" and a]
-    speeds = [result.model.simulate(result.values(t.id), t)["u_m_s"] for t, _ in sized]
+    speeds = [result.model.run(result.values(t.id), t)["u_m_s"] for t, _ in sized]
     tops = [float(np.nanmax(np.abs(u), initial=0.0)) for u in speeds]
     reached = [reynolds(top, a, density) for top, (_, a) in zip(tops, sized, strict=True)]
     most = max_drag_coefficient(max(reached, default=math.nan))

@@ -14,6 +14,7 @@ the body as it moves a neutrally buoyant body.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +25,6 @@ import numpy as np
 from swimid.files.kernels import numba
 from swimid.fitting.model import (
     MOST_FORCES,
-    NONE,
     Array,
     Channel,
     Hooks,
@@ -245,10 +245,6 @@ class RigModel(Model):
         x, v = integrate(time, release, step, force, c["x0"], c["v0"], equation, water, extra)
         return {self.coordinate: x, self.speed: v}
 
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the simulated displacement and speed at the samples of a trial (:meth:`Model.simulate`)."""
-        return self.hooked(values, trial, NONE)
-
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return displacement and speed of a trial, simulated with effects (see :meth:`Model.hooked`).
 
@@ -275,14 +271,16 @@ class RigModel(Model):
 
     def refined(self) -> RigModel:
         """Return a copy of the model with half the integration step."""
-        return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
+        other = copy.copy(self)
+        other.max_step = 0.5 * self.max_step
+        return other
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the time derivatives of simulated displacement and speed at the samples of a trial.
 
         They are the simulated speed and the numerical derivative of the speed.
         """
-        simulated = self.simulate(values, trial)
+        simulated = self.run(values, trial)
         rate = np.zeros(1)
         if len(trial.time_s) > 1:
             rate = np.gradient(simulated[self.speed], trial.time_s)

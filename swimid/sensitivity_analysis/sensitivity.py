@@ -256,7 +256,7 @@ class Study:
         vectors[:, :, [self.model.index(name) for name in self.ranges]] = points[:, None]
         possible = np.array([all(is_possible(self.model, one) for one in each) for each in vectors])
         pairs = [(one, run) for each in vectors[possible] for one, run in zip(each, self.runs, strict=True)]
-        simulated = self.model.simulate_many([(one, run.trial) for one, run in pairs])
+        simulated = self.model.run_many([(one, run.trial) for one, run in pairs])
         values = [
             quantity.value
             for (one, run), columns in zip(pairs, simulated, strict=True)
@@ -501,7 +501,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
     runs, columns = [], []
     for trial in experiment.trials:
         run = _run(applied, model, trial)
-        quantities = run.outputs(model, run.values, model.attempt(run.values, run.trial))
+        quantities = run.outputs(model, run.values, model.run(run.values, run.trial))
         broken = any(not math.isfinite(q.value) for q in quantities.values())
         if broken or not is_possible(model, run.values):
             raise NoTrustworthyResult(

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from swimid.effects import catalogue as effect_catalogue
-from swimid.effects.base import Affected, Effect
+from swimid.effects.base import Effect
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.fit_common import Experiment, load_experiment
-from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
+from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.logs.experiments import Trials, find_experiments, read_experiments
 from swimid.logs.trials import TrialSet
 from swimid.notices import warn
@@ -178,12 +178,6 @@ class Applied:
             return self.known[label].value
         return self.stated.get(p.name, p.start)
 
-    def hooks(self, values: Array, trial: Trial) -> Hooks:
-        """Return the hooks of all effects in the simulation of a trial."""
-        if isinstance(self.model, Affected):
-            return self.model.hooks(values, trial)
-        return NONE
-
     def fitted_per_trial(self) -> set[str]:
         """Return the names of the parameters that have values for single trials in the parameter file."""
         return {n.split("[")[0] for n in self.known if "[" in n}
@@ -275,7 +269,7 @@ def with_effects(
     path: Path | None,
     trials: Sequence[Trial],
     own_effects: Sequence[Path] = (),
-) -> Affected:
+) -> Model:
     """Return a model with the effects of a parameter file, at the parameter values of the file.
 
     Raises
@@ -298,7 +292,7 @@ def with_effects(
                 column=f"settings.effects.{name}",
             )
         acting.append(form)
-    affected = Affected(model, acting, trials)
+    affected = model.with_effects(acting, trials)
     count = len(model.parameters)
     affected.parameters = (*model.parameters, *(_stated(p, file) for p in affected.parameters[count:]))
     return affected

@@ -197,7 +197,7 @@ def _mistakes_check(
 
     def evaluate(trial: Trial) -> mistakes.Errors:
         values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
-        return mistakes.misfits(trial, applied.model.attempt(values, trial))
+        return mistakes.misfits(trial, applied.model.run(values, trial))
 
     best: mistakes.Explanation | None = None
     for mistake, each in mistakes.screened(trials, known, before, evaluate):

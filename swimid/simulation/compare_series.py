@@ -255,7 +255,7 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         model, level = model.at_own_level(values, trial)
         if level:
             start, start_values = "estimated", level
-    simulated = model.attempt(values, trial)
+    simulated = model.run(values, trial)
     pairs = _logged_pairs(model, trial, simulated)
     frequency, body, drive = None, model.body, {}
     if trial.swim.beat is not None:
@@ -397,7 +397,7 @@ def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) ->
 
     It is infinite if the simulation breaks down.
     """
-    simulated = model.attempt(values, trial)
+    simulated = model.run(values, trial)
     residuals = [(trial.measured[name] - simulated[name]) / size for name, size in sd.items()]
     known = [np.isfinite(trial.measured[name]) for name in sd]
     total = sum(float(np.sum(r[there] ** 2)) for r, there in zip(residuals, known, strict=True))

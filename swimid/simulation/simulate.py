@@ -78,7 +78,7 @@ def simulate_case(case: Case) -> Simulated:
     """
     chosen = steps.choose_step(case.applied.model, [(case.values, case.trial)], [case.applied.noise()])
     case, model, (step,) = case.at_step(chosen.model), chosen.model, chosen.changes
-    simulated = model.attempt(case.values, case.trial)
+    simulated = model.run(case.values, case.trial)
     _refuse_broken(case, simulated)
     _warn_folded(case, simulated)
     quantities = {}

@@ -423,7 +423,7 @@ def _explain(
             )
             known = {p.name: own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters}
             values = values_of(model, parameters, known)
-            found.append(mistakes.misfits(trial, model.attempt(values, trial)))
+            found.append(mistakes.misfits(trial, model.run(values, trial)))
         found = [errors for errors in found if errors]
         return min(found, key=lambda e: sum(np.log([m.relative for m in e.values()])), default={})
 

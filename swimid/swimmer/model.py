@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
+from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Request, Trial, unless_broken
 from swimid.notices import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
 from swimid.swimmer.lanes import LANES, Kernels, Room
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar.engine import outside, sampled
+from swimid.swimmer.steady import Cruise, SteadySwimming
 from swimid.swimmer.tree import Axis, Polynomial, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.fitting.model import SwimInput
-    from swimid.swimmer.steady import Cruise, SteadySwimming
 
 #: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the
 #: clock offset, needs no new simulation.
@@ -130,7 +131,7 @@ class Energetics:
         return self.mean(np.maximum(self.power_W, 0.0).sum(axis=1))
 
 
-class Swimmer(Model):
+class Swimmer(Model, ABC):
     """Model of a robot with links.
 
     Trajectories are cached. A trajectory stays valid while only parameters of the measurement change, such as
@@ -190,12 +191,16 @@ class Swimmer(Model):
             for names in (velocities, self.starts)
         )
         self.inputs = self.tree.body.inputs
-        self.joints = DrivenJoints(self.tree, self._mounts())
         self.kernels = Kernels(self.engine, self.tree.tables, len(self.coefficients), self._room)
+        self._checked: bytes | None = None
+        self._clear_caches()
+
+    def _clear_caches(self) -> None:
+        """Begin with empty caches of simulations. A copy with another integration step needs its own."""
+        self.joints = DrivenJoints(self.tree, self._mounts())
+        self.steady = SteadySwimming(self)
         self._trajectories: TrialCache[Trajectory] = TrialCache(MAX_TRAJECTORIES)
         self._grids: dict[str, tuple[Array, Grid]] = {}
-        self._steady: SteadySwimming | None = None
-        self._checked: bytes | None = None
 
     # -------------------------------------------------------- defined by the planar and the 3-D model
 
@@ -318,6 +323,8 @@ class Swimmer(Model):
         names = {trial.id for trial in trials}
         self._trajectories.forget(names)
         self.joints.forget(names)
+        for acting in self.acting:
+            acting.forget(names)
         for name in names:
             self._grids.pop(name, None)
 
@@ -325,6 +332,7 @@ class Swimmer(Model):
 
     def prepare(self, progress: Progress = silent, *, effects: bool = False) -> None:
         """Compile the kernels (see :meth:`Model.prepare`)."""
+        effects = effects or any(effect.stage not in ("actuation", "sensing") for effect in self.effects)
         self.kernels.prepare(self.robot.name, progress, effects=effects)
 
     def refined(self) -> Self:
@@ -336,30 +344,31 @@ class Swimmer(Model):
         return self._with_step(2.0 * self.max_step)
 
     def _with_step(self, max_step: float) -> Self:
-        other = type(self)(self.robot, max_step=max_step)
-        other.parameters, other.kernels = self.parameters, self.kernels
+        other = copy.copy(self)
+        other.max_step = max_step
+        other._clear_caches()
         return other
 
     def read_otherwise(self, robot: Robot) -> Self:
         """Return the model of the same robot with another interpretation of its source.
 
-        If the parameter names agree, the new model takes over the parameters of this model. It also takes
-        over the compiled kernels if the constant entries of the input arrays agree.
+        The effects of this model act on the new one as well. If the parameter names agree, the new model
+        takes over the parameters of this model. It also takes over the compiled kernels if the constant
+        entries of the input arrays agree.
         """
         other = type(self)(robot, max_step=self.max_step)
-        if [p.name for p in other.parameters] != [p.name for p in self.parameters]:
-            return other
-        other.parameters = self.parameters
-        draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(self.coefficients)))
-        if all(self.kernels.own.fits(other.tree.tables(draw)) for draw in draws):
-            other.kernels = self.kernels
+        same = [p.name for p in other.parameters] == [p.name for p in self.parameters[: len(self._at)]]
+        if same:
+            other.parameters = self.parameters[: len(self._at)]
+            draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(self.coefficients)))
+            if all(self.kernels.own.fits(other.tree.tables(draw)) for draw in draws):
+                other.kernels = self.kernels
+        other = other._with_acting([(acting.effect, acting.parameters) for acting in self.acting])
+        if same:
+            other.parameters = self.parameters
         return other
 
     # -------------------------------------------------------- simulation
-
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate a trial, and return its channels at the sampling times (see :meth:`Model.simulate`)."""
-        return self.hooked(values, trial, NONE)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Simulate a trial with effects (see :meth:`Model.hooked`)."""
@@ -370,7 +379,7 @@ class Swimmer(Model):
         """Number of simulations in one batch of the compiled kernel (see :attr:`Model.together`)."""
         return LANES if self.kernels.used else 1
 
-    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
+    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
         """Simulate several trials in batches of the compiled kernel (see :meth:`Model.hooked_many`)."""
 
         def observe(k: int, run: Run, trajectory: Trajectory) -> tuple[int, dict[str, Array]]:
@@ -380,28 +389,24 @@ class Swimmer(Model):
         return [channels.get(k) or self.broken_down(trial) for k, (_, trial, _) in enumerate(runs)]
 
     def with_energetics(
-        self,
-        runs: Sequence[tuple[Array, Trial]],
-        last_s: Sequence[float],
-        hooks: Sequence[Hooks] | None = None,
+        self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
     ) -> list[tuple[dict[str, Array], Energetics | None]]:
         """Simulate several trials, and compute torques and powers over the last part of each simulation.
+
+        All effects of the model act on the motion, except those of sensors and clocks.
 
         Parameters
         ----------
         runs : sequence of (values, trial)
         last_s : sequence of float
             Length of the last part of each simulation, s. It is rounded to whole integration steps.
-        hooks : sequence of Hooks, optional
-            Hooks of the effects in each simulation; by default no effect acts.
 
         Returns
         -------
         list of (channels, Energetics)
             If a simulation breaks down, its channels are NaN and its energetics are None.
         """
-        acting = hooks or [NONE] * len(runs)
-        asked = [(values, trial, own) for (values, trial), own in zip(runs, acting, strict=True)]
+        asked = [self._arguments(*run, measured=False) for run in runs]
         found: dict[int, tuple[dict[str, Array], Energetics | None]] = {}
         for k, run, trajectory in self._simulated(asked):
             if np.isfinite(trajectory.states[-1]).all():
@@ -418,8 +423,8 @@ class Swimmer(Model):
         ((_, _, found),) = self._trajectories_of([(0, request)])
         return found
 
-    def cruise(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Cruise | None:
-        """Return the steady swimming of the model under the drive of a trial, with effects.
+    def cruise(self, values: Array, trial: Trial) -> Cruise | None:
+        """Return the steady swimming of the model under the drive of a trial, with all effects.
 
         Returns
         -------
@@ -428,16 +433,7 @@ class Swimmer(Model):
         """
         if trial.swim.drive is None or not self.free_base or self.in_space:
             return None
-        return self.steady.cruise(values, trial, hooks)
-
-    @property
-    def steady(self) -> SteadySwimming:
-        """Steady swimming of the model, with its limit cycles; created at the first access."""
-        if self._steady is None:
-            from swimid.swimmer.steady import SteadySwimming
-
-            self._steady = SteadySwimming(self)
-        return self._steady
+        return self.steady.cruise(*self._arguments(values, trial))
 
     def request(self, values: Array, trial: Trial, hooks: Hooks) -> Run:
         """Return the request for a simulation of a trial with effects.
@@ -539,7 +535,7 @@ class Swimmer(Model):
         """Return the value of a parameter, or 0 if the model does not have the parameter."""
         return float(values[self._at[name]]) if name in self._at else 0.0
 
-    def _simulated(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> Iterator[tuple[int, Run, Trajectory]]:
+    def _simulated(self, runs: Sequence[Request]) -> Iterator[tuple[int, Run, Trajectory]]:
         """Simulate trials with effects, and yield the index, the request and the trajectory of each.
 
         A simulation that breaks down before its first step is left out. Only a few requests are in memory at

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swimid.fitting.drives import Beat, Cycle
-from swimid.fitting.model import NONE, Array, Hooks, Trial
+from swimid.fitting.model import Array, Hooks, Trial
 from swimid.swimmer.drive import Grid, TrialCache
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ class SteadySwimming:
             start[self._memory] = states[-1, self._memory]
         return start
 
-    def cruise(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Cruise:
+    def cruise(self, values: Array, trial: Trial, hooks: Hooks) -> Cruise:
         """Return the speed at which the model settles under the periodic drive of a trial, with effects.
 
         It is the speed through the water.

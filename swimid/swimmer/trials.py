@@ -515,7 +515,7 @@ def _with_phase(trial: Trial, model: Swimmer) -> Trial:
     simulated = []
     for phase in phases:
         values[model.index("drive_phase")] = phase
-        simulated.append(model.attempt(values.copy(), trial))
+        simulated.append(model.run(values.copy(), trial))
     model.forget([trial])
     if not all(np.isfinite(run[name]).all() for run in simulated for name in trial.measured):
         return trial
