@@ -1017,7 +1017,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
 
 def figures(result: FitResult) -> list[ev.Figure]:
     """Return the figures of a fit for each channel: measured and simulated series, and residuals."""
-    found, abscissa = [], result.model.abscissa
+    found = []
     for channel in (c for c in result.model.channels if c.name in result.noise):
         series = result.series_of(channel.name)
         name = channel.meaning or channel.name
@@ -1028,7 +1028,6 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 f"{name[:1].upper()}{name[1:]}, measured and simulated",
                 "Points are measured, and thinned; lines are simulated with the estimated parameters. Trials "
                 "are ranked by their root-mean-square residual over the noise.",
-                abscissa,
                 f"{name} ({numbers.unit_text(unit) or '1'})",
                 series,
                 factor,
@@ -1037,7 +1036,6 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 f"residuals-{channel.name}",
                 f"Residuals of {name}",
                 "Measured minus simulated over the standard deviation of the noise.",
-                abscissa,
                 series,
                 autocorrelation(_weighted(result, channel.name)),
             ),

@@ -599,8 +599,6 @@ class Model:
         Parameters, in the order of the values that :meth:`run` takes. Those of the effects come last.
     channels : tuple of Channel
         Channels that the model simulates.
-    abscissa : str
-        Label of the horizontal axis (``time_s`` of a trial) in figures.
     offers : frozenset of str
         Names of the hooks (:class:`swimid.fitting.model.Hooks`) that :meth:`hooked` supports.
     force_unit : str
@@ -633,7 +631,6 @@ class Model:
     name: str
     parameters: tuple[Parameter, ...]
     channels: tuple[Channel, ...]
-    abscissa: str = "time (s)"
     offers: frozenset[str] = frozenset({"output", "clock"})
     force_unit: str = "N"
     timed_runs: bool = False

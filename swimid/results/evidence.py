@@ -508,7 +508,6 @@ def measured_and_simulated(
     id: str,
     title: str,
     caption: str,
-    x_label: str,
     y_label: str,
     shown: Sequence[Series],
     factor: float = 1.0,
@@ -528,7 +527,7 @@ def measured_and_simulated(
             Trace(x=s.time_s[known], y=measured, style="points", label="measured", group=0),
             Trace(x=x, y=y, label="simulated", group=0),
         ]
-        drawn.append(panel(x_label, y_label, traces, title=name))
+        drawn.append(panel("time (s)", y_label, traces, title=name))
     return panels(id, title, caption, drawn)
 
 
@@ -576,7 +575,7 @@ def rms(*series: Any) -> float:
 
 
 def residuals(
-    id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
+    id: str, title: str, caption: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
     """Return a figure of the residuals over time, divided by the standard deviation of the noise.
 
@@ -596,7 +595,7 @@ def residuals(
     middles, half = range(len(rows)), HALF_ROW / 2
     spans = [Span(start=k - half, end=k + half, axis="y", label=f"±{ROW_SD / 2:g} sd") for k in middles]
     names = [s.trial for s in rows]
-    over_time = panel(x_label, "trial", traces, y_categories=names, invert_y=True, spans=spans)
+    over_time = panel("time (s)", "trial", traces, y_categories=names, invert_y=True, spans=spans)
     caption += f" Each row is a trial; the band is ±{ROW_SD / 2:g} standard deviations."
     if correlation is None:
         return panels(id, title, caption, [over_time])

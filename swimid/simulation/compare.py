@@ -620,7 +620,7 @@ def _figures(
         return [_agreement("overlay", "Measured and simulated", runs)]
     drawn = [_profile_figure(p) for p in profiles]
     if not drawn:
-        drawn.append(_overlay(experiment, done))
+        drawn.append(_overlay(done))
         if file.mean_speeds:
             groups: dict[str, tuple[Any, Any]] = {}
             for name, role in (("fitted", "fit"), ("held out", "validate")):
@@ -670,7 +670,7 @@ def _pair(x: Sequence[Any], y: Sequence[Any], **measured: Any) -> list[ev.Trace]
     return [points, ev.Trace(x=x[1], y=y[1], label="simulated", group=0)]
 
 
-def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
+def _overlay(done: Sequence[Compared]) -> ev.Figure:
     panels = []
     for title, d in _telling(done).items():
         joints = [n for n in d.pairs if n.startswith("joint")]
@@ -680,8 +680,7 @@ def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
             curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
             label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
             traces = _pair(*zip(*curves, strict=True))
-            abscissa = experiment.model.abscissa
-            panels.append(ev.Panel(x_label=abscissa, y_label=label, traces=traces, title=title))
+            panels.append(ev.Panel(x_label="time (s)", y_label=label, traces=traces, title=title))
     caption = "The trials with the largest and the smallest mean error over the measured range."
     title = "Measured and simulated"
     return ev.Figure(id="overlay", title=title, caption=caption, panels=panels)
