@@ -184,10 +184,19 @@ def test_a_cause_that_makes_one_held_out_trial_worse_is_doubtful() -> None:
     assert (found.verdict, found.causes) == ("ambiguous", ("waves",))
 
 
-def test_a_cause_that_the_refit_imitates_is_told_by_the_parameters_as_given() -> None:
+@pytest.mark.parametrize(("cause", "verdict"), [("waves", "ambiguous"), ("parameter:c_d0", "explained")])
+def test_a_cause_that_the_refit_imitates_is_told_by_the_parameters_as_given(cause: str, verdict: str) -> None:
+    """A changed parameter is a refit, so that a refit does not contradict it."""
     held = held_out(104.0, 100.0, 102.0, before=103.0, as_given=900.0)
-    found = decide(facts("parameter:c_d0", held_out=held))
-    assert (found.verdict, found.causes) == ("ambiguous", ("parameter:c_d0",))
+    found = decide(facts(cause, held_out=held))
+    assert (found.verdict, found.causes) == (verdict, (cause,))
+
+
+def test_an_improbable_cause_that_a_refit_imitates_is_not_named() -> None:
+    """The refit closes most of the gap as given, and the cause nothing of the rest."""
+    held = held_out(256.0, 255.0, 257.0, before=256.0, as_given=900.0)
+    found = decide(facts("waves", outside=0.99, held_out=held))
+    assert (found.verdict, found.causes) == ("unexplained", ())
 
 
 @pytest.mark.parametrize(

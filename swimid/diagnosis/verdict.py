@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Verdict
+from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import CALIBRATED, UNSURE
 from swimid.results import numbers
 from swimid.results.numbers import listed, number, percent, probability_text
@@ -155,7 +156,8 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     found = f"{probability_text(share)} of the probability of a gap"
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
     _, before, after, expected, _ = _sums(facts.held_out)
-    lowers = share > 0.5 or (share_closed(before, after, expected) or 0.0) >= MOST or is_imitated(facts)
+    closes = (share_closed(before, after, expected) or 0.0) >= MOST
+    lowers = share > 0.5 or closes or (share > UNSURE and is_imitated(facts))
     otherwise: Verdict = "partial" if lowers else "unexplained"
     yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, otherwise, lowers, reason)
     rivals = listed(first.equivalent, "or")
@@ -177,7 +179,7 @@ def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
     given = probability_of_decrease(facts, as_given=True)
     imitated = is_imitated(facts)
     found = f"probability {probability_text(given if imitated else refitted)}"
-    if imitated:
+    if imitated and not all(name.startswith(PREFIX) for name in facts.proposed):
         reason = f"refitted parameters of the file close the gap on held-out data as well as {names}"
         yield Row("cause against the parameters", "imitated", "distinct", False, "ambiguous", True, reason)
     carried = carrying_part(facts)
