@@ -2,8 +2,8 @@
 
 Examples are a heading of the tail instead of the body, a mirrored axis, a wrong unit and a wrong sign. Such a
 mistake makes every fit bad and looks like a missing effect. Each known mistake is undone in turn by a
-transformation of the data or of the drive, and the model is compared with the trial again. The data stay
-unchanged: the result is a sentence.
+transformation of the data or of the drive, and the corrected trials are a rival of the fit
+(:mod:`swimid.fitting.rivals`). The data stay unchanged: the result is a sentence.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import fit_common
+from swimid.fitting import fit_common, rivals
 from swimid.fitting.drives import Motion
 from swimid.fitting.fit_common import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.uncertainty import autocorrelation
+from swimid.fitting.output_error import FitResult, Series
 from swimid.notices import recorded
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -44,9 +44,6 @@ JOINTS = {
     "the driven joints multiplied by 2": 2.0,
     "the driven joints multiplied by 0.5": 0.5,
 }
-#: Minimum evidence for a mistake: twice the logarithm of a decisive Bayes factor (Kass and Raftery, J. Am.
-#: Stat. Assoc. 90, 1995). The allowance for the number of alternatives is subtracted from the evidence first.
-DECISIVE = 10.0
 #: Maximum number of recording mistakes whose correction is tested by a new fit.
 MAX_REFITS = 4
 #: Relative tolerance of the cost when initial states are estimated during the search for mistakes.
@@ -69,57 +66,42 @@ class Mistake:
     undo: Callable[[Trial], Trial | None]
 
 
-class Misfit(NamedTuple):
-    """Error of the simulation of one channel in one trial."""
-
-    #: Root-mean-square error divided by the measured range of the channel.
-    nrmse: float
-    #: For a coordinate of a position: root-mean-square error of both coordinates, divided by their joint
-    #: range, which does not depend on the direction of the axes. For other channels: ``nrmse``.
-    relative: float
-    #: Number of independent samples in the residual.
-    independent: float
-
-
-class Explanation(NamedTuple):
+@dataclass(frozen=True)
+class Explanation:
     """Recording mistake that explains the error of a model, with the errors before and after correction.
 
     Attributes
     ----------
     says : str
         Description of the mistake.
-    trials : tuple of str
-        Trials in which the mistake was undone.
-    everywhere : bool
-        Whether the mistake was undone in all trials.
+    where : str
+        Trials in which the mistake was undone, as text.
     channel : str
         Channel whose error falls most.
     before, after : float
         Error of the channel before and after the correction, divided by its measured range.
-    gain : float
-        Twice the logarithm of the likelihood ratio, minus twice the logarithm of the number of alternatives.
+    score : float
+        Score of the corrected trials as a rival.
     """
 
     says: str
-    trials: tuple[str, ...]
-    everywhere: bool
+    where: str
     channel: str
     before: float
     after: float
-    gain: float
+    score: float
 
     @property
     def sentence(self) -> str:
         """Sentence of the report that describes the correction and the change of the error."""
-        where = "all trials" if self.everywhere else f"trial {', '.join(self.trials)}"
         return (
-            f"With {self.says} in {where} the error of {self.channel} falls from "
+            f"With {self.says} in {self.where} the error of {self.channel} falls from "
             f"{numbers.percent(self.before)} to {numbers.percent(self.after)}."
         )
 
 
-Errors = Mapping[str, Misfit]
-Evaluate = Callable[[Trial], Errors]
+#: Type of a mapping from the id of each trial to its simulated and measured series.
+TrialSeries = Mapping[str, Sequence[Series]]
 
 
 # ------------------------------------------------------------ catalogue
@@ -248,119 +230,134 @@ def _steady(trial: Trial) -> Trial | None:
 # ------------------------------------------------------------ search
 
 
-def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
-    """Compute the errors of the measured channels of a trial, with positions in the trial's own axes."""
-    measured, simulated = fit_common.own_axes(trial.measured, simulated)
-    known = [name for name in measured if name in simulated]
-    scores = {name: fit_common.score(measured[name], simulated[name]) for name in known}
-    ranges = {
-        name: float(np.ptp(y[np.isfinite(y)])) for name in known if np.isfinite(y := measured[name]).any()
-    }
-    place = [name for name in ("x_m", "y_m") if name in ranges]
-    found = {}
-    for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
-        group: Sequence[str] = place
-        if name not in place:
-            group = [name]
-        error = math.hypot(*(scores[n].rmse for n in group)) / math.hypot(*(ranges[n] for n in group))
-        residual = measured[name] - simulated[name]
-        found[name] = Misfit(max(scores[name].nrmse, 1e-9), max(error, 1e-9), _independent(residual))
-    return found
+def series_of(trial: Trial, simulated: Mapping[str, Array]) -> list[Series]:
+    """Return the series of the measured channels of a trial that are simulated."""
+    one = np.ones(len(trial.time_s))
+    return [
+        Series(trial.id, trial.role, name, trial.time_s, measured, simulated[name], one)
+        for name, measured in trial.measured.items()
+        if name in simulated
+    ]
 
 
-def _independent(residual: Array) -> float:
-    """Return the number of independent samples in a series of coloured residuals.
-
-    It is ``n / (1 + 2 sum rho_k^2)`` for n samples with the autocorrelation rho_k at lag k.
-
-    This is Bartlett's formula for the variance of a sample variance. Lags up to a quarter of the record are
-    used.
-    """
-    count = int(np.isfinite(residual).sum())
-    if count < 8 or not np.nanvar(residual) > 0.0:
-        return float(count)
-    rho = autocorrelation(residual, max_lag=count // 4).values
-    # Subtract the sum of squared correlations that white noise has on average: their number divided by n.
-    excess = float(np.nansum(rho[1:] ** 2)) - (len(rho) - 1) / count
-    return count / (1.0 + 2.0 * max(excess, 0.0))
+def compute_errors(series: Sequence[Series]) -> dict[str, float]:
+    """Return the errors of the channels of a trial in its own axes, divided by their measured ranges."""
+    measured, simulated = fit_common.own_axes(
+        {s.channel: s.measured for s in series}, {s.channel: s.simulated for s in series}
+    )
+    errors = {name: fit_common.score(measured[name], simulated[name]).nrmse for name in measured}
+    return {name: error for name, error in errors.items() if math.isfinite(error)}
 
 
-def gain(before: Errors, after: Errors) -> float:
-    """Return twice the logarithm of the likelihood ratio by which a correction improves a trial.
-
-    The likelihoods are computed from the errors before and after the correction, and from the number of
-    independent samples.
-    """
-    pairs = [(before[name], after[name]) for name in after if name in before]
-    return float(sum(2.0 * late.independent * math.log(old.relative / late.relative) for old, late in pairs))
-
-
-def screened(
-    trials: Sequence[Trial], mistakes: Sequence[Mistake], before: Mapping[str, Errors], evaluate: Evaluate
-) -> list[tuple[Mistake, dict[str, tuple[Trial, Errors, float]]]]:
-    """Undo each recording mistake in each trial, and compute the errors of the corrected trials.
-
-    Returns
-    -------
-    list of (Mistake, dict of trial id to (Trial, Errors, gain))
-        Mistakes with the corrected trials, sorted by the sum of the gains of the trials in which the error
-        falls.
-    """
-    found = []
-    for mistake in mistakes:
-        each: dict[str, tuple[Trial, Errors, float]] = {}
-        for trial in trials:
-            changed = mistake.undo(trial)
-            if changed is None or trial.id not in before:
-                continue
-            # Give the corrected trial an id of its own, because models cache simulations by the id of the
-            # trial.
-            changed = replace(changed, id=f"{trial.id} ({mistake.says})")
-            try:
-                # Ignore a correction with which the trial cannot be simulated.
-                with recorded():
-                    after = evaluate(changed)
-            except (NoTrustworthyResult, np.linalg.LinAlgError):
-                continue
-            if after:
-                each[trial.id] = (changed, after, gain(before[trial.id], after))
-        if each:
-            found.append((mistake, each))
-    return sorted(found, key=lambda pair: -sum(max(g, 0.0) for _, _, g in pair[1].values()))
-
-
-def explained(
-    says: str,
-    trials: Sequence[str],
-    count: int,
-    tried: int,
-    before: Mapping[str, Errors],
-    after: Mapping[str, Errors],
+def search(
+    trials: Sequence[Trial],
+    known: Sequence[Mistake],
+    before: TrialSeries,
+    simulate: Callable[[Trial], Iterable[Mapping[str, Array]]],
+    refit: Callable[[Sequence[Trial]], FitResult | None] | None = None,
 ) -> Explanation | None:
-    """Return the mistake as an explanation if its correction lowers the errors enough; None otherwise.
+    """Return the recording mistake that explains the errors of a model best; None if no mistake does.
 
-    The evidence must be decisive, and the errors must fall to those of a good model.
+    Each mistake is undone in each trial. A trial counts as corrected if the evidence for the correction is
+    strong. The mistake is undone in these trials, or with ``refit`` in all trials that can have it.
 
     Parameters
     ----------
-    trials : sequence of str
-        Trials in which the mistake was undone.
-    count, tried : int
-        Number of all trials, and number of alternatives that were tested.
-    before, after : mapping of trial id to Errors
-        Errors of all corrected trials, before and after the correction.
+    before : mapping of trial id to sequence of Series
+        Series of the trials as they are.
+    simulate : callable
+        Function that simulates a corrected trial with one or several sets of parameters.
+    refit : callable, optional
+        Function that fits corrected trials. The most promising corrections are then judged by such a fit.
     """
-    total = sum(gain(before[k], after[k]) for k in after) - 2.0 * math.log(max(tried, 1))
-    if not trials or total < DECISIVE or any(m.nrmse > GOOD for k in trials for m in after[k].values()):
+    alternatives = len(known) * (len(trials) + 1)
+    each = {t.id: t for t in trials if t.id in before}
+    screened = []
+    for mistake in known:
+        corrected = {name: one for name, t in each.items() if (one := _correct(mistake, t, before, simulate))}
+        gains = [gain for _, _, gain in corrected.values()]
+        screened.append((sum(max(gain, 0.0) for gain in gains), mistake, corrected))
+    screened.sort(key=lambda one: -one[0])
+    found = []
+    for _, mistake, corrected in screened[: None if refit is None else MAX_REFITS]:
+        gained = tuple(name for name, (_, _, gain) in corrected.items() if gain > rivals.STRONG)
+        if refit is None:
+            after: TrialSeries = {name: corrected[name][1] for name in gained}
+            found.append(_explain(mistake, gained, trials, alternatives, before, after))
+            continue
+        for chosen in dict.fromkeys((gained, tuple(corrected)) if gained else ()):
+            fit = refit([corrected[t.id][0] if t.id in chosen else t for t in trials])
+            if fit is not None:
+                parts = zip(trials, fit.trials, strict=True)
+                after = {t.id: [s for s in fit.series if s.trial == changed.id] for t, changed in parts}
+                found.append(_explain(mistake, chosen, trials, alternatives, before, after))
+    return max((one for one in found if one is not None), key=lambda one: one.score, default=None)
+
+
+def _correct(
+    mistake: Mistake,
+    trial: Trial,
+    before: TrialSeries,
+    simulate: Callable[[Trial], Iterable[Mapping[str, Array]]],
+) -> tuple[Trial, list[Series], float] | None:
+    """Return the corrected trial, its series, and the gain by the correction; None if there is none."""
+    changed = mistake.undo(trial)
+    if changed is None:
+        return None
+    # Give the corrected trial an id of its own, because models cache simulations by the id of the trial.
+    changed = replace(changed, id=f"{trial.id} ({mistake.says})")
+    try:
+        # Ignore a correction with which the trial cannot be simulated.
+        with recorded():
+            found = [series_of(changed, simulated) for simulated in simulate(changed)]
+    except (NoTrustworthyResult, np.linalg.LinAlgError):
+        return None
+    gains = [_compute_gain([trial.id], before, {trial.id: series}) for series in found]
+    best = int(np.argmax(gains))
+    return changed, found[best], gains[best]
+
+
+def _compute_gain(trials: Iterable[str], before: TrialSeries, after: TrialSeries) -> float:
+    """Return the gain (:func:`swimid.fitting.rivals.compute_gain`) by the correction of some trials."""
+    known = [s for name in trials for s in before[name]]
+    return rivals.compute_gain(known, [replace(s, trial=name) for name in trials for s in after[name]])
+
+
+def _explain(
+    mistake: Mistake,
+    corrected: Sequence[str],
+    trials: Sequence[Trial],
+    alternatives: int,
+    before: TrialSeries,
+    after: TrialSeries,
+) -> Explanation | None:
+    """Return the mistake as an explanation if its correction lowers the errors enough; None otherwise.
+
+    The evidence must be strong, and the errors must fall to those of a good model.
+
+    Parameters
+    ----------
+    corrected : sequence of str
+        Trials in which the mistake was undone.
+    alternatives : int
+        Number of corrections that were tested.
+    """
+    if not corrected:
+        return None
+    score = _compute_gain(list(after), before, after) - 2.0 * math.log(alternatives)
+    errors = [(compute_errors(before[name]), compute_errors(after[name])) for name in corrected]
+    if score <= rivals.STRONG or any(error > GOOD for _, late in errors for error in late.values()):
         return None
     falls = {}
-    for name in (n for n in after[trials[0]] if n in before[trials[0]]):
-        squares = [[m[k][name].nrmse ** 2 for k in trials if name in m[k]] for m in (before, after)]
-        first, last = (math.sqrt(np.mean(of_trials)) for of_trials in squares)
-        falls[name] = first, last
-    channel = max(falls, key=lambda name: falls[name][0] - falls[name][1])
-    everywhere = len(trials) == count and count > 1
-    return Explanation(says, tuple(trials), everywhere, channel, *falls[channel], total)
+    for channel in errors[0][0].keys() & errors[0][1].keys():
+        pairs = [(old[channel], late[channel]) for old, late in errors if channel in old and channel in late]
+        falls[channel] = np.sqrt(np.mean(np.square(pairs), axis=0))
+    channel = max(sorted(falls), key=lambda name: float(falls[name][0] - falls[name][1]))
+    first, last = falls[channel].tolist()
+    where = f"trial {', '.join(corrected)}"
+    if len(corrected) == len(trials) > 1:
+        where = "all trials"
+    return Explanation(mistake.says, where, channel, first, last, score)
 
 
 def check(found: Explanation | None, count: int) -> ev.Check:
@@ -375,11 +372,11 @@ def check(found: Explanation | None, count: int) -> ev.Check:
     return ev.check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
 
 
-def is_suspect(checks: Iterable[ev.Check], errors: Mapping[str, Errors]) -> bool:
+def is_suspect(checks: Iterable[ev.Check], before: TrialSeries) -> bool:
     """Return whether to search for recording mistakes.
 
     A search is worth while if a check fails, or if the error of a trial exceeds ``USABLE``.
     """
     return any(c.verdict == "fail" for c in checks) or any(
-        m.nrmse > USABLE for trial in errors.values() for m in trial.values()
+        error > USABLE for series in before.values() for error in compute_errors(series).values()
     )

@@ -31,7 +31,7 @@ from scipy import special
 from swimid.files.kernels import numba
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
-from swimid.fitting.uncertainty import default_lags, fit_autoregression, joined
+from swimid.fitting.uncertainty import fit_joint
 
 #: Ratios of slow to fast noise: variance of the slow noise over that of independent noise in the mean of all
 #: samples within one time constant. The slow noise is negligible at the first one, and the independent noise
@@ -187,6 +187,12 @@ class Rows:
         factor = singular[kept, None] * vt[kept] * norms
         return cls(time_s[mask], np.flatnonzero(mask), u[:, kept], factor, residual)
 
+    @classmethod
+    def alone(cls, time_s: Array, mask: NDArray[np.bool_], residual: Array) -> Rows:
+        """Return the rows of a residual without derivatives. The times are those of all samples."""
+        nothing = np.empty((len(residual), 0))
+        return cls(time_s[mask], np.flatnonzero(mask), nothing, nothing[:0], residual)
+
     @property
     def own_residual(self) -> Array:
         """Residual of a fit of this series alone, shape (n,)."""
@@ -280,12 +286,15 @@ class NoisePosterior:
         Probability of each form, and variance of the independent noise if it is true.
     degrees : int
         Degrees of freedom of the variance.
+    log_likelihood : float
+        Logarithm of the likelihood of the residuals, averaged over the forms, without its constant.
     """
 
     forms: list[NoiseForm]
     probability: Array
     variance: Array
     degrees: int
+    log_likelihood: float
 
     @property
     def memory_s(self) -> float:
@@ -326,8 +335,8 @@ def compute_posterior(rows: Mapping[int, Rows]) -> NoisePosterior:
     # Data without noise have the precision of the numbers.
     squares = np.maximum(squares, degrees * MIN_VARIANCE)
     weight = np.log(prior) + log_likelihood - 0.5 * degrees * np.log(squares)
-    probability = np.exp(weight - weight.max())
-    return NoisePosterior(forms, probability / probability.sum(), squares / degrees, degrees)
+    total = float(special.logsumexp(weight))
+    return NoisePosterior(forms, np.exp(weight - total), squares / degrees, degrees, total)
 
 
 def _possible_forms(rows: Mapping[int, Rows]) -> tuple[list[NoiseForm], Array]:
@@ -346,14 +355,12 @@ def _possible_forms(rows: Mapping[int, Rows]) -> tuple[list[NoiseForm], Array]:
         whole = np.full(part.place[-1] + 1, np.nan)
         whole[part.place] = part.own_residual
         series.append(whole)
-    x = joined(series, gap=30)
-    if np.isfinite(x).sum() >= 12 and np.nanstd(x) > 0:
-        coefficients = fit_autoregression(x, max_order=default_lags(max(map(len, series)))).coefficients
-        if len(coefficients):
-            law = Autoregression.of(coefficients)
-            count = int(np.isfinite(x).sum())
-            forms.append(NoiseForm(0.0, law.memory * step, law))
-            prior.append(count ** (-0.5 * len(coefficients)))
+    coefficients = fit_joint(series)
+    if len(coefficients):
+        law = Autoregression.of(coefficients)
+        count = sum(len(part.residual) for part in rows.values())
+        forms.append(NoiseForm(0.0, law.memory * step, law))
+        prior.append(count ** (-0.5 * len(coefficients)))
     return forms, np.array(prior) / 2.0
 
 

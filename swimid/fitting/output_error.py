@@ -189,25 +189,6 @@ class FitResult:
 # ---------------------------------------------------------------- fit
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Model, trials and search settings of one fit.
-
-    The search begins at ``begin`` with the weights of the fit ``near``, if they are given. Without a
-    ``budget`` of iterations, the fit is evaluated at its start.
-    """
-
-    model: Model
-    trials: tuple[Trial, ...]
-    parameters: tuple[Parameter, ...]
-    jobs: int
-    progress: Progress = silent
-    begin: Array | None = None
-    near: FitResult | None = None
-    budget: int | None = UNFINISHED_ITERATIONS
-    must_converge: bool = False
-
-
 def fit(
     model: Model,
     trials: Sequence[Trial],
@@ -269,12 +250,17 @@ def fit(
     noise alone can explain that it is at its bound.
     """
     threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
-    task = _Task(model, tuple(trials), parameters, threads, progress, begin)
-    if max_iterations is None:
-        task = replace(task, budget=MAX_ITERATIONS, must_converge=True)
-    else:
-        task = replace(task, budget=max_iterations)
-    result = _fit_with_step(task)
+    search = Search(
+        model,
+        tuple(trials),
+        parameters,
+        threads,
+        progress=progress,
+        begin=begin,
+        budget=max_iterations or MAX_ITERATIONS,
+        must_converge=max_iterations is None,
+    )
+    result = _fit_with_step(search)
     if tested and result.converged:
         return check_by_restarts(result, jobs=threads)
     return result
@@ -303,8 +289,9 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
             if near.point is None or count == MAX_RESTARTS:
                 settled = near.point is None
                 break
-            task = _Task(result.model, result.trials, result.parameters, jobs, begin=near.point, near=result)
-            again = _fit_with_step(task)
+            again = _fit_with_step(
+                Search(result.model, result.trials, result.parameters, jobs, begin=near.point, near=result)
+            )
             spent += again.evaluations
             gain = _objective(result) - _objective(again)
             if not gain > 0.0:
@@ -330,12 +317,14 @@ def _objective(result: FitResult) -> float:
     return result.samples * math.log(max(result.cost, 1e-300))
 
 
-def _fit_with_step(task: _Task) -> FitResult:
+# Use one thread of BLAS. The matrices are small, so that more threads would only slow down the simulations.
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def _fit_with_step(search: Search) -> FitResult:
     """Fit a model, and repeat the fit with a smaller integration step until the samples hardly change."""
     spent, halvings = 0, steps.MAX_HALVINGS
     while True:
-        result = _fit_once(task)
-        if task.must_converge and not (result.converged or result.interrupted):
+        result = search.run()
+        if search.must_converge and not (result.converged or result.interrupted):
             raise NoTrustworthyResult(
                 f"the fit did not converge: {result.message}",
                 hint="check units and trial settings, or hold a parameter with --fix",
@@ -343,7 +332,7 @@ def _fit_with_step(task: _Task) -> FitResult:
         spent += result.evaluations
         if result.interrupted:
             return replace(result, evaluations=spent)
-        if not result.converged or task.budget is None:
+        if not result.converged or search.budget is None:
             halvings = 0
         runs = [(result.values(t.id), t) for t in result.trials]
         noise: dict[str, dict[str, Array]] = {t.id: {} for t in result.trials}
@@ -355,7 +344,7 @@ def _fit_with_step(task: _Task) -> FitResult:
         if not chosen.halvings:
             return result
         halvings -= chosen.halvings
-        task = replace(task, model=chosen.model, begin=result.estimate, near=result)
+        search = replace(search, model=chosen.model, begin=result.estimate, near=result)
 
 
 def at(
@@ -382,92 +371,132 @@ def at(
         If the model cannot be simulated at the point, or if there are fewer samples than unknowns.
     """
     threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
-    return _fit_with_step(_Task(model, tuple(trials), parameters, threads, begin=point, budget=None))
+    return _fit_with_step(Search(model, tuple(trials), parameters, threads, begin=point, budget=None))
 
 
-# Use one thread of BLAS. The matrices are small, so that more threads would only slow down the simulations.
-@threadpool_limits.wrap(limits=1, user_api="blas")
-def _fit_once(task: _Task) -> FitResult:
-    """Fit the model of a task with the integration step that the model has."""
-    search = _Search(task)
-    search.run()
-    search.insist_unbroken()
-    if search.message == STALLED:
-        warn(
-            "SWM026",
-            f"the search converged slowly along a flat valley and was ended after {search.iterations} "
-            f"iterations: {STRIDE} of them together lowered the squared residuals by less than "
-            f"{MIN_DECREASE:.0e} of their sum",
-        )
-    search.estimate_noise()
-    result = _result(search)
-    reason = None
-    if not search.interrupted:
-        reason = _unfinished(search, result)
-    if reason is None:
-        return result
-    return replace(result, converged=False, message=reason)
+@dataclass
+class Search:
+    """Search for the minimum cost, repeated with re-estimated noise weights until the weights converge.
 
+    Attributes
+    ----------
+    model, trials, parameters, jobs, progress
+        As in :func:`fit`.
+    begin : ndarray, shape (p,), optional
+        Point at which the search begins.
+    near : FitResult, optional
+        Fit whose final weights are the first ones of the search.
+    budget : int or None
+        Maximum number of iterations. With None the fit is evaluated at its start.
+    must_converge : bool
+        Whether a search that does not converge is an error.
+    problem : Problem
+    theta : ndarray, shape (p,)
+        Current point of the search.
+    noise : dict of str to (float, float)
+        Standard deviations of values and of time stamps of each channel.
+    levels : dict of (int, str) to ndarray
+        Local levels of the noise (:func:`swimid.fitting.noise.compute_levels`).
+    """
 
-class _Search:
-    """Search for the minimum cost, repeated with re-estimated noise weights until the weights converge."""
+    model: Model
+    trials: tuple[Trial, ...]
+    parameters: tuple[Parameter, ...]
+    jobs: int
+    progress: Progress = silent
+    begin: Array | None = None
+    near: FitResult | None = None
+    budget: int | None = UNFINISHED_ITERATIONS
+    must_converge: bool = False
+    problem: Problem = field(init=False)
+    theta: Array = field(init=False)
+    noise: dict[str, tuple[float, float]] = field(init=False, default_factory=dict)
+    levels: dict[tuple[int, str], Array] = field(init=False, default_factory=dict)
+    patience: Patience = field(init=False, default_factory=Patience)
+    converged: bool = field(init=False, default=False)
+    interrupted: bool = field(init=False, default=False)
+    message: str = field(init=False, default="")
+    iterations: int = field(init=False, default=0)
 
-    def __init__(self, task: _Task) -> None:
-        fitted = [t for t in task.trials if t.role == "fit"]
+    def __post_init__(self) -> None:
+        fitted = [t for t in self.trials if t.role == "fit"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
-        self.task = task
-        self.problem = problem = Problem(task.model, task.parameters, fitted, jobs=task.jobs)
+        self.problem = problem = Problem(self.model, self.parameters, fitted, jobs=self.jobs)
         self.theta = problem.start
-        if task.begin is not None:
-            self.theta = np.clip(task.begin, problem.lower, problem.upper)
+        if self.begin is not None:
+            self.theta = np.clip(self.begin, problem.lower, problem.upper)
         if problem.broken(self.theta):
             runs = [(problem.vector(self.theta, k), trial) for k, trial in enumerate(fitted)]
             unknown = [dict.fromkeys(trial.measured, math.inf) for trial in fitted]
-            chosen = steps.choose_step(task.model, runs, unknown, halvings=MAX_START_HALVINGS)
-            self.problem = problem = Problem(chosen.model, task.parameters, fitted, jobs=task.jobs)
-        self.samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
+            chosen = steps.choose_step(self.model, runs, unknown, halvings=MAX_START_HALVINGS)
+            self.problem = Problem(chosen.model, self.parameters, fitted, jobs=self.jobs)
         if self.samples <= len(self.theta):
             raise NoTrustworthyResult(
                 f"{self.samples} samples cannot determine {len(self.theta)} unknowns",
                 hint="give longer logs or more trials, or fix some parameters",
             )
-        self.noise: dict[str, tuple[float, float]] = {}
-        self.levels: dict[tuple[int, str], Array] = {}
-        self.patience = Patience()
-        self.converged = self.interrupted = False
-        self.message = ""
-        self.iterations = 0
-        # If there is one channel only and all its samples have the same noise, all residuals have one weight.
-        # One search without reweighting is then enough.
-        self.equal = len({c for names in problem.channels for c in names}) == 1 and not any(
-            t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in fitted
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of the fitted trials."""
+        return sum(self.problem.counts)
+
+    @property
+    def has_equal_weights(self) -> bool:
+        """Whether all samples have one weight, so that one search without reweighting is enough.
+
+        There is then one channel only, and all its samples have the same noise.
+        """
+        problem = self.problem
+        return len({c for names in problem.channels for c in names}) == 1 and not any(
+            t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in problem.trials
         )
 
-    def run(self) -> None:
+    def run(self) -> FitResult:
+        """Search until the noise weights converge, and return the result."""
+        self._repeat()
+        self._insist_unbroken()
+        if self.message == STALLED:
+            warn(
+                "SWM026",
+                f"the search converged slowly along a flat valley and was ended after {self.iterations} "
+                f"iterations: {STRIDE} of them together lowered the squared residuals by less than "
+                f"{MIN_DECREASE:.0e} of their sum",
+            )
+        self._estimate_noise()
+        result = _result(self)
+        reason = None
+        if not self.interrupted:
+            reason = _unfinished(self, result)
+        if reason is None:
+            return result
+        return replace(result, converged=False, message=reason)
+
+    def _repeat(self) -> None:
         """Search until the noise weights converge, or until the user interrupts the search.
 
         If the local levels of the noise differ, a last search uses weights with these levels.
         """
         rounds, first = MAX_NOISE_ITERATIONS, 1
-        if self.equal:
+        if self.has_equal_weights:
             rounds = 1
-        elif self.task.near is None:
+        elif self.near is None:
             uncertainty.weigh_first(self.problem)
         else:
             first = 0
-            set_weights(self.problem, self.task.near)
+            set_weights(self.problem, self.near)
             self._find_levels()
         try:
-            with self.task.progress("fitting", total=rounds) as step:
+            with self.progress("fitting", total=rounds) as step:
                 for k in range(rounds):
                     last = k == rounds - 1 or (k >= first and self._reweigh() < WEIGHT_RTOL)
                     self._solve(last, lambda text: show(step, text))
                     step()
                     if last:
                         break
-                if self.task.near is None and self._find_levels():
-                    self.estimate_noise()
+                if self.near is None and self._find_levels():
+                    self._estimate_noise()
                     self._solve(True, lambda text: show(step, text))
         except KeyboardInterrupt:
             if not self.message:
@@ -475,7 +504,7 @@ class _Search:
             self.interrupted, self.converged = True, False
             self.message = f"interrupted after {self.iterations} iterations"
 
-    def insist_unbroken(self) -> None:
+    def _insist_unbroken(self) -> None:
         """Raise an error if a trial cannot be simulated at the current point of the search."""
         broken = self.problem.broken(self.theta)
         if broken:
@@ -489,14 +518,14 @@ class _Search:
 
         A factor that is common to all weights does not count as a change.
         """
-        self.insist_unbroken()
+        self._insist_unbroken()
         trials = range(len(self.problem.trials))
         before = np.concatenate([self.problem.sample_weights(k) for k in trials])
-        self.estimate_noise()
+        self._estimate_noise()
         change = np.concatenate([self.problem.sample_weights(k) for k in trials]) / before
         return float(np.max(np.abs(change / np.median(change) - 1.0), initial=0.0))
 
-    def estimate_noise(self) -> None:
+    def _estimate_noise(self) -> None:
         """Estimate the noise at the current point of the search, and set the weights of the samples."""
         self.noise = uncertainty.estimate(self.problem, self.theta, self.noise, self.levels)
 
@@ -509,7 +538,7 @@ class _Search:
     def _noise_limits(self) -> Patience:
         """Return the rule that ends a search when its steps change less than noise does."""
         problem, theta = self.problem, self.theta
-        self.insist_unbroken()
+        self._insist_unbroken()
         residuals, rows = _linearised(problem, theta)
         found = sandwich(problem, rows, residuals, uncertainty.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
@@ -520,14 +549,14 @@ class _Search:
 
     def _solve(self, last: bool, tell: Callable[[str], None]) -> None:
         """Search for the minimum cost with the current noise weights."""
-        if self.task.budget is None:
+        if self.budget is None:
             self.converged, self.message = True, "no search: the point was given"
             return
         done, tolerance = self.iterations, COARSE_RTOL
         self.patience = patience = Patience()
         if last:
             tolerance = FINE_RTOL
-            if done or self.task.near is not None:
+            if done or self.near is not None:
                 self.patience = patience = self._noise_limits()
 
         def watch(x: Array, cost: float, iteration: int) -> str | None:
@@ -535,13 +564,13 @@ class _Search:
             tell(f"iteration {self.iterations}, cost {cost:.5g}")
             return patience(x, cost, iteration)
 
-        budget = max(self.task.budget - done, 1)
+        budget = max(self.budget - done, 1)
         found = self.problem.solve(self.theta, tolerance=tolerance, max_iterations=budget, watch=watch)
         self.theta, self.iterations = found.x, done + found.iterations
         self.converged, self.message = found.success, found.message
 
 
-def _unfinished(search: _Search, result: FitResult) -> str | None:
+def _unfinished(search: Search, result: FitResult) -> str | None:
     """Return the reason why a search did not end at a minimum, to within noise.
 
     Return None if the search ended at a minimum.
@@ -645,9 +674,9 @@ def _judge(
     return covariance, dict(zip(problem.labels, status.tolist(), strict=True))
 
 
-def _result(search: _Search) -> FitResult:
+def _result(search: Search) -> FitResult:
     """Return the result of a fit from the end of a search: estimates, covariance and status."""
-    problem, theta, samples, task = search.problem, search.theta, search.samples, search.task
+    problem, theta, samples = search.problem, search.theta, search.samples
     residuals, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = uncertainty.autoregressions(problem, residuals)
     free, found = _free_in_noise(problem, rows, residuals, autoregressions, _outward(problem, theta))
@@ -665,8 +694,8 @@ def _result(search: _Search) -> FitResult:
     covariance, status = _judge(problem, theta, covariance, free)
     result = FitResult(
         model=problem.model,
-        parameters=task.parameters,
-        trials=task.trials,
+        parameters=search.parameters,
+        trials=search.trials,
         labels=problem.labels,
         estimate=theta,
         covariance=covariance,
@@ -679,7 +708,7 @@ def _result(search: _Search) -> FitResult:
         samples=samples,
         converged=search.converged,
         message=search.message,
-        evaluations=problem.evaluations + sum(t.role != "fit" for t in task.trials),
+        evaluations=problem.evaluations + sum(t.role != "fit" for t in search.trials),
         interrupted=search.interrupted,
         cost=_cost(problem, residuals),
         information_root=root,

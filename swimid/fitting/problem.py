@@ -346,11 +346,6 @@ class Problem:
         known = [rows / self.sample_weights(k)[:, None] for k, rows in enumerate(derivatives)]
         self._slopes = (theta.copy(), False, known)
 
-    def release_derivatives(self) -> None:
-        """Compute all derivatives again, also those of :meth:`hold_derivatives`."""
-        self._slopes = None
-        self._held = [{} for _ in self.trials]
-
     def solve(self, theta: Array, *, secant: bool = False, **settings: Any) -> Solution:
         """Minimise the sum of squared residuals inside the bounds, from ``theta`` on.
 

@@ -164,13 +164,7 @@ def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array
 
     The result has the coefficients by channel. They are empty for white residuals.
     """
-    found = {}
-    for channel, series in problem.series(residuals).items():
-        x, found[channel] = joined(series, gap=30), np.empty(0)
-        if np.isfinite(x).sum() >= 12 and np.nanstd(x) > 0:
-            longest = max(len(s) for s in series)
-            found[channel] = fit_autoregression(x, max_order=default_lags(longest)).coefficients
-    return found
+    return {channel: fit_joint(series) for channel, series in problem.series(residuals).items()}
 
 
 # ---------------------------------------------------------------- tests of residuals
@@ -213,24 +207,6 @@ class TestResult:
     def passed(self) -> bool:
         """Whether the test does not reject the null hypothesis at the level :data:`SIGNIFICANCE`."""
         return self.p_value >= SIGNIFICANCE
-
-
-@dataclass(frozen=True)
-class AutoregressiveFit:
-    """Autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)`` that was fitted to a series."""
-
-    #: Coefficients a1 to ap, shape (p,); empty for a white series.
-    coefficients: np.ndarray
-    #: Variance of the innovation e.
-    variance: float
-
-    @property
-    def long_run_variance(self) -> float:
-        """Long-run variance: variance of a sum of n samples, divided by n, for large n.
-
-        It is the spectral density at frequency zero.
-        """
-        return self.variance / (1.0 + float(np.sum(self.coefficients))) ** 2
 
 
 def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
@@ -447,10 +423,21 @@ def independence(
     return TestResult(statistic, degrees, float(special.chdtrc(degrees, statistic)))
 
 
-def fit_autoregression(
-    x: np.ndarray, *, max_order: int | None = None, order: int | None = None
-) -> AutoregressiveFit:
+def fit_joint(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Fit one autoregression to the series of several trials, and return its coefficients.
+
+    The result is empty if the series are white, or shorter than 12 samples together.
+    """
+    x = joined(parts, gap=30)
+    if np.isfinite(x).sum() < 12 or not np.nanstd(x) > 0:
+        return np.empty(0)
+    return fit_autoregression(x, max_order=default_lags(max(map(len, parts))))
+
+
+def fit_autoregression(x: np.ndarray, *, max_order: int | None = None) -> np.ndarray:
     """Fit an autoregression to all segments of a series by Burg's method, whose results are always stable.
+
+    The autoregression is ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)`` with white noise e.
 
     Parameters
     ----------
@@ -458,8 +445,11 @@ def fit_autoregression(
         Series; NaN for missing samples. The mean is removed.
     max_order : int, optional
         Largest order; the default is :func:`default_lags`. The BIC selects the order.
-    order : int, optional
-        Order that is used instead of the one selected by the BIC.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        Coefficients a1 to ap; empty for a white series.
 
     Raises
     ------
@@ -470,24 +460,24 @@ def fit_autoregression(
     n = int(np.count_nonzero(there))
     if n < 3:
         raise ValueError(f"an autoregression needs at least three samples, here are {n}")
-    top = min(order if order is not None else (max_order or default_lags(n)), n - 2)
+    top = min(max_order or default_lags(n), n - 2)
     stretches = np.ma.clump_unmasked(np.ma.masked_array(values, ~there))
     pairs = [(values[part], values[part]) for part in stretches]
-    fits = [AutoregressiveFit(np.empty(0), float(np.mean(values[there] ** 2)))]
+    # Store the variance of the innovation and the coefficients of each order.
+    fits = [(float(np.mean(values[there] ** 2)), np.empty(0))]
     for _ in range(top):
         pairs = [(f[1:], b[:-1]) for f, b in pairs]
         under = sum(float(np.dot(f, f) + np.dot(b, b)) for f, b in pairs)
-        if under <= 0:
+        if not 0 < under < math.inf:
             break
         reflection = -2.0 * sum(float(np.dot(f, b)) for f, b in pairs) / under
-        a = fits[-1].coefficients
+        variance, a = fits[-1]
         a = np.concatenate((a + reflection * a[::-1], [reflection]))
         pairs = [(f + reflection * b, b + reflection * f) for f, b in pairs]
-        fits.append(AutoregressiveFit(a, fits[-1].variance * max(1.0 - reflection**2, 0.0)))
-    if order is not None:
-        return fits[-1]
+        fits.append((variance * max(1.0 - reflection**2, 0.0), a))
     tiny = np.finfo(float).tiny
-    return min(fits, key=lambda f: n * np.log(max(f.variance, tiny)) + np.log(n) * len(f.coefficients))
+    criteria = [n * np.log(max(variance, tiny)) + np.log(n) * len(a) for variance, a in fits]
+    return fits[int(np.argmin(criteria))][1]
 
 
 def long_run_covariance(scores: np.ndarray) -> np.ndarray:

@@ -5,12 +5,11 @@ of the wrong sign, and estimates that no body can have. Added mass, drag and dri
 the largest values that any body of the known size can have, from theory and tables. Terminal speed, period
 and damping ratios are derived with their standard errors.
 
-The reference fit (``stated``) has the parameters that the user chose. Each parameter that it holds for all
-trials is tested in two ways. First the parameter is freed in addition to the others. The test compares its
-estimate with its standard error, which allows for coloured residuals and for trials that disagree. Then it
-replaces the parameters with a similar effect (:data:`swimid.rig.model.ALIKE`). For example, dry friction
-replaces linear damping. This fit has as many unknowns as the reference fit, so that their likelihoods can be
-compared.
+The reference fit (``stated``) has the parameters that the user chose. Its rivals
+(:mod:`swimid.fitting.rivals`) free each parameter that it holds for all trials, or let it replace the
+parameters with a similar effect (:data:`swimid.rig.model.ALIKE`). For example, dry friction replaces linear
+damping. Further rivals have another start or another pulley friction in each trial, one trial with parameters
+of its own, or another sign of the force.
 
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
 squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
@@ -18,33 +17,28 @@ and hence the drag coefficient and the added mass. Slope and intercept give the 
 method assumes the same moving mass for all pulling weights. The bias is the error of the method on noise-free
 data that are simulated with its own estimates. The reported standard error includes the bias. The
 output-error fit does not assume an equal moving mass.
-
-References
-----------
-.. [1] R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995),
-   773-795: evidence is strong if twice the logarithm of the Bayes factor is above 6.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import optimize, special
+from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
-from swimid.fitting import fit_common, output_error
+from swimid.fitting import fit_common, output_error, rivals
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Parameter, Trial, chosen
 from swimid.fitting.output_error import FitResult
-from swimid.fitting.uncertainty import SIGNIFICANCE, UNIDENTIFIABLE, fit_autoregression
+from swimid.fitting.rivals import Judged, Rival
+from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
@@ -55,12 +49,6 @@ from swimid.rig.model import ALIKE, COORDINATES, falling_weight_closed_form, ter
 from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
-#: Start values of the search for a held parameter that a test frees. They are distances from the value at
-#: which the parameter was held, in multiples of its typical scale.
-FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
-#: Minimum of twice the logarithm of a likelihood ratio at which evidence counts as strong (Kass and Raftery
-#: [1]_).
-STRONG = 6.0
 #: Minimum relative move of an estimate at which an omitted parameter makes a result bad. Drag and added mass
 #: are proportional to the stated force, mass or density, which no fit can check and which are rarely known to
 #: better than 1 % (the density of water alone differs by 0.4 % between 5 and 30 °C). In simulated tows
@@ -70,16 +58,10 @@ MATERIAL_SHARE = 0.01
 OF_SENSOR = ("force_offset", "force_drift")
 #: Maximum number of omitted parameters that one warning names.
 MAX_NAMED = 3
-#: Limits for a separate initial state of each trial: maximum p-value of the F-test, and maximum ratio of the
-#: sum of squared residuals with separate initial states to the sum with all trials starting at rest.
-START_P, START_RATIO = 1e-6, 0.8
 #: Parameters of the initial state of a trial. Each has the text of a warning on how the trials then start.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: Limit on the ratio of the sums of squared residuals of two fits. The first has one additional parameter
-#: that all trials share, the second has one per trial. Up to this ratio the shared parameter is preferred.
-SHARED_RATIO = 1.1
-#: Maximum p-value at which pulley friction is reported to depend on the pulling force of the trials.
-TREND_P = 1e-2
+#: Per-trial parameter that gives each trial a pulley friction of its own.
+OWN_FRICTION = "friction_deviation"
 #: Reason that messages give if the two-point method has no result.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
 #: Names of the parameters that the two-point method estimates. The units of the estimates are 1, kg and N.
@@ -228,18 +210,26 @@ def _fit_best(
         name: output_error.fit(experiment.model, trials, parameters=adapted, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: squared_error(fits[key]))
+    name = first = next(iter(fits))
+    if len(fits) > 1:
+        name = min(fits, key=lambda key: rivals.compute_deviance(fits[first], [fits[key]]))
     facts = {"encoder_rounding": name} if name else {}
     plain = best = fits[name]
+    starts: tuple[str, ...] = ()
     if experiment.name == "falling-weight" and start_state == "auto" and known.keys() >= STARTS.keys():
-        best, facts["start_state"], omitted = fit_start_states(plain)
-    else:
-        omitted = find_omitted(plain)
+        starts, facts["start_state"] = tuple(STARTS), "rest"
+    judged = rivals.judge(plain, name_rivals(plain, starts))
+    if judged and judged[0].is_better and judged[0].rival.name in starts:
+        best, facts["start_state"] = judged[0].fit, judged[0].rival.name
+        _warn_of_start(best, facts["start_state"])
+        # Judge the other rivals again, because the separate initial states may explain residuals that another
+        # rival seemed to explain.
+        judged = rivals.judge(best, name_rivals(best))
     result = output_error.complete(best)
-    checks = [omission_check(result, omitted)]
+    checks = [omission_check(result, find_omitted(best, judged))]
     if experiment.name == "towed":
         checks.append(sign_check(best))
-    return result, facts, checks + trial_checks(plain, result)
+    return result, facts, checks + trial_checks(best, result, judged)
 
 
 def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[str]:
@@ -286,105 +276,33 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
     )
 
 
-# ------------------------------------------------------------ omitted parameters
+# ------------------------------------------------------------ rivals
 
 
-@dataclass(frozen=True)
-class Omitted:
-    """Parameter that the reference fit holds at a value although the data show that it differs from it.
+def name_rivals(stated: FitResult, starts: Sequence[str] = ()) -> list[Rival]:
+    """Name the rivals of a fit of all trials.
 
-    Attributes
+    Each held parameter that all trials share is freed, and replaces the parameters with a similar effect.
+    Trials with a pulley may each have a friction of their own.
+
+    Parameters
     ----------
-    fit : FitResult
-        Fit in which the parameter is free, or replaces other parameters.
-    replaced : tuple of str
-        Parameters that this parameter replaces; empty if it is freed in addition to the other parameters.
-    evidence : float
-        Twice the logarithm of the likelihood ratio of the fit with the parameter to the reference fit.
-    squared_z : float
-        Square of the change of a freed parameter in standard errors. In coloured residuals the likelihood
-        ratio overstates the evidence, and the standard error does not.
-    """
-
-    parameter: Parameter
-    fit: FitResult
-    replaced: tuple[str, ...]
-    evidence: float
-    squared_z: float = math.inf
-
-    @property
-    def text(self) -> str:
-        """Name, estimate and standard error of the omitted parameter as text."""
-        place = f" in the place of {', '.join(self.replaced)}" * bool(self.replaced)
-        return _measured(self.fit, self.parameter.name) + place
-
-    @property
-    def criterion(self) -> float:
-        """Bayesian information criterion (BIC) of the fit with the omitted parameter minus that without it.
-
-        It is about -2 times the logarithm of the Bayes factor. A negative value supports the parameter.
-        """
-        return math.log(self.fit.samples) * (not self.replaced) - min(self.evidence, self.squared_z)
-
-    @property
-    def sentence(self) -> str:
-        """Sentence on how the omitted parameter would change the fit, with the options that include it."""
-        name = self.parameter.name
-        held = "".join(f" --fix {other}=0" for other in self.replaced)
-        acting = next(p for p in self.fit.parameters if p.name == name)
-        choice = f"--free {name}"
-        if not acting.free:
-            choice = f"--fix {name}={acting.start:g}"
-        change = numbers.percent(math.expm1(-self.evidence / self.fit.samples), 2)
-        return f"{self.text} would change the squared residuals by {change}: use {choice}{held}"
-
-
-def find_omitted(stated: FitResult) -> list[Omitted]:
-    """Return the held parameters that differ from their held values according to the data, lowest BIC first.
-
-    BIC is the Bayesian information criterion of the fit with the parameter. A freed parameter is returned if
-    its p-value is below :data:`SIGNIFICANCE`. A parameter that replaces others is returned unless strong
-    evidence (:data:`STRONG`) favours the reference fit. The replacement must also move an estimate of the
-    reference fit out of its 95 % interval.
+    starts : sequence of str
+        Per-trial parameters of the start of a trial that are freed, too.
     """
     held = [p for p in stated.parameters if not p.free and not p.per_trial]
-    found = []
-    for parameter in held:
-        name = parameter.name
-        freed = _fit_from_starts(stated, parameter, chosen(stated.parameters, freed=(name,)))
-        if freed is not None and freed.fit.stderr(name) and freed.fit.status[name] == "estimated":
-            distance, error = abs(freed.fit.value(name) - parameter.start), freed.fit.stderr(name) or 0.0
-            # Limit the ratio of estimate to standard error by the likelihood ratio, because the likelihood
-            # ratio does not depend on the parametrisation.
-            z = min(distance / error, math.sqrt(max(freed.evidence, 0.0)))
-            sides = 2.0 - (parameter.start in parameter.bounds)
-            p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
-            if p_value < SIGNIFICANCE and freed.evidence > 0.0:
-                found.append(replace(freed, squared_z=z**2))
-        other = _fit_replacement(stated, parameter)
-        if (
-            other is not None
-            and other.evidence > -STRONG
-            and other.fit.status.get(name, "fixed") in ("estimated", "fixed")
-            and find_moved(stated, other.fit)
-        ):
-            found.append(other)
-    found = [replace(omitted, fit=output_error.with_intervals(omitted.fit)) for omitted in found]
-    return sorted(found, key=lambda omitted: omitted.criterion)
+    found = [rivals.free(stated, name) for name in (*starts, *(p.name for p in held))]
+    found += [rival for p in held if (rival := _name_replacement(stated, p)) is not None]
+    if "pulley_friction" in stated.labels:
+        fixed = {"pulley_friction": stated.value("pulley_friction")}
+        found.append(
+            Rival(OWN_FRICTION, chosen(stated.parameters, fixed=fixed, freed=(OWN_FRICTION,)), stated.trials)
+        )
+    return found
 
 
-def fit_freed(stated: FitResult, name: str) -> FitResult | None:
-    """Return the fit in which one held parameter is free; None if the fit fails from all start values.
-
-    The search begins at several start values of this parameter. The fit with the lowest cost is returned.
-    """
-    held = [p for p in stated.parameters if p.name == name and not p.free]
-    freed = [_fit_from_starts(stated, p, chosen(stated.parameters, freed=(name,))) for p in held]
-    return next((omitted.fit for omitted in freed if omitted is not None), None)
-
-
-def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
-    """Return a fit in which a held parameter replaces the parameters with a similar effect.
+def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
+    """Return the rival in which a held parameter replaces the parameters with a similar effect.
 
     Return None if there is no parameter to replace, or if the user holds the parameter and the model by
     default does not.
@@ -402,40 +320,49 @@ def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
     if not any(p.free for p in others):
         whole = {held.name: sum(p.start for p in others)}
         parameters = chosen(stated.parameters, fixed=fixed | whole)
-    return _fit_from_starts(stated, held, parameters, tuple(fixed))
+    return Rival(held.name, parameters, stated.trials, tuple(fixed))
 
 
-def _fit_from_starts(
-    stated: FitResult, held: Parameter, parameters: tuple[Parameter, ...], replaced: tuple[str, ...] = ()
-) -> Omitted | None:
-    """Return the fit with the lowest cost among fits with different start values of the parameter ``held``.
+def find_omitted(stated: FitResult, judged: Sequence[Judged]) -> list[Judged]:
+    """Return the rivals whose held parameter the data support, with their intervals, best first.
 
-    Return None if all fits fail.
+    A freed parameter must make the fit better, and its interval must exclude the value at which it was held.
+    A parameter that replaces others must make the fit as good, and move an estimate of the fit ``stated`` out
+    of its 95 % interval.
     """
-    free = any(p.name == held.name and p.free for p in parameters)
-    here = {p.name: stated.value(p.name) for p in parameters if p.free and p.name in stated.labels}
-    fits, steps = [], FREED_STARTS
-    if not free:
-        steps = (0.0,)
-    for step in steps:
-        start = held.start + step * held.scale
-        if not held.lower <= start <= held.upper:
+    found = []
+    for one in judged:
+        name, replaced = one.rival.name, one.rival.replaced
+        held = next(p for p in stated.parameters if p.name == name)
+        if held.per_trial or one.fit.status.get(name, "fixed") not in ("estimated", "fixed"):
             continue
-        if free:
-            here[held.name] = start
-        begun = [replace(p, start=here.get(p.name, p.start)) for p in parameters]
-        # Ignore a search that fails, because a search from another start value may succeed.
-        with suppress(NoTrustworthyResult), recorded():
-            fits.append(output_error.fit(stated.model, stated.trials, parameters=begun, tested=False))
-    if not fits:
-        return None
-    best = replace(min(fits, key=lambda fit: fit.cost), parameters=parameters)
-    return Omitted(held, best, replaced, compute_evidence(stated, best))
+        if replaced and one.is_as_good and find_moved(stated, one.fit):
+            found.append(replace(one, fit=output_error.with_intervals(one.fit)))
+        elif one.is_better and not replaced:
+            fit = output_error.with_intervals(one.fit)
+            if abs(fit.value(name) - held.start) > 1.96 * (fit.stderr(name) or math.inf):
+                found.append(replace(one, fit=fit))
+    return found
 
 
-def compute_evidence(stated: FitResult, fit: FitResult) -> float:
-    """Return twice the logarithm of the likelihood ratio of a fit to the reference fit ``stated``."""
-    return stated.samples * math.log(max(stated.cost, 1e-300) / max(fit.cost, 1e-300))
+def _describe(omitted: Judged) -> str:
+    """Return name, estimate and standard error of an omitted parameter as text."""
+    place = ""
+    if omitted.rival.replaced:
+        place = f" in the place of {', '.join(omitted.rival.replaced)}"
+    return _measured(omitted.fit, omitted.rival.name) + place
+
+
+def _suggest(stated: FitResult, omitted: Judged) -> str:
+    """Return a sentence on the change of a fit by an omitted parameter, with the options that include it."""
+    name = omitted.rival.name
+    held = "".join(f" --fix {other}=0" for other in omitted.rival.replaced)
+    acting = next(p for p in omitted.fit.parameters if p.name == name)
+    choice = f"--free {name}"
+    if not acting.free:
+        choice = f"--fix {name}={acting.start:g}"
+    change = numbers.percent(omitted.fit.cost / max(stated.cost, 1e-300) - 1.0, 2)
+    return f"{_describe(omitted)} would change the squared residuals by {change}: use {choice}{held}"
 
 
 def find_moved(stated: FitResult, other: FitResult) -> list[str]:
@@ -474,31 +401,33 @@ def explains_differences(stated: FitResult, other: FitResult) -> bool:
     return all(after is not None and (before is None or after < before) for before, after in pairs)
 
 
-def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
+def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
     """Check that the fit ``stated`` omits no parameter that the data support, and warn if it omits any.
 
-    The check fails if the evidence for a parameter is strong, and if the parameter moves estimates materially
-    or explains why the trials differ.
+    The check fails if a parameter makes the fit better, and if it moves estimates materially or explains why
+    the trials differ.
     """
     name = "no parameter left out"
-    limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
+    limit = f"score ≤ {rivals.STRONG:g}, and no other law explains as much"
     if not omitted:
         held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
         return ev.check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
     failed = [
         o
         for o in omitted
-        if -o.criterion > STRONG and (find_material(stated, o.fit) or explains_differences(stated, o.fit))
+        if o.is_better and (find_material(stated, o.fit) or explains_differences(stated, o.fit))
     ]
     best = [*failed, *omitted][0]
-    warn("SWM024", "; ".join(o.sentence for o in sorted(omitted, key=lambda o: o is not best)[:MAX_NAMED]))
+    first = sorted(omitted, key=lambda o: o is not best)[:MAX_NAMED]
+    warn("SWM024", "; ".join(_suggest(stated, o) for o in first))
     shifts = [f"{_measured(stated, one)} becomes {_measured(best.fit, one)}" for one in stated.shared]
-    reason = f"the trials speak for {best.text}"
+    reason = f"the trials speak for {_describe(best)}"
     if explains_differences(stated, best.fit):
         reason += ", which explains why the trials differ"
     elif not find_material(stated, best.fit):
         reason += ", which moves no estimate materially"
-    check = ev.check(name, best.text, False, limit, "with it " + "; ".join(shifts), reason=reason)
+    text = f"score {best.score:.3g}; with it " + "; ".join(shifts)
+    check = ev.check(name, _describe(best), False, limit, text, reason=reason)
     if failed:
         check.verdict = "fail"
     return check
@@ -507,78 +436,51 @@ def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
 # ------------------------------------------------------------ differences between trials
 
 
-def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
-    """Fit a separate initial speed or clock offset for each falling-weight trial.
-
-    Return this fit if the data clearly support it, and otherwise the given fit ``plain``. The given fit is
-    also returned if a separate friction for each trial lowers the residuals more than the separate initial
-    states, or if an omitted parameter lowers them about as much.
-
-    Parameters
-    ----------
-    plain : FitResult
-        Fit with all trials starting at rest, and without per-trial parameters.
-
-    Returns
-    -------
-    result : FitResult
-    start_state : str
-        Name of the parameter of the initial state that is estimated; ``rest`` if there is none.
-    omitted : list of Omitted
-        Omitted parameters of the result.
-    """
-    freed = {name: fit_freed(plain, name) for name in STARTS}
-    fits = {name: fit for name, fit in freed.items() if fit is not None and _is_significant(plain, fit)}
-    omitted = find_omitted(plain)
-    reason = min(fits, key=lambda name: squared_error(fits[name]), default="rest")
-    if not fits:
-        return plain, reason, omitted
-    best = fits[reason]
-    others = [SHARED_RATIO * squared_error(best) > squared_error(o.fit) for o in omitted[:1]]
-    friction = fit_freed(plain, "friction_deviation")
-    if any(others) or (friction is not None and squared_error(friction) < squared_error(best)):
-        return plain, "rest", omitted
+def _warn_of_start(fit: FitResult, name: str) -> None:
+    """Warn that the trials do not start at rest, with the estimates of the parameter of their start."""
     values = ", ".join(
-        f"{label[len(reason) + 1 : -1]} {value:+.3g}"
-        for label, value in zip(best.labels, best.estimate, strict=True)
-        if label.startswith(f"{reason}[")
+        f"{label[len(name) + 1 : -1]} {value:+.3g}"
+        for label, value in zip(fit.labels, fit.estimate, strict=True)
+        if label.startswith(f"{name}[")
     )
     warn(
         "SWM017",
-        f"the trials start {STARTS[reason]}; {reason} is estimated for each ({values} "
-        f"{best.parameter(reason).unit}). Use --start-state rest to insist on rest at the first sample",
+        f"the trials start {STARTS[name]}; {name} is estimated for each ({values} "
+        f"{fit.parameter(name).unit}). Use --start-state rest to insist on rest at the first sample",
     )
-    # Search for omitted parameters again, because the separate initial states may explain residuals that an
-    # omitted parameter seemed to explain.
-    return best, reason, find_omitted(best)
 
 
-def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
-    """Check whether the pulley friction follows the pulling mass, and whether one trial is an outlier.
+def trial_checks(stated: FitResult, result: FitResult, judged: Sequence[Judged]) -> list[ev.Check]:
+    """Check whether the pulley friction follows the pulling mass, and whether one trial is odd.
 
-    Return no checks if the residuals of the fit ``plain`` without per-trial parameters are white and the
-    trials agree.
+    Parameters
+    ----------
+    stated, result : FitResult
+        Fit without and with its intervals.
+    judged : sequence of Judged
+        Rivals of the fit. An odd trial must be better than each of them.
     """
-    coloured = any(len(noise.autoregression) for noise in plain.noise.values())
-    differences = result.differences
-    if not coloured and not (differences is not None and differences.are_likely):
-        return []
-    from swimid.fitting import between_trials
-
-    checks = _friction_check(plain)
-    odd = between_trials.find_outlier_trial(plain)
-    if odd is None:
-        return checks
-    without = "; ".join(_measured(odd.others, label) for label in odd.others.shared)
-    size = f"{odd.trial}: {numbers.number(odd.error_ratio, 2)} times the others' error"
-    limit = f"below {between_trials.MIN_ERROR_RATIO:g} times, or p ≥ {between_trials.OUTLIER_P_VALUE:g}"
+    found = []
+    own = next((one for one in judged if one.rival.name == OWN_FRICTION and one.is_better), None)
+    if own is not None:
+        found = _friction_check(own.fit)
+    coloured = any(len(noise.autoregression) for noise in stated.noise.values())
+    if not coloured and own is None:
+        return found
+    odd = rivals.find_odd_trial(stated)
+    shared = [one for one in judged if one.rival.name != OWN_FRICTION]
+    if odd is None or any(one.score > odd.score for one in shared):
+        return found
+    name = odd.rival.name
+    without = "; ".join(_measured(odd.fit, label) for label in odd.fit.shared)
     text = (
         f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
         "out of the fit with role: validate"
     )
-    reason = f"{odd.trial} contradicts the other trials"
+    size, limit = f"{name}: score {odd.score:.3g}", f"score ≤ {rivals.STRONG:g}"
+    reason = f"{name} contradicts the other trials"
     check = ("SWM071", "no trial contradicts the others", size, False, limit, text, reason)
-    return [*checks, fit_common.warned_check(*check, failed=bool(find_moved(result, odd.others)))]
+    return [*found, fit_common.warned_check(*check, failed=bool(find_moved(result, odd.fit)))]
 
 
 def _measured(fit: FitResult, label: str) -> str:
@@ -586,50 +488,20 @@ def _measured(fit: FitResult, label: str) -> str:
     return f"{label} {numbers.measured(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
 
 
-def _friction_check(plain: FitResult) -> list[ev.Check]:
-    """Check whether the pulley friction depends on the pulling force.
-
-    The friction of each trial is estimated by linearisation about the fit ``plain``.
-    """
-    from swimid.fitting import between_trials
-
-    if "pulley_friction" not in plain.labels:
+def _friction_check(own: FitResult) -> list[ev.Check]:
+    """Check whether the pulley friction depends on the pulling force, from a fit with one for each trial."""
+    pulls = {f"{OWN_FRICTION}[{t.id}]": t.rig.pull for t in own.trials}
+    index = [j for j, label in enumerate(own.labels) if label in pulls and own.stderr(label)]
+    if len(index) < rivals.MIN_TRIALS:
         return []
-    own = between_trials.estimate_own_values(plain, "friction_deviation", "pulley_friction")
-    if len(own.trials) < between_trials.MIN_TRIALS:
+    pull = np.array([pulls[own.labels[j]] for j in index])
+    score = rivals.compute_trend_score(own.estimate[index], own.covariance[np.ix_(index, index)], pull)
+    if score <= rivals.STRONG:
         return []
-    pulls = {t.id: t.rig.pull for t in plain.trials}
-    p_value = between_trials.compute_trend_p(own, np.array([pulls[name] for name in own.trials]))
-    if p_value >= TREND_P:
-        return []
-    value = f"follows the pulling mass ({ev.p_text(p_value)})"
+    value = f"follows the pulling mass (score {score:.3g})"
     text = "find the cause with swimid diagnose TRIALS --params FILE"
-    shown = ("same friction in all trials", value, False, f"p ≥ {TREND_P:g}", text)
+    shown = ("same friction in all trials", value, False, f"score ≤ {rivals.STRONG:g}", text)
     return [fit_common.warned_check("SWM070", *shown, f"the pulley friction {value}", failed=True)]
-
-
-def _is_significant(plain: FitResult, rival: FitResult) -> bool:
-    """Return whether an F-test prefers the fit ``rival``, which has more parameters than the fit ``plain``.
-
-    The test allows for coloured residuals.
-    """
-    extra = len(rival.labels) - len(plain.labels)
-    before, after = squared_error(plain), squared_error(rival)
-    if after <= 0 or before <= after or after > START_RATIO * before:
-        return False
-    colour = 1.0
-    for noise in rival.noise.values():
-        if len(noise.autoregression):
-            series = np.concatenate([s.weighted for s in rival.series if s.role == "fit"])
-            fitted = fit_autoregression(series, order=len(noise.autoregression))
-            colour = max(colour, fitted.long_run_variance / float(np.nanvar(series)))
-    statistic = (before - after) / (after / max(rival.samples - len(rival.labels), 1)) / colour
-    return bool(special.chdtrc(extra, statistic) < START_P)
-
-
-def squared_error(result: FitResult) -> float:
-    """Return the sum of squared residuals of a fit over its trials with the role ``fit``."""
-    return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 
 # ------------------------------------------------------------ measured force
@@ -656,17 +528,15 @@ def sign_check(result: FitResult) -> ev.Check:
         other = replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
         if channel in trial.measured and mean_square(other) < mean_square(trial):
             turned[trial.id] = other
-    found = None
-    if turned:
-        trials = [turned.get(t.id, t) for t in result.trials]
-        with suppress(NoTrustworthyResult), recorded():
-            found = output_error.fit(result.model, trials, parameters=result.parameters, tested=False)
-    if found is None or compute_evidence(result, found) <= STRONG:
+    trials = tuple(turned.get(t.id, t) for t in result.trials)
+    judged = [Rival("sign of the force", result.parameters, trials)] if turned else []
+    found = next((one for one in rivals.judge(result, judged) if one.is_better), None)
+    if found is None:
         return ev.check(name, "as stated", True, limit)
     where = ", ".join(sorted(turned))
     if len(turned) == len(fitted):
         where = "all trials"
-    change = math.expm1(-0.5 * compute_evidence(result, found) / result.samples)
+    change = math.sqrt(found.fit.cost / result.cost) - 1.0
     reason = f"with force_N times -1 in {where} the error of {channel} falls by {-100 * change:.3g} %"
     text = (
         "force_N must be the force on the body, positive along x_m: turn its sign in the log, or with "

@@ -168,7 +168,7 @@ def compare(
         ]
         checks = _checks(file, [name for name in fitted if name not in still], still)
         checks += fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes)
-        before = {d.trial.id: d.errors for d in done}
+        before = {d.trial.id: d.series for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             checks.append(_mistakes_check(experiment.trials, applied, before))
     evidence = ev.Evidence(
@@ -188,25 +188,15 @@ def compare(
     return Comparison.of(file, evidence).saved(output)
 
 
-def _mistakes_check(
-    trials: Sequence[Trial], applied: Applied, before: Mapping[str, mistakes.Errors]
-) -> ev.Check:
+def _mistakes_check(trials: Sequence[Trial], applied: Applied, before: mistakes.TrialSeries) -> ev.Check:
     """Check whether a common mistake in trials explains the errors, with shared parameters fixed."""
     known = mistakes.catalogue(applied.model, trials)
-    tried = len(known) * (len(trials) + 1)
 
-    def evaluate(trial: Trial) -> mistakes.Errors:
+    def simulate(trial: Trial) -> list[dict[str, Array]]:
         values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
-        return mistakes.misfits(trial, applied.model.run(values, trial))
+        return [applied.model.run(values, trial)]
 
-    best: mistakes.Explanation | None = None
-    for mistake, each in mistakes.screened(trials, known, before, evaluate):
-        gained = [k for k, (_, _, gain) in each.items() if gain >= mistakes.DECISIVE]
-        after = {k: each[k][1] for k in gained}
-        found = mistakes.explained(mistake.says, gained, len(trials), tried, before, after)
-        if found is not None and (best is None or found.gain > best.gain):
-            best = found
-    return mistakes.check(best, len(known))
+    return mistakes.check(mistakes.search(trials, known, before, simulate), len(known))
 
 
 #: Columns with the errors of a channel in the tables of the evidence.

@@ -15,6 +15,7 @@ from swimid.files import yamlio
 from swimid.files.yamlio import Number
 from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.model import Array, Channel, Model, Trial
+from swimid.fitting.output_error import Series
 from swimid.fitting.steps import Step, choose_step
 from swimid.logs import kinematics
 from swimid.notices import warn
@@ -193,10 +194,9 @@ class Compared(NamedTuple):
     values: Array
 
     @property
-    def errors(self) -> mistakes.Errors:
-        """Errors of the measured channels, by which common mistakes in trials are searched for."""
-        simulated = {n: p.simulated for n, p in self.pairs.items() if n in self.trial.measured}
-        return mistakes.misfits(self.trial, simulated)
+    def series(self) -> list[Series]:
+        """Series of the measured channels, in which common mistakes in trials are searched for."""
+        return mistakes.series_of(self.trial, {n: p.simulated for n, p in self.pairs.items()})
 
 
 def compare_trials(

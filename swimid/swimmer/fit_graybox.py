@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -16,11 +16,12 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.executors import Rebuilt, on_cluster
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
-from swimid.fitting import fit_common, mistakes, output_error
+from swimid.fitting import fit_common, mistakes, output_error, rivals
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.parameter_map import expand, groups_by_prefix, share, values_of
+from swimid.fitting.rivals import Rival
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent
@@ -140,7 +141,7 @@ def fit_graybox(
         if search.ends:
             checks.append(_starts_check(search, asked=options.starts is not None))
         explanation: mistakes.Explanation | None = None
-        before = {t.id: _misfits(result, t) for t in result.trials}
+        before = {t.id: [s for s in result.series if s.trial == t.id] for t in result.trials}
         if options.method == "least-squares" and mistakes.is_suspect(checks, before):
             known = mistakes.catalogue(model, result.trials)
             explanation = _explain(result, known, before, options, progress)
@@ -388,16 +389,10 @@ def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parame
             )
 
 
-def _misfits(result: FitResult, trial: Trial) -> mistakes.Errors:
-    """Return the error of each channel in one trial of a fit."""
-    simulated = {s.channel: s.simulated for s in result.series if s.trial == trial.id}
-    return mistakes.misfits(trial, simulated)
-
-
 def _explain(
     result: FitResult,
     known: Sequence[mistakes.Mistake],
-    before: Mapping[str, mistakes.Errors],
+    before: mistakes.TrialSeries,
     options: FitGrayboxOptions,
     progress: Progress,
 ) -> mistakes.Explanation | None:
@@ -409,46 +404,29 @@ def _explain(
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
-    stated, tried = model.stated(), len(known) * (len(trials) + 1)
+    stated = model.stated()
     sets = (
         result.at_estimates(),
         tuple(replace(p, start=stated.get(p.name, p.start)) for p in result.parameters),
     )
 
-    def evaluate(trial: Trial) -> mistakes.Errors:
-        found: list[mistakes.Errors] = []
+    def simulate(trial: Trial) -> Iterator[dict[str, Array]]:
         for parameters in sets:
             own = output_error.estimate_start(
                 model, parameters, trial, sd, tolerance=mistakes.START_TOLERANCE
             )
             known = {p.name: own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters}
-            values = values_of(model, parameters, known)
-            found.append(mistakes.misfits(trial, model.run(values, trial)))
-        found = [errors for errors in found if errors]
-        return min(found, key=lambda e: sum(np.log([m.relative for m in e.values()])), default={})
+            yield model.run(values_of(model, parameters, known), trial)
 
-    best: mistakes.Explanation | None = None
     with progress("trying usual mistakes") as step:
-        for mistake, each in mistakes.screened(trials, known, before, evaluate)[: mistakes.MAX_REFITS]:
+
+        def refit(changed: Sequence[Trial]) -> FitResult | None:
             step()
-            gained = [k for k, (_, _, gain) in each.items() if gain >= mistakes.DECISIVE]
-            for chosen in dict.fromkeys((tuple(gained), tuple(each))):
-                if not gained:
-                    continue
-                changed = [each[t.id][0] if t.id in chosen else t for t in trials]
-                names = dict(zip((t.id for t in changed), (t.id for t in trials), strict=True))
-                with suppress(NoTrustworthyResult):
-                    fit = output_error.with_held_out(
-                        output_error.fit(
-                            model, changed, parameters=result.parameters,
-                            jobs=options.jobs, tested=False, max_iterations=options.max_iterations,
-                        )
-                    )  # fmt: skip
-                    after = {names[t.id]: _misfits(fit, t) for t in fit.trials}
-                    found = mistakes.explained(mistake.says, chosen, len(trials), tried, before, after)
-                    if found is not None and (best is None or found.gain > best.gain):
-                        best = found
-    return best
+            rival = Rival("usual mistake", result.parameters, tuple(changed))
+            fit = rivals.refit(result, rival, jobs=options.jobs, max_iterations=options.max_iterations)
+            return None if fit is None else output_error.with_held_out(fit)
+
+        return mistakes.search(trials, known, before, simulate, refit)
 
 
 def _started_from(

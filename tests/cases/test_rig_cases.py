@@ -107,7 +107,6 @@ def test_the_drift_of_a_load_cell_is_named(case: Case, swimid: Run) -> None:
     ran = swimid("fit-drag", "drift.yaml")
     assert verdict(ran) == "BAD"
     assert "--free force_drift" in ran.err
-    assert "--free force_offset" in ran.err
 
 
 @pytest.mark.slow
@@ -169,10 +168,11 @@ def test_a_decay_that_hardly_swings_says_what_to_do(case: Case, swimid: Run, rec
 @pytest.mark.slow
 @pytest.mark.parametrize("record", ["tow", "clean"])
 def test_a_drift_that_changes_nothing_is_caution(case: Case, swimid: Run, record: str) -> None:
+    """Noise of the force looks like a drift. Without the spikes its interval contains zero."""
     case("t4-o02-loadcell-spikes")
     ran = swimid("fit-drag", f"{record}.yaml")
-    assert verdict(ran) == "CAUTION"
-    assert "which moves no estimate materially" in " ".join(ran.out.split())
+    assert verdict(ran) == {"tow": "CAUTION", "clean": "GOOD"}[record]
+    assert ("which moves no estimate materially" in " ".join(ran.out.split())) == (record == "tow")
 
 
 @pytest.mark.slow
@@ -180,10 +180,10 @@ def test_a_drift_that_changes_nothing_is_caution(case: Case, swimid: Run, record
 def test_a_drive_that_is_fitted_within_its_errors_is_caution(
     real_data: Path, swimid: Run, tmp_path: Path, drift: tuple[str, ...]
 ) -> None:
-    """A drift of 6 standard errors, and then a drag of 2.7, are named beside the published friction."""
+    """A drift is named beside the published friction; with it, nothing is left to name."""
     trials = real_logs.write_screw_drive(tmp_path, real_data)
     free = ("--free", "dry_friction", "--free", "linear_drag", "--free", "force_offset", *drift)
     ran = swimid("fit-drag", trials, "--fix", "quadratic_drag=0", *free)
     assert verdict(ran) == "CAUTION"
-    assert "SWM024" in ran.err
+    assert ("SWM024" in ran.err) is not bool(drift)
     assert "SWM058" not in ran.err
