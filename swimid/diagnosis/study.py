@@ -473,7 +473,12 @@ class Study:
             problem = self.posed(fit.effects, jobs=1)
             kept = [owner != f for owner in self.folds.owner]
             problem.reuse_derivatives(fit.theta, fit.derivatives)
-            return self.search(problem, [fit.theta], ROUGH, FEW, kept=kept).x
+            theta = self.search(problem, [fit.theta], ROUGH, FEW, kept=kept).x
+            # Nothing determines the initial state of a trial that is held out as a whole.
+            for k in (k for k, fitted in enumerate(kept) if not fitted.any()):
+                own = problem.own(k)
+                theta[own] = fit.theta[own]
+            return theta
 
         for known, found in self._without:
             if known is fit:
