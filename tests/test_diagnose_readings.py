@@ -11,7 +11,7 @@ import pytest
 from swimid.diagnosis import readings, search
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.search import Search, State
+from swimid.diagnosis.search import Search
 from swimid.diagnosis.study import Study
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
@@ -212,8 +212,8 @@ def test_priors_are_wider_under_another_reading(fish: Experiment, others: dict[s
     assert study.expected(read)[1][at] == pytest.approx(1 / (0.6 * size))
     searched = Search(study, (), (), rng=np.random.default_rng(0))
     own, other = study.at((), np.array(plain.start)), study.at((reading,), np.array(read.start))
-    searched.null = searched.judged(own)
-    searched.pool = {h.key: h for h in (searched.null, searched.judged(other))}
+    searched.null = own
+    searched.pool = {h.key: h for h in (own, other)}
     assert [c.numbers for c in searched.weighed().candidates] == [0, 1]
 
 
@@ -240,7 +240,7 @@ def decays(rng: np.random.Generator, rate_1_s: float, rising: float) -> list[Tri
     return trials
 
 
-def sought(trials: list[Trial], *, reading: bool = True) -> State:
+def sought(trials: list[Trial], *, reading: bool = True) -> Search:
     effects: list[Effect] = [Seen("rise", rise), Seen("ring", ring)]
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'
@@ -265,7 +265,7 @@ def test_readings_do_not_change_the_fits_of_effects(rng: np.random.Generator) ->
     trials = decays(rng, 1.0, 0.3)
     found, without = sought(trials), sought(trials, reading=False)
     np.testing.assert_array_equal(found.base.theta, without.base.theta)
-    gains = [{r.tried.effect.name: r.gains for r in state.singles} for state in (found, without)]
+    gains = [{r.added.effect.name: r.gains for r in state.singles} for state in (found, without)]
     assert set(gains[0]) == {*gains[1], "reading:rate=quick"}
     for name, own in gains[1].items():
         np.testing.assert_array_equal(gains[0][name], own)

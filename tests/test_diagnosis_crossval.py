@@ -10,8 +10,8 @@ from scipy import special
 from scipy.stats import multivariate_normal
 
 from swimid.diagnosis import crossval, settings
-from swimid.diagnosis.crossval import Drawn, NormalEquations
-from swimid.diagnosis.study import START_PRIOR, Fit, Study, beyond, solved
+from swimid.diagnosis.crossval import Drawn, NormalEquations, solved
+from swimid.diagnosis.study import START_PRIOR, Hypothesis, Study
 from swimid.fitting.model import RigInput, Trial
 from tests.diagnosis_models import (
     PLAIN,
@@ -173,15 +173,6 @@ def test_an_undetermined_direction_stays_at_zero() -> None:
     np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-8)
 
 
-def test_residuals_of_columns_of_any_size_and_of_equal_columns(rng: np.random.Generator) -> None:
-    """The columns differ by 16 orders of size, two are equal and one is zero."""
-    raw = rng.normal(size=(40, 3))
-    values = rng.normal(size=40)
-    columns = np.column_stack([1e-8 * raw[:, 0], 1e8 * raw[:, 1], raw[:, 2], raw[:, 2], np.zeros(40)])
-    basis = np.linalg.qr(raw)[0]
-    np.testing.assert_allclose(beyond(columns, values), values - basis @ (basis.T @ values), atol=1e-12)
-
-
 def test_the_start_state_of_each_trial_is_projected_out(study: Study) -> None:
     """The products equal those of rows from which the start state of the trial is projected out."""
     fit = study.at((), study.problem(()).start)
@@ -217,7 +208,7 @@ def test_a_held_out_fold_takes_no_part_in_the_refit(rng: np.random.Generator) ->
         y = np.exp(-(2.5 if k == 0 else 0.4) * t) * (3.0 if k == 0 else 0.3) + 0.01 * rng.normal(size=len(t))
         trials.append(trial(k, t, y))
 
-    def fitted(fit_trials: list[Trial]) -> tuple[Study, Fit]:
+    def fitted(fit_trials: list[Trial]) -> tuple[Study, Hypothesis]:
         found = with_sd(Study(Toy(decaying, coefficients), coefficients, fit_trials, {}), 0.01)
         return found, found.fit((), [np.array([1.0, 1.0])], tolerance=1e-8)
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from swimid.diagnosis import crossval, noise
 from swimid.diagnosis.noise import NoiseModel, RandomEffect
-from swimid.diagnosis.study import START_PRIOR, Fit, Study
+from swimid.diagnosis.study import START_PRIOR, Hypothesis, Study
 from swimid.fitting.model import Parameter, Trial
 from swimid.fitting.noise import Autoregression, NoiseForm
 from swimid.fitting.problem import Problem
@@ -157,7 +157,7 @@ def test_whitening_and_covariance_are_of_the_same_noise(form: NoiseForm, rng: np
 
 def estimated(
     trials: list[Trial], generic: tuple[np.ndarray, ...] = (), sd: float = 1.0, brief: bool = True
-) -> tuple[NoiseModel, Fit]:
+) -> tuple[NoiseModel, Hypothesis]:
     """Estimate the noise of trials of a model that is zero, with generic terms that equal curves."""
     study = with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), sd)
     fit = study.at((), np.empty(0))

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.gapbench.peers import Case, verdict
 from swimid.diagnosis.noise import NoiseModel
-from swimid.diagnosis.study import FINE, Fit, Study
+from swimid.diagnosis.study import FINE, Hypothesis, Study
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
 from swimid.fitting import uncertainty as sample_noise
@@ -57,7 +57,7 @@ def rounds(case: Case) -> list[dict[str, float]]:
     return found
 
 
-def _nominal(bench: Study) -> tuple[Study, Fit]:
+def _nominal(bench: Study) -> tuple[Study, Hypothesis]:
     """The trials with the noise that their own residuals show, and the model refitted."""
     problem = bench.problem(())
     sample_noise.weigh_first(problem)
@@ -65,13 +65,13 @@ def _nominal(bench: Study) -> tuple[Study, Fit]:
     sizes: Mapping[str, tuple[float, float]] = {}
     for _ in range(1 + WEIGHTINGS):
         bench = bench.with_noise(NoiseModel([list(sds) for sds in problem.sd]))
-        fit = bench.fit((), bench.begins(problem, theta))
+        fit = bench.fit((), [theta], others=bench.begins(problem, theta))
         theta = fit.theta
         sizes = sample_noise.estimate(problem, theta, dict(sizes))
     return bench, fit
 
 
-def _beside(bench: Study, base: Fit, effect: Effect) -> Fit:
+def _beside(bench: Study, base: Hypothesis, effect: Effect) -> Hypothesis:
     """The optimum with one more effect, from the best of the sizes it is tried at."""
     effects = (*base.effects, effect)
     own = bench.affected(effects).own[-1]
@@ -79,12 +79,12 @@ def _beside(bench: Study, base: Fit, effect: Effect) -> Fit:
     for point in [*effect.tries(own), np.array([p.start for p in own])]:
         named = {f"{effect.name}/{p.name}": float(v) for p, v in zip(own, point, strict=False)}
         starts.append(bench.start(effects, base, named))
-    problem = bench.posed(effects)
+    problem = bench.problem(effects)
     first = min(starts, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2)))
     return bench.fit(effects, [first], tolerance=FINE)
 
 
-def compute_bic(fit: Fit) -> float:
+def compute_bic(fit: Hypothesis) -> float:
     """``sum n log(rss / n) + k log(sum n)`` over channels, each with a noise of its own."""
     total, samples = 0.0, 0
     for parts in fit.problem.series(fit.residuals).values():

@@ -13,9 +13,10 @@ from scipy.special import chdtri
 import swimid
 from swimid.diagnosis import proposals
 from swimid.diagnosis.candidates import within
+from swimid.diagnosis.crossval import solved
 from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.proposals import Limits, Proposal, Segment
-from swimid.diagnosis.study import Fit, Study, solved
+from swimid.diagnosis.study import Hypothesis, Study
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem, map_in_processes
 from swimid.logs.log import Log
@@ -28,7 +29,7 @@ LEVEL = 0.95
 COMMAND_FILE = "next.csv"
 
 
-def threshold(rivals: Sequence[Fit]) -> float:
+def threshold(rivals: Sequence[Hypothesis]) -> float:
     """Return the difference between two rivals that noise alone may make, in noise standard deviations.
 
     A refit to pure noise lowers the squared residuals by a chi-square variable. Its degrees of freedom are
@@ -38,7 +39,7 @@ def threshold(rivals: Sequence[Fit]) -> float:
     return math.sqrt(float(chdtri(most, 1.0 - LEVEL)))
 
 
-def advise(study: Study, rivals: Sequence[Fit], limits: Limits, now: float) -> list[Advice]:
+def advise(study: Study, rivals: Sequence[Hypothesis], limits: Limits, now: float) -> list[Advice]:
     """Rank proposed trials by how well they would distinguish the first rival cause from the others.
 
     A trial distinguishes two rivals if their difference exceeds what noise alone may make. Trials that
@@ -47,7 +48,7 @@ def advise(study: Study, rivals: Sequence[Fit], limits: Limits, now: float) -> l
 
     Parameters
     ----------
-    rivals : sequence of Fit
+    rivals : sequence of Hypothesis
         At least two fits, each with one of the rival causes.
     now : float
         Difference between the first two rival fits on the present trials, in noise standard deviations. It is
@@ -135,7 +136,7 @@ class Rival:
         trials are projected out.
     """
 
-    def __init__(self, study: Study, fit: Fit) -> None:
+    def __init__(self, study: Study, fit: Hypothesis) -> None:
         self.study, self.fit = study, fit
         problem = fit.problem
         names = np.array([problem.parameters[index].name for index, _ in problem.slots])

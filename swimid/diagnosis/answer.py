@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
@@ -21,7 +20,7 @@ from swimid.diagnosis.gap_file import (
     Facts,
     GapFile,
     HeldOut,
-    Hypothesis,
+    HypothesisRow,
     Proposed,
     Remaining,
     Score,
@@ -32,8 +31,9 @@ from swimid.diagnosis.gap_file import (
 from swimid.diagnosis.held_out import Piece, Prediction
 from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.nominal import Begun
-from swimid.diagnosis.search import Refitted, Round, State
-from swimid.diagnosis.study import FINE, Fit, Study, rms
+from swimid.diagnosis.proposals import Limits
+from swimid.diagnosis.search import Round, Search
+from swimid.diagnosis.study import FINE, Hypothesis, Study, rms
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -59,57 +59,25 @@ ANOTHER = "run another setting: what coefficients imitate at one they do not imi
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
 
-@dataclass(frozen=True)
-class Named:
-    """Reported cause with its equivalents and probabilities.
-
-    Attributes
-    ----------
-    probability : float
-        Probability that the cause, or one of its equivalents, closes most of the gap.
-    alone : float
-        Probability of the cause and of effects that change the trials in the same way, relative to all
-        alternatives, given the other causes.
-    crowded : bool
-        Whether more effects cannot be distinguished from the cause than are listed.
-    """
-
-    best: Refitted
-    equivalent: tuple[str, ...]
-    probability: float
-    alone: float
-    crowded: bool = False
-
-    @property
-    def name(self) -> str:
-        """Return the name of the effect."""
-        return self.best.tried.effect.name
-
-    @property
-    def alike(self) -> tuple[str, ...]:
-        """Return the names of the cause and its equivalents."""
-        return (self.name, *self.equivalent)
-
-
-def named(state: State, found: Round) -> Named:
-    """Return the cause of a search round with its equivalents and probabilities."""
-    best = found.ranked[0]
-    name = best.tried.effect.name
-    share = state.posterior.instead(name, frozenset(e.name for e in state.base.effects))
+def proposed(search: Search, found: Round) -> Proposed:
+    """Return the effects that cannot be distinguished from the cause of a search round."""
+    name = found.name
+    share = search.posterior.instead(name, search.base.names)
     order = [name, *(n for n in share if n != name)]
     before = np.cumsum([0.0, *(share.get(n, 0.0) for n in order[:-1])])
     alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
     shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
     alone = share.get(name, 0.0) + sum(share.get(n, 0.0) for n in found.same)
-    return Named(best, tuple(shown[1:]), state.posterior.having(*shown), alone, len(alike) > SET)
+    return Proposed(equivalent=shown[1:], alone=alone, crowded=len(alike) > SET)
 
 
 def answer(
-    state: State,
+    search: Search,
     validation: Sequence[Trial],
     begun: Begun,
     raw: Sequence[Trial],
     *,
+    limits: Limits,
     progress: Progress = silent,
 ) -> tuple[GapFile, list[Piece]]:
     """Return the gap file of a diagnosis, and the held-out trial with the largest errors.
@@ -122,6 +90,8 @@ def answer(
         Parameters of the parameter file, and those whose change is not a hypothesis.
     raw : sequence of Trial
         The fitted trials, failed samples included.
+    limits : Limits
+        Limits of a proposed trial.
 
     Returns
     -------
@@ -135,7 +105,7 @@ def answer(
     NoTrustworthyResult
         If the refitted model cannot simulate these trials.
     """
-    study, nominal = state.study, state.nominal
+    study, nominal = search.study, search.null
     # A measured range of zero is replaced by 1.
     ranges = {c: float(np.ptp(values)) or 1.0 for c, values in nominal.measured().items()}
     if all(rms(left) > ASTRAY * ranges[c] for c, left in nominal.by_channel().items()):
@@ -144,38 +114,37 @@ def answer(
             hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
         )
     noise = study.noise
-    floor = held_out.floors(study, state.base)
-    failed = dropouts.misfit(state, raw, floor)
-    found = _predictions(state, validation, progress)
-    study, nominal = state.study, state.nominal
+    floor = held_out.floors(study, search.base)
+    raw = [trial for trial in raw if trial.id not in search.odd_trials]
+    failed = dropouts.misfit(search, raw, floor)
+    found = _predictions(search, validation, progress)
+    study, nominal = search.study, search.null
     given, before, after = found[0], found[1], found[-1]
-    causes = tuple(named(state, r) for r in state.rounds) if state.posterior.none <= 0.5 else ()
+    causes = {r.name: proposed(search, r) for r in search.rounds if search.posterior.none <= 0.5}
     if not causes:
         after = before
     facts = Facts(
-        no_gap=state.posterior.none,
-        catalogue=sum(state.posterior.sets.values()),
-        outside=state.posterior.outside,
-        proposed={
-            c.name: Proposed(equivalent=list(c.equivalent), alone=c.alone, crowded=c.crowded) for c in causes
-        },
+        no_gap=search.posterior.none,
+        catalogue=sum(search.posterior.sets.values()),
+        outside=search.posterior.outside,
+        proposed=causes,
         held_out=held_out.table(given, before, after),
         diverged=not held_out.sound(before, after),
-        unreproduced=_unreproduced(study, state.base if causes else nominal),
+        unreproduced=_unreproduced(study, search.base if causes else nominal),
         failed_samples=failed > 0,
     )
     decided = verdict.decide(facts)
-    shown = [c for c in causes if c.name in decided.causes]
-    base = state.base if shown else nominal
+    shown = [r for r in search.rounds if r.name in decided.causes]
+    base = search.base if shown else nominal
     sd = parameter_errors(study, base)
     closing = held_out.shrinkages(given, before, after, floor, ranges)
-    result = _causes(state, shown, sd, begun.given, closing)
+    result = _causes(search, shown, facts, sd, begun.given, closing)
     if failed:
-        result = dropouts.among(state, result, raw, floor, failed, ranges)
-    scores = _scores(state)
+        result = dropouts.among(search, result, raw, floor, failed, ranges)
+    scores = _scores(search)
     cells = places.Map(study, nominal, floor)
     where = Where(
-        channels=_channels(state, floor, ranges),
+        channels=_channels(search, floor, ranges),
         stage=_stages(scores, result),
         regime=places.regimes(cells),
         time=places.times(cells),
@@ -184,57 +153,62 @@ def answer(
         where.phase = places.phases(cells)
     labels = ["as given", "refitted"]
     if shown:
-        labels += [f"+ {r.ranked[0].tried.effect.name}" for r in state.rounds]
+        labels += [f"+ {r.name}" for r in search.rounds]
     file = GapFile(
         verdict=decided.verdict,
         where=where,
         waterfall=held_out.waterfall(dict(zip(labels, found, strict=False)), floor),
         closed=verdict.closed_gap(facts.held_out) if shown else None,
         causes=result,
-        remaining=_remaining(state, facts, named=bool(shown)),
+        remaining=_remaining(search, facts, named=bool(shown)),
         facts=facts,
         setting_count=settings.count([*study.trials, *validation]),
         at_bound=_at_bounds(nominal),
-        moved=_moved(state, base, sd, begun.unweighed),
-        hypotheses=_hypotheses(state),
+        moved=_moved(search, base, sd, begun.unweighed),
+        hypotheses=_hypotheses(search),
         samples=sum(len(r) for r in nominal.residuals) or None,
-        tried=state.tried or None,
+        tried=search.count,
         held_out=_held_out(study, validation),
         floor_from=_floor_text(noise),
-        odd_trials=state.odd_trials,
+        odd_trials=search.odd_trials,
         random_effects={kind.name: kind.sd for kind in noise.random_effects},
         scores=scores,
         reasons=_reasons(noise),
-        left_out=dict(state.screen.left_out),
+        left_out=dict(search.left_out),
     )
-    file.advice = _advice(state, file, shown)
+    file.advice = _advice(search, file, shown, limits)
     return file, held_out.worst(before, after)
 
 
-def _predictions(state: State, validation: Sequence[Trial], progress: Progress) -> list[list[Prediction]]:
+def _predictions(search: Search, validation: Sequence[Trial], progress: Progress) -> list[list[Prediction]]:
     """Return the held-out predictions by the model as given, refitted, and with the causes in turn.
 
     The memory of the noise and random effects make a fit more precise if the model is right, and may mislead
     it otherwise. The models are therefore also fitted with independent noise, and the fits whose causes
-    predict held-out data better are those of the state from then on.
+    predict held-out data better are those of the search from then on.
     """
-    study, noise = state.study, state.study.noise
+    study, noise = search.study, search.study.noise
     given = held_out.as_given(study)
-    fits = [state.nominal, *state.between, state.base]
     white = study.with_noise(noise.white)
-    variants = [(study, fits), (white, [white.refit(fit, tolerance=FINE) for fit in fits])]
-    with progress("held-out trials", total=len(variants) * (1 + len(fits))) as step:
-        found = [
-            held_out.predictions(one, [given, *mine], validation, noise, step=lambda: step(1))
-            for one, mine in variants
-        ]
-    errors = [sum(p.squared for p in each[-1]) for each in found]
-    best = int(np.argmin(errors))
-    state.study, (state.nominal, *state.between, state.base) = variants[best]
-    return found[best]
+    smaller = [] if search.base is search.null else [search.null, *search.between]
+    with progress("held-out trials", total=3 + len(smaller)) as step:
+
+        def predict(one: Study, fit: Hypothesis) -> list[Prediction]:
+            (found,) = held_out.predictions(one, [fit], validation, noise, step=lambda: step(1))
+            return found
+
+        variants = [(study, search.base), (white, white.refit(search.base, tolerance=FINE))]
+        last = [predict(*variant) for variant in variants]
+        best = int(np.argmin([sum(p.squared for p in each) for each in last]))
+        search.study, search.base = variants[best]
+        if search.study is white:
+            smaller = [white.refit(fit, tolerance=FINE) for fit in smaller]
+        search.null, *search.between = smaller or [search.base]
+        first = [predict(search.study, fit) for fit in (given, *smaller)]
+    return [*first, last[best]]
 
 
-def _unreproduced(study: Study, fit: Fit) -> dict[str, float | None]:
+def _unreproduced(study: Study, fit: Hypothesis) -> dict[str, float | None]:
     """Return the outputs of which a black-box model reproduces less than half, with the reproduced fraction.
 
     The fraction is defined as in ``rwls`` and ``compare``: one minus the root-mean-square error divided by
@@ -251,13 +225,13 @@ def _unreproduced(study: Study, fit: Fit) -> dict[str, float | None]:
     return {channel: share for channel, share in shares.items() if share < verdict.MOST}
 
 
-def _remaining(state: State, facts: Facts, *, named: bool) -> Remaining:
+def _remaining(search: Search, facts: Facts, *, named: bool) -> Remaining:
     """Return the share of the squared gap that remains on held-out data, and where it has structure."""
     if facts.unreproduced:
         return Remaining(share=1.0, where=f"all of {', '.join(facts.unreproduced)} but its mean", white=False)
-    left = state.left
+    left = search.left
     where = "nothing that a smooth description finds"
-    if left is not None and left.found:
+    if left.found:
         largest = sorted(left.places.items(), key=lambda item: -item[1])
         where = " and ".join(p for p, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
     share: float | None = 0.0
@@ -265,7 +239,7 @@ def _remaining(state: State, facts: Facts, *, named: bool) -> Remaining:
         share = verdict.remaining_share(facts)
     elif verdict.decide(facts).verdict == "unexplained":
         share = 1.0
-    return Remaining(share=share, where=where, white=not (left is not None and left.found))
+    return Remaining(share=share, where=where, white=not left.found)
 
 
 def _floor_text(noise: NoiseModel) -> str:
@@ -295,9 +269,9 @@ def _held_out(study: Study, validation: Sequence[Trial]) -> HeldOut:
     return "stretches"
 
 
-def _channels(state: State, floor: Mapping[str, float], ranges: Mapping[str, float]) -> list[ChannelGap]:
-    units = {c.name: c.unit for c in state.study.model.channels}
-    residuals = state.nominal.by_channel()
+def _channels(search: Search, floor: Mapping[str, float], ranges: Mapping[str, float]) -> list[ChannelGap]:
+    units = {c.name: c.unit for c in search.study.model.channels}
+    residuals = search.null.by_channel()
     beyond = {
         c: max(float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)), 0.0) for c, v in residuals.items()
     }
@@ -316,31 +290,33 @@ def _channels(state: State, floor: Mapping[str, float], ranges: Mapping[str, flo
 
 
 def _causes(
-    state: State,
-    named: Sequence[Named],
+    search: Search,
+    shown: Sequence[Round],
+    facts: Facts,
     sd: Mapping[str, float],
     given: Mapping[str, Estimate],
     closing: list[Shrinkage],
 ) -> list[Cause]:
     """Return the causes of the answer. The first one has the held-out errors and the coefficients of all."""
     causes = []
-    for c in named:
-        effect, parameters = c.best.tried.effect, sizes(state.base, c, sd, given)
+    for found in shown:
+        effect, best, equivalent = found.effect, found.ranked[0], facts.proposed[found.name].equivalent
+        parameters = sizes(search.base, best.added, sd, given)
         cause = Cause(
-            effect=c.name,
-            probability=float(np.clip(c.probability, 0.0, 1.0)),
-            equivalent=list(c.equivalent),
+            effect=found.name,
+            probability=float(np.clip(search.posterior.having(found.name, *equivalent), 0.0, 1.0)),
+            equivalent=equivalent,
             parameters=parameters,
             stage=effect.stage,
             meaning=evidence.changes_text(parameters) or effect.meaning,
             sources=list(effect.sources),
-            gain=c.best.gain,
-            gain_stderr=c.best.stderr,
+            gain=best.gain,
+            gain_stderr=best.gain_stderr,
         )
         causes.append(cause)
     for cause in causes[:1]:
         cause.shrinkage = closing
-        cause.absorbed = _absorbed(state, given, sd)
+        cause.absorbed = _absorbed(search, given, sd)
     return causes
 
 
@@ -361,15 +337,15 @@ def _value(value: float, stderr: float | None, unit: str, *, inside: bool) -> Va
 
 
 def sizes(
-    base: Fit, cause: Named, sd: Mapping[str, float], given: Mapping[str, Estimate]
+    base: Hypothesis, cause: Tried, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, ChangedValue | Value]:
     """Return the estimated parameters of a cause, by name.
 
     A parameter with a separate value for each trial is reported as the root mean square of these values.
     """
-    effect = cause.best.tried.effect
+    effect = cause.effect
     found: dict[str, ChangedValue | Value] = {}
-    for p in cause.best.tried.parameters:
+    for p in cause.parameters:
         name = f"{effect.name}/{p.name}"
         if effect.adds_to is not None:
             inside = base.inside[base.labels.index(name)]
@@ -392,14 +368,14 @@ def sizes(
 
 
 def _moved(
-    state: State, base: Fit, sd: Mapping[str, float], given: Mapping[str, Estimate]
+    search: Search, base: Hypothesis, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, ChangedValue]:
     """Return the parameters whose refitted values differ significantly from those of the parameter file.
 
     The significance level is 5 % (two-sided) for all parameters together (Bonferroni).
     """
     inside = dict(zip(base.labels, base.inside, strict=True))
-    names = [p for p in state.study.parameters if p.name in given and inside.get(p.name)]
+    names = [p for p in search.study.parameters if p.name in given and inside.get(p.name)]
     limit = -float(special.ndtri(0.5 * MOVED / max(len(names), 1)))
     found = {}
     for p in names:
@@ -409,20 +385,20 @@ def _moved(
     return found
 
 
-def _at_bounds(fit: Fit) -> dict[str, float]:
+def _at_bounds(fit: Hypothesis) -> dict[str, float]:
     """Return the shared coefficients of the model that are at a bound, with the value of the bound."""
     ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
     return {label: float(value) for label, value, inside in ends if not inside and "[" not in label}
 
 
-def _absorbed(state: State, given: Mapping[str, Estimate], sd: Mapping[str, float]) -> list[Absorbed]:
+def _absorbed(search: Search, given: Mapping[str, Estimate], sd: Mapping[str, float]) -> list[Absorbed]:
     """Return the values of the coefficients as given, and refitted without and with the causes."""
-    nominal, base = state.nominal, state.base
-    plain = parameter_errors(state.study, nominal)
+    nominal, base = search.null, search.base
+    plain = parameter_errors(search.study, nominal)
     # A changed parameter is a cause itself, so it is not listed as a coefficient that absorbed a cause.
     causes = {e.adds_to for e in base.effects}
     found = []
-    for p in state.study.parameters:
+    for p in search.study.parameters:
         if p.per_trial or p.name not in nominal.labels or p.name in causes:
             continue
         values = [
@@ -437,7 +413,7 @@ def _absorbed(state: State, given: Mapping[str, Estimate], sd: Mapping[str, floa
     return found
 
 
-def _advice(state: State, file: GapFile, named: Sequence[Named]) -> list[Advice]:
+def _advice(search: Search, file: GapFile, shown: Sequence[Round], limits: Limits) -> list[Advice]:
     """Return the proposed next experiments of an answer with these causes."""
     if file.verdict == "none":
         if all(check.verdict != "warn" for check in evidence.checks(file)):
@@ -450,42 +426,42 @@ def _advice(state: State, file: GapFile, named: Sequence[Named]) -> list[Advice]
         if off:
             text = f"fit {', '.join(off)}, too (role: fit): what acts there alone shows nowhere else"
             return [Advice(text=text)]
-    rivals = []
-    if named:
-        found = next(r for r in state.rounds if r.ranked[0] is named[0].best)
+    rivals: list[Hypothesis] = []
+    alike: set[str] = set()
+    if shown:
+        alike = {shown[0].name, *file.facts.proposed[shown[0].name].equivalent}
         # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
         # way.
-        ranked = [r for r in found.ranked if r.tried.effect.name not in found.same]
-        rivals = [r for r in ranked if r.tried.effect.name in named[0].alike]
+        ranked = [h for h in shown[0].ranked if h.added.effect.name not in shown[0].same]
+        rivals = [h for h in ranked if h.added.effect.name in alike]
         if len(rivals) == 1:
             rivals = ranked[:2]
     if len(rivals) < 2 and file.verdict in ("partial", "unexplained"):
         return repeat
-    if len(rivals) < 2 or state.limits is None:
+    if len(rivals) < 2:
         return []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
-    fits = [r.fit for r in rivals]
-    if len(named[0].alike) == 1 and now > advice.threshold(fits):
+    if len(alike) == 1 and now > advice.threshold(rivals):
         # The present trials already exclude the next best rival.
         return []
     try:
-        return advice.advise(state.study, fits, state.limits, now)
+        return advice.advise(search.study, rivals, limits, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 
 
-def _scores(state: State) -> list[Score]:
+def _scores(search: Search) -> list[Score]:
     """Return the score of each candidate effect.
 
     The score comes from the fit with this effect only. If the effect was not fitted, the score comes from the
     screening.
     """
     rows: dict[str, Score] = {}
-    for r in state.singles:
-        having = state.posterior.having(r.tried.effect.name)
-        row = _score(r.tried, gain=r.gain, stderr=r.stderr, probability=having)
+    for h in search.singles:
+        having = search.posterior.having(h.added.effect.name)
+        row = _score(h.added, gain=h.gain, stderr=h.gain_stderr, probability=having)
         rows.setdefault(row.effect, row)
-    for tried in state.screen.tried:
+    for tried in search.first_screen:
         rows.setdefault(tried.effect.name, _score(tried))
     return list(rows.values())
 
@@ -495,11 +471,11 @@ def _score(tried: Tried, **fitted: float) -> Score:
     return Score(effect=effect.name, stage=effect.stage, variant=variant, absorbed=tried.absorbed, **fitted)
 
 
-def _hypotheses(state: State) -> list[Hypothesis]:
+def _hypotheses(search: Search) -> list[HypothesisRow]:
     """Return every fitted hypothesis with its probability. The model without effects comes first."""
-    found = state.posterior
+    found = search.posterior
     return [
-        Hypothesis(
+        HypothesisRow(
             effects=sorted(c.names),
             numbers=c.numbers,
             deviances=c.deviances.tolist(),
@@ -529,7 +505,7 @@ def _stages(rows: Sequence[Score], causes: Sequence[Cause]) -> dict[Stage, float
     return {stage: v / total for stage, v in sums.items()}
 
 
-def parameter_errors(study: Study, fit: Fit) -> Mapping[str, float]:
+def parameter_errors(study: Study, fit: Hypothesis) -> Mapping[str, float]:
     """Return the standard errors of the parameters of a fit, by label.
 
     The sum of a model parameter and its change has a standard error of its own, labelled with the name of the

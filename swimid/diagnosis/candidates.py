@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.crossval import NormalEquations
-from swimid.diagnosis.study import EFFECT_PRIOR, Fit, Study
+from swimid.diagnosis.study import EFFECT_PRIOR, Hypothesis, Study
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
@@ -24,9 +24,6 @@ BROKEN = 3e4
 #: Minimum fraction of the trials that can be simulated with an effect without divergence. Parameter values of
 #: the effect with a smaller fraction are left out.
 SOUND = 0.7
-#: Number of screened parameter vectors at which the fit of an effect starts, in addition to the predicted
-#: optimum. They are the vectors with the largest gains.
-STARTS = 1
 #: Number of parts into which each trial is divided to cross-validate an effect whose parameter has a separate
 #: value for each trial.
 PARTS = 4
@@ -46,8 +43,8 @@ class Tried:
         Fraction of the squared change by the effect that the coefficients of the model can imitate.
     signature : list of ndarray, each shape (n_k,)
         Change of the samples of each trial at ``point``, divided by the noise standard deviation.
-    starts : list of ndarray
-        Screened points at which the effect reduced the held-out residuals most. A refit also starts there.
+    start : ndarray or None
+        Screened point at which the effect reduced the held-out residuals most. A refit also starts there.
     """
 
     effect: Effect
@@ -56,28 +53,12 @@ class Tried:
     gains: Array
     absorbed: float
     signature: list[Array]
-    starts: list[Array] = field(default_factory=list)
+    start: Array | None = None
 
     @property
     def gain(self) -> float:
         """Return the predicted decrease of the squared held-out residuals, summed over folds."""
         return float(self.gains.sum())
-
-
-@dataclass
-class Screen:
-    """Screening results of all effects, each added to the same fit.
-
-    Attributes
-    ----------
-    tried : list of Tried
-        Results, largest predicted gain first.
-    left_out : dict of name to reason
-        Effects that change no measured sample or make the simulation diverge, with the reason.
-    """
-
-    tried: list[Tried]
-    left_out: dict[str, str] = field(default_factory=dict)
 
 
 def within(change: Array) -> bool:
@@ -103,7 +84,7 @@ class Trialled(NamedTuple):
     points: list[tuple[Array, list[Array]]]
 
 
-def simulate(study: Study, base: Fit, effects: Sequence[Effect]) -> list[Trialled]:
+def simulate(study: Study, base: Hypothesis, effects: Sequence[Effect]) -> list[Trialled]:
     """Simulate each effect with several parameter values and return the changes of the trials."""
 
     def one(effect: Effect) -> list[tuple[Array, list[Array]]]:
@@ -125,10 +106,19 @@ def simulate(study: Study, base: Fit, effects: Sequence[Effect]) -> list[Trialle
     ]
 
 
-def screen(study: Study, base: Fit, simulated: Sequence[Trialled]) -> Screen:
+def screen(
+    study: Study, base: Hypothesis, simulated: Sequence[Trialled]
+) -> tuple[list[Tried], dict[str, str]]:
     """Predict the decrease of the squared held-out residuals by each effect.
 
     The parameters of ``base`` are projected out.
+
+    Returns
+    -------
+    list of Tried
+        Screening results, largest predicted gain first.
+    dict of name to reason
+        Effects that change no measured sample or make the simulation diverge, with the reason.
     """
     columns = [changed for tried in simulated for _, changed in tried.points]
     inner = crossval.normal_equations(study, base, columns)
@@ -150,7 +140,7 @@ def screen(study: Study, base: Fit, simulated: Sequence[Trialled]) -> Screen:
             found.append(best)
             left_out.pop(tried.effect.name, None)
     found.sort(key=lambda t: -t.gain)
-    return Screen(found, left_out)
+    return found, left_out
 
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
@@ -225,9 +215,9 @@ def _best(
     one = first + chosen[0]
     absorbed = float(np.clip(1.0 - left[one] / whole[one], 0.0, 1.0))
     raw = [plain - crossval.held_out_less(inner, first + i) for i in range(len(points))]
-    helped = sorted(range(len(points)), key=lambda i: (raw[i].sum(), i))[::-1][:STARTS]
-    if not tried.effect.smooth and raw[helped[0]].sum() > gains.sum():
-        gains = raw[helped[0]]
+    helped = max(range(len(points)), key=lambda i: (raw[i].sum(), i))
+    if not tried.effect.smooth and raw[helped].sum() > gains.sum():
+        gains = raw[helped]
     return Tried(
         tried.effect,
         parameters,
@@ -235,11 +225,11 @@ def _best(
         gains,
         absorbed,
         [np.asarray(sum(f * changed[k] for f, _, changed in parts)) for k in range(len(points[0][1]))],
-        [points[i][0] for i in helped],
+        points[helped][0],
     )
 
 
-def _apart(study: Study, base: Fit, tried: Trialled) -> Tried | None:
+def _apart(study: Study, base: Hypothesis, tried: Trialled) -> Tried | None:
     """Return the screening result of an effect with separate parameter values for each trial."""
     single = [j for j, p in enumerate(tried.parameters) if p.per_trial]
     null = [p.start for p in tried.parameters]
@@ -263,7 +253,7 @@ def _apart(study: Study, base: Fit, tried: Trialled) -> Tried | None:
     return best
 
 
-def alike(study: Study, base: Fit, first: Tried, second: Tried) -> float:
+def alike(study: Study, base: Hypothesis, first: Tried, second: Tried) -> float:
     """Return the cosine between the changes of the trials by two effects.
 
     The parameters of ``base`` are projected out. The cosine is 0 if they imitate the whole change by one of
@@ -277,7 +267,7 @@ def alike(study: Study, base: Fit, first: Tried, second: Tried) -> float:
     return float(inner[0, 1] / norm)
 
 
-def own_gains(study: Study, base: Fit, own: Sequence[Sequence[Array]]) -> Array:
+def own_gains(study: Study, base: Hypothesis, own: Sequence[Sequence[Array]]) -> Array:
     """Return the decrease of the squared held-out residuals by an effect with per-trial parameters.
 
     The result has shape (folds,). The factor of the effect's change is estimated from three quarters of a

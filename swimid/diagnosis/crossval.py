@@ -11,14 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 from scipy.linalg import block_diag
 
-from swimid.diagnosis.study import Fit, Study, inverted, solved
 from swimid.fitting.model import Array
+
+if TYPE_CHECKING:
+    from swimid.diagnosis.study import Hypothesis, Study
 
 #: Weight, in a refit without one fold, of the information that all folds give on the shared parameters. It
 #: matters if the other folds hardly determine a parameter. Without it the held-out fold would be predicted
@@ -81,7 +84,9 @@ class Drawn:
     pull: Array
 
 
-def normal_equations(study: Study, fit: Fit, columns: Sequence[Sequence[Array]] = ()) -> NormalEquations:
+def normal_equations(
+    study: Study, fit: Hypothesis, columns: Sequence[Sequence[Array]] = ()
+) -> NormalEquations:
     """Return the inner products in each fold of parameter derivatives, further columns and residuals.
 
     Parameters
@@ -116,7 +121,7 @@ def normal_equations(study: Study, fit: Fit, columns: Sequence[Sequence[Array]] 
     return NormalEquations(products, prior, (mean - fit.theta)[shared], samples, own, of_effects)
 
 
-def _own_precision(study: Study, fit: Fit, k: int, mine: NDArray[np.intp]) -> float:
+def _own_precision(study: Study, fit: Hypothesis, k: int, mine: NDArray[np.intp]) -> float:
     """Return the logarithm of the ratio of posterior and prior precision of the values that effects have in
     one trial.
     """
@@ -286,7 +291,7 @@ def covariances(equations: NormalEquations) -> tuple[Array, Array]:
     return solved(whole, eye), solved(whole - normal, np.broadcast_to(eye, normal.shape))
 
 
-def covariance(study: Study, fit: Fit) -> Array:
+def covariance(study: Study, fit: Hypothesis) -> Array:
     """Return the covariance matrix of the parameters of a fit, shape (p, p).
 
     The standard errors of shared parameters are at least those of the jackknife over folds, with Student's
@@ -335,3 +340,33 @@ def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int
     drawn = rng.standard_normal((equations.shared, count))
     off[known] = np.linalg.solve(root.T, drawn[known])
     return Drawn(found, off)
+
+
+# ---------------------------------------------------------------- linear algebra
+
+
+def inverted(normal: Array) -> Array:
+    """Return the inverse of a normal matrix, without the directions that nothing determines."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = scale[:, None] * normal * scale
+    inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
+    return np.asarray(scale[:, None] * inverse * scale)
+
+
+def solved(normal: Array, right: Array) -> Array:
+    """Solve scaled normal equations. Undetermined directions of the solution stay at zero.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (..., n, n)
+        One matrix or a stack of matrices.
+    right : ndarray, shape (..., n, m)
+        Right-hand sides.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
+    scaled = scale[..., :, None] * normal * scale[..., None, :]
+    scaled = scaled + 1e-11 * np.eye(normal.shape[-1])
+    try:
+        return np.asarray(scale[..., :, None] * np.linalg.solve(scaled, scale[..., :, None] * right))
+    except np.linalg.LinAlgError:
+        return np.asarray(scale[..., :, None] * (np.linalg.pinv(scaled) @ (scale[..., :, None] * right)))

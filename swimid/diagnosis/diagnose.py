@@ -218,7 +218,6 @@ def diagnose(
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress, effects=True)
-        as_given = _as_given(loaded)
         jobs = options.jobs or os.cpu_count() or 1
         study = Study(model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs)
         applicable = effect_catalogue.applicable(known, model, fitted)
@@ -240,25 +239,26 @@ def diagnose(
             could = power.PowerFile(**about, effects=rows, left_out=without)
             shown = power.evidence(could, ev.notices(notices))
             return DetectionPower.of(could, shown).saved(output)
+        as_given = _as_given(loaded)
         others, alike = readings.others(experiment, fitted)
         effects = [*applicable, *others, *begun.changes]
-        state = search.run(
+        found = search.run(
             study, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
             progress=progress,
         )  # fmt: skip
-        state.limits = Limits(
+        limits = Limits(
             experiment,
             options.tank_length_m,
             options.max_frequency_hz or math.inf,
             math.radians(options.max_amplitude_deg or math.inf),
         )
         with threadpool_limits(limits=1, user_api="blas"):
-            file, worst = answer.answer(state, validation, begun, fitted, progress=progress)
+            file, worst = answer.answer(found, validation, begun, fitted, limits=limits, progress=progress)
         folder = trials_format.place(trials).parent
         if place is not None:
             folder = place.parent
         repaired_file = repaired.parameters(
-            state, file, loaded, folder, readings=options.readings, provenance=origin
+            found, file, loaded, folder, readings=options.readings, provenance=origin
         )
         if repaired_file is None and place is not None and place.exists():
             warn("SWM061", f"{place.name} belongs to an earlier run: this one found no cause to write to it")

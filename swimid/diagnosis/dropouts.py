@@ -18,7 +18,7 @@ from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Array, Trial
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.search import State
+    from swimid.diagnosis.search import Search
 
 #: Minimum change of the residual that counts as a jump, in robust standard deviations of the differences
 #: between successive residuals.
@@ -177,7 +177,7 @@ FAILED, FAILED_MISFIT = 4, 50.0
 REAL = 0.5
 
 
-def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
+def misfit(search: Search, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
     """Return the sum of squared residuals of the failed samples, in units of the noise variance.
 
     The result is 0 if there are too few failed samples, or if the sum is too small.
@@ -187,21 +187,21 @@ def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> fl
     raw : sequence of Trial
         The fitted trials, failed samples included.
     """
-    if state.dropouts.count < FAILED:
+    if search.dropouts.count < FAILED:
         return 0.0
-    squares = _squares(state, raw)
+    squares = _squares(search, raw)
     total = sum(squares[c][0] / max(floor[c], 1e-300) ** 2 for c in floor if c in squares)
     if total <= FAILED_MISFIT:
         return 0.0
     return total
 
 
-def _squares(state: State, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
+def _squares(search: Search, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
     """Return, by channel, the sum of squared model errors at failed samples and the number of samples."""
     found: dict[str, tuple[float, int]] = {}
-    simulated = state.nominal.problem.simulations(state.nominal.theta)
+    simulated = search.null.problem.simulations(search.null.theta)
     for trial, run in zip(raw, simulated, strict=True):
-        for channel, mask in state.dropouts.masks.get(trial.id, {}).items():
+        for channel, mask in search.dropouts.masks.get(trial.id, {}).items():
             error = (trial.measured[channel] - run[channel])[mask]
             total, count = found.get(channel, (0.0, 0))
             found[channel] = total + float(np.nansum(error**2)), count + int(np.isfinite(error).sum())
@@ -209,7 +209,7 @@ def _squares(state: State, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]
 
 
 def among(
-    state: State,
+    search: Search,
     causes: list[Cause],
     raw: Sequence[Trial],
     floor: Mapping[str, float],
@@ -226,8 +226,8 @@ def among(
         Measured range, in the channel's unit.
     """
     closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
-    sound = state.nominal.by_channel()
-    for channel, (squares, count) in _squares(state, raw).items():
+    sound = search.null.by_channel()
+    for channel, (squares, count) in _squares(search, raw).items():
         if channel not in floor or not count:
             continue
         own, span = sound[channel], ranges[channel]
@@ -241,14 +241,14 @@ def among(
         closing[channel] = Shrinkage(
             channel=channel, before=before, after=after, shipped=before, floor=level, closed=closed
         )
-    stretches = state.dropouts.stretches
+    stretches = search.dropouts.stretches
     kinds = ", ".join(sorted({s.kind for s in stretches}))
     samples = sum(int(np.isfinite(y).sum()) for t in raw for y in t.measured.values())
     effect = Cause(
         effect=MarkerDropout.name,
-        probability=1.0 - (1.0 - REAL) * state.posterior.outside,
+        probability=1.0 - (1.0 - REAL) * search.posterior.outside,
         parameters={
-            "failed_share": Value(value=state.dropouts.count / max(samples, 1), unit="1"),
+            "failed_share": Value(value=search.dropouts.count / max(samples, 1), unit="1"),
             "first_failure_s": Value(value=min(s.begin for s in stretches), unit="s"),
         },
         stage=MarkerDropout.stage,

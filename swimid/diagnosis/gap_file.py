@@ -268,7 +268,7 @@ class Score(yamlio.Document):
     probability: Number = 0.0
 
 
-class Hypothesis(yamlio.Document):
+class HypothesisRow(yamlio.Document):
     """Set of effects that was fitted together with the model; the empty set is the model without effects."""
 
     effects: list[str]
@@ -311,7 +311,7 @@ class GapFile(yamlio.ResultFile):
     facts: Facts = Facts()
     #: Hypotheses (``hypotheses``), number of samples (``samples``) and number of effects (``tried``) from
     #: which the probabilities in this file are computed.
-    hypotheses: list[Hypothesis] = []
+    hypotheses: list[HypothesisRow] = []
     samples: int | None = None
     tried: int | None = None
     #: Data on which the errors without and with the causes are computed: ``validation`` trials, or parts of

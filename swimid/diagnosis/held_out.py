@@ -19,7 +19,7 @@ from swimid.diagnosis import crossval
 from swimid.diagnosis.gap_file import HeldOutTrial, Shrinkage, Step
 from swimid.diagnosis.noise import NoiseModel, determined
 from swimid.diagnosis.posterior import TENTH
-from swimid.diagnosis.study import FINE, Fit, Study
+from swimid.diagnosis.study import FINE, Hypothesis, Study
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.noise import NoiseForm
 from swimid.fitting.problem import Problem
@@ -184,18 +184,16 @@ def _squared_covariance(noise: NoiseModel, channel: str, time_s: Array) -> float
     return noise.variance.get(channel, 1.0) ** 2 * total
 
 
-def as_given(study: Study) -> Fit:
+def as_given(study: Study) -> Hypothesis:
     """Return the model with its shared parameters as given, and the initial state of each trial fitted."""
     shared = {p.name: p.start for p in study.parameters if not p.per_trial}
     problem = study.problem((), known=shared)
-    problem.sd = [list(sds) for sds in study.noise.sd]
-    found = study.search(problem, [np.clip(problem.start, problem.lower, problem.upper)], FINE, 30)
-    return study.at((), found.x, found.cost, problem)
+    return study.fit((), [np.clip(problem.start, problem.lower, problem.upper)], tolerance=FINE, known=shared)
 
 
 def predictions(
     study: Study,
-    fits: Sequence[Fit],
+    fits: Sequence[Hypothesis],
     validation: Sequence[Trial],
     noise: NoiseModel,
     step: Callable[[], None] = lambda: None,
@@ -208,7 +206,7 @@ def predictions(
     ----------
     study : Study
         Study with the noise model of the fits.
-    fits : sequence of Fit
+    fits : sequence of Hypothesis
         Models, fitted to all trials of the study.
     noise : NoiseModel
         Noise and random effects that the held-out parts are expected to have.
@@ -221,7 +219,7 @@ def predictions(
     return found
 
 
-def _of_folds(study: Study, fit: Fit, noise: NoiseModel) -> list[Prediction]:
+def _of_folds(study: Study, fit: Hypothesis, noise: NoiseModel) -> list[Prediction]:
     folds, problem = study.folds, fit.problem
     shared = study.shared(fit)
     _, each = crossval.covariances(crossval.normal_equations(study, fit))
@@ -244,7 +242,7 @@ def _of_folds(study: Study, fit: Fit, noise: NoiseModel) -> list[Prediction]:
     return found
 
 
-def _of_validation(study: Study, fit: Fit, trial: Trial, noise: NoiseModel) -> Prediction:
+def _of_validation(study: Study, fit: Hypothesis, trial: Trial, noise: NoiseModel) -> Prediction:
     shared = study.shared(fit)
     known = {
         fit.labels[j]: float(fit.theta[j]) for j, (_, owner) in enumerate(fit.problem.slots) if owner is None
@@ -409,7 +407,7 @@ def sound(before: Sequence[Prediction], after: Sequence[Prediction]) -> bool:
     return not any(a.squared >= WORST and b.squared < WORST for b, a in zip(before, after, strict=True))
 
 
-def floors(study: Study, fit: Fit) -> dict[str, float]:
+def floors(study: Study, fit: Hypothesis) -> dict[str, float]:
     """Return the noise floor of each channel in the fitted trials, in its unit.
 
     It consists of the measurement noise and of the random effects.

@@ -30,7 +30,7 @@ from swimid.fitting.noise import NoiseForm, Rows, compute_posterior
 from swimid.fitting.problem import Problem
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.study import Fit, Study
+    from swimid.diagnosis.study import Hypothesis, Study
 
 #: Standard deviations of a random effect that are compared, in typical scales.
 DEVIATIONS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
@@ -179,14 +179,14 @@ class NoiseModel:
         ]
 
 
-def weigh(study: Study) -> tuple[NoiseModel, Fit]:
+def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
     """Refit the model without effects, and weight the residuals by their own size.
 
     Returns
     -------
     NoiseModel
         Independent noise with these weights.
-    Fit
+    Hypothesis
     """
     problem = study.problem(())
     uncertainty.weigh_first(problem)
@@ -197,8 +197,9 @@ def weigh(study: Study) -> tuple[NoiseModel, Fit]:
         if fit is not None:
             previous = uncertainty.estimate(problem, fit.theta, previous)
         known = NoiseModel([list(sds) for sds in problem.sd], channels=problem.channels)
-        starts = study.begins(problem, start) if fit is None else [fit.theta]
-        fit = study.with_noise(known).fit((), starts, tolerance=1e-3, warm=fit)
+        others = study.begins(problem, start) if fit is None else []
+        fit = study.with_noise(known).fit((), [start], others=others, tolerance=1e-3, hold=fit)
+        start = fit.theta
     assert fit is not None
     return known, fit
 
@@ -210,7 +211,7 @@ class Differing(NamedTuple):
     changes: list[Array]
 
 
-def possible(study: Study, fit: Fit, effects: Sequence[Effect]) -> list[Differing]:
+def possible(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> list[Differing]:
     """Return the quantities that may differ by chance between trials.
 
     They are the shared parameters of effects that scatter (:attr:`Effect.scatters`), and per-trial parameters
@@ -246,7 +247,7 @@ def possible(study: Study, fit: Fit, effects: Sequence[Effect]) -> list[Differin
 
 def learn(
     study: Study,
-    fit: Fit,
+    fit: Hypothesis,
     generic: Sequence[Sequence[Array]],
     differing: Sequence[Differing],
     *,
@@ -404,7 +405,7 @@ def _paired(group: Sequence[_Series]) -> list[_Series]:
     return [one.at(at[common]) for one, at in zip(group, nearest, strict=True)]
 
 
-def _shared_level(study: Study, fit: Fit, generic: Sequence[Sequence[Array]]) -> dict[str, float]:
+def _shared_level(study: Study, fit: Hypothesis, generic: Sequence[Sequence[Array]]) -> dict[str, float]:
     """Return the mean squared residual of each channel of a fit of all generic terms, shared by all trials.
 
     It is corrected for the effective number of fitted parameters.
@@ -434,7 +435,7 @@ def _shared_level(study: Study, fit: Fit, generic: Sequence[Sequence[Array]]) ->
 
 
 def with_random_effects(
-    study: Study, fit: Fit, noise: NoiseModel, differing: Sequence[Differing], *, largest: float
+    study: Study, fit: Hypothesis, noise: NoiseModel, differing: Sequence[Differing], *, largest: float
 ) -> NoiseModel:
     """Return the noise model with the random effects of the largest restricted likelihood.
 
@@ -485,7 +486,7 @@ def with_random_effects(
     return replace(noise, random_effects=effects, changes=changes)
 
 
-def with_floors(study: Study, fit: Fit) -> NoiseModel:
+def with_floors(study: Study, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with the noise floor of each channel.
 
     It is the root mean square that noise and random effects leave in the fitted trials, after a fit of the

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from swimid.diagnosis import crossval, posterior
-from swimid.diagnosis.crossval import NormalEquations
+from swimid.diagnosis.crossval import NormalEquations, solved
 from swimid.diagnosis.nominal import MIN_TRIALS
 from swimid.diagnosis.posterior import Candidate, Posterior, Record
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import Fit, Study, solved
+from swimid.diagnosis.study import Hypothesis, Study
 from swimid.fitting.model import Array, Trial
 from swimid.results import numbers
 
@@ -33,11 +33,11 @@ class Odd(NamedTuple):
     """Trial with parameters of its own, and the fit of all trials that it was compared with."""
 
     trial: str
-    fit: Fit
+    fit: Hypothesis
 
 
 def find(
-    study: Study, fits: Sequence[Fit], found: Posterior, record: Record, log_determinant: Array
+    study: Study, fits: Sequence[Hypothesis], found: Posterior, record: Record, log_determinant: Array
 ) -> Odd | None:
     """Return the trial that most probably has parameters of its own, or None.
 
@@ -45,7 +45,7 @@ def find(
 
     Parameters
     ----------
-    fits : sequence of Fit
+    fits : sequence of Hypothesis
         Fits of all trials, to which the hypothesis of an odd trial is added.
     found : Posterior
         Probabilities of the hypotheses without an odd trial.
@@ -78,12 +78,12 @@ def find(
     return candidates[best][1]
 
 
-def _numbers(fit: Fit) -> int:
+def _numbers(fit: Hypothesis) -> int:
     """Return the number of shared parameters of the effects of a fit."""
     return sum("/" in label and "[" not in label for label in fit.labels)
 
 
-def _deviances(study: Study, fit: Fit, k: int) -> tuple[Array, float]:
+def _deviances(study: Study, fit: Hypothesis, k: int) -> tuple[Array, float]:
     """Return deviances and strain if trial ``k`` has own values of all shared parameters."""
     alone = copy.copy(study)
     others = copy.copy(study)
@@ -145,7 +145,7 @@ class _Own(NamedTuple):
     squares: float
 
 
-def _fitted(study: Study, fit: Fit, trials: Sequence[Trial]) -> _Own:
+def _fitted(study: Study, fit: Hypothesis, trials: Sequence[Trial]) -> _Own:
     """Return a fit of the model of another fit to some of its trials."""
     problem = study.problem(fit.effects, trials=trials, jobs=1)
     study.noise.of_new_trials(problem)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
-import pandas as pd
+from numpy.typing import NDArray
 
 from swimid.diagnosis import settings
 from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.remainder import beat_hz
-from swimid.diagnosis.study import Fit, Study
+from swimid.diagnosis.study import Hypothesis, Study
 
 #: Number of bins of the stroke phase in which the gap is computed.
 PHASES = 8
@@ -23,56 +23,61 @@ START_BEATS, START_SHARE = 3.0, 0.2
 
 
 class Map:
-    """Table of the squared residual of each sample divided by the squared noise floor.
+    """Squared residual of each measured sample divided by the squared noise floor.
 
     Parameters
     ----------
     floors : mapping of channel to float
         Noise floor of each channel, in the unit of the channel.
+
+    Attributes
+    ----------
+    trial : ndarray of int, shape (n,)
+        Index of the trial of each sample.
+    time_s, squares : ndarray, shape (n,)
     """
 
-    def __init__(self, study: Study, fit: Fit, floors: Mapping[str, float]) -> None:
+    def __init__(self, study: Study, fit: Hypothesis, floors: Mapping[str, float]) -> None:
         self.trials = study.trials
-        parts = []
-        for k, (trial, residual) in enumerate(zip(self.trials, fit.residuals, strict=True)):
-            time = trial.time_s
-            known = {
-                "trial": k,
-                "time_s": time,
-                "phase": np.minimum((time * beat_hz(trial) % 1.0 * PHASES).astype(int), PHASES - 1),
-            }
-            for channel, series in fit.split(k, residual).items():
-                square = (series / max(floors.get(channel, 1.0), 1e-300)) ** 2
-                parts.append(pd.DataFrame({**known, "channel": channel, "square": square}))
-        #: One row for each sample of each channel. ``square`` is missing if the sample was not measured.
-        self.samples = pd.concat(parts, ignore_index=True)
-        self.total = max(float(np.sum(self.samples["square"].dropna().to_numpy() - 1.0)), 1e-12)
+        trial, time_s, squares = [], [], []
+        for k in range(len(self.trials)):
+            for channel, series in fit.split(k).items():
+                there = np.isfinite(series)
+                trial.append(np.full(int(there.sum()), k))
+                time_s.append(self.trials[k].time_s[there])
+                squares.append((series[there] / max(floors.get(channel, 1.0), 1e-300)) ** 2)
+        self.trial, self.time_s, self.squares = (np.concatenate(part) for part in (trial, time_s, squares))
+        self.total = max(float(np.sum(self.squares - 1.0)), 1e-12)
 
-    def cells(self, kind: str, labels: pd.Series) -> list[Cell]:
-        """Return the gap for each label, over all channels, where each sample has one of the labels."""
-        return [
-            Cell(
-                kind=kind,
-                label=str(label),
-                ratio=float(np.sqrt(np.mean(squares.to_numpy()))),
-                share=float(np.clip(np.sum(squares.to_numpy() - 1.0) / self.total, 0.0, 1.0)),
-            )
-            for label, squares in self.samples["square"].dropna().groupby(labels, sort=False)
-        ]
+    def cells(self, kind: str, labels: Sequence[str], index: NDArray[np.intp]) -> list[Cell]:
+        """Return the gap for each label over all channels.
 
-    def of_trials(self, values: Sequence[Any]) -> pd.Series:
-        """Return, for each sample, the value of the trial to which the sample belongs."""
-        return self.samples["trial"].map(dict(enumerate(values)))
+        Parameters
+        ----------
+        index : ndarray of int, shape (n,)
+            Index of the label of each sample; a sample with the index -1 has no label.
+        """
+        found = []
+        for i, label in enumerate(labels):
+            squares = self.squares[index == i]
+            if len(squares):
+                share = float(np.clip(np.sum(squares - 1.0) / self.total, 0.0, 1.0))
+                found.append(
+                    Cell(kind=kind, label=label, ratio=float(np.sqrt(np.mean(squares))), share=share)
+                )
+        return found
 
 
 def regimes(where: Map) -> list[Cell]:
     """Return the gap at each value of each setting, and in each trial."""
-    known = pd.DataFrame([{**settings.words(t), "trial": t.id} for t in where.trials])
+    known = [{**settings.words(t), "trial": t.id} for t in where.trials]
     found = []
-    for kind in known:
-        labels = known[kind]
-        if labels.nunique() > 1 and (kind != "trial" or len(labels) <= MOST_TRIALS):
-            found += where.cells(str(kind), where.of_trials(labels))
+    for kind in dict.fromkeys(name for of_trial in known for name in of_trial):
+        values = [of_trial.get(kind) for of_trial in known]
+        labels = list(dict.fromkeys(value for value in values if value is not None))
+        if len(labels) > 1 and (kind != "trial" or len(values) <= MOST_TRIALS):
+            index = np.array([-1 if value is None else labels.index(value) for value in values])
+            found += where.cells(kind, labels, index[where.trial])
     return found
 
 
@@ -81,8 +86,9 @@ def phases(where: Map) -> list[Cell]:
     if not any(t.swim.drive is not None for t in where.trials):
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
-    labels = {i: f"{edges[i]}-{edges[i + 1]} deg" for i in range(PHASES)}
-    return where.cells("phase", where.samples["phase"].map(labels))
+    labels = [f"{begin}-{end} deg" for begin, end in pairwise(edges)]
+    beats = where.time_s * np.array([beat_hz(t) for t in where.trials])[where.trial]
+    return where.cells("phase", labels, np.minimum((beats % 1.0 * PHASES).astype(int), PHASES - 1))
 
 
 def times(where: Map) -> list[Cell]:
@@ -92,9 +98,9 @@ def times(where: Map) -> list[Cell]:
         if len(t.time_s) < 10:
             return []
         span = float(t.time_s[-1] - t.time_s[0])
-        driven = t.swim.drive is not None
-        start = min(START_BEATS / beat_hz(t), 0.5 * span) if driven else START_SHARE * span
+        start = START_SHARE * span
+        if t.swim.drive is not None:
+            start = min(START_BEATS / beat_hz(t), 0.5 * span)
         ends.append(t.time_s[0] + start)
-    time = where.samples["time_s"]
-    early = time <= where.of_trials(ends)
-    return where.cells("time", early.map({True: "start-up", False: "steady"}))
+    late = where.time_s > np.array(ends)[where.trial]
+    return where.cells("time", ["start-up", "steady"], late.astype(int))

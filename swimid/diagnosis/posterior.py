@@ -103,7 +103,8 @@ def are_twins(first: Candidate, second: Candidate) -> bool:
     """
     if len(first.names) != len(second.names):
         return False
-    return bool(np.allclose(first.deviances, second.deviances, rtol=SAME_RTOL, atol=0.0))
+    difference = np.abs(first.deviances - second.deviances)
+    return bool((difference <= SAME_RTOL * np.abs(second.deviances)).all())
 
 
 @dataclass(frozen=True)

@@ -208,7 +208,7 @@ def shown(
     search = Search(study, effects, effects, rng=np.random.default_rng(seed))
     search.begin(study.start((), fit))
     search.learn(search.null)
-    base, record = search.null.fit, search.record
+    base, record = search.null, search.record
     wanted = [e for e in effects if asked is None or e.name in asked]
     columns: list[list[Array]] = []
     lines: list[tuple[Trialled, Parameter, Array, NDArray[np.intp]]] = []

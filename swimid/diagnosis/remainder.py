@@ -17,7 +17,8 @@ from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
-from swimid.diagnosis.study import Fit, Study, solved
+from swimid.diagnosis.crossval import solved
+from swimid.diagnosis.study import Hypothesis, Study
 from swimid.effects.base import Effect
 from swimid.files.kernels import numba
 from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
@@ -64,14 +65,11 @@ class Left:
         Minimum decrease for structure. The probability that pure noise exceeds it is at most 1/40.
     places : dict of place to float
         Decrease of the held-out squared residuals by the terms of each place alone.
-    prior : list of float
-        Inverse prior variance of each term, chosen for the largest decrease.
     """
 
     gain: float
     threshold: float
     places: dict[str, float]
-    prior: list[float]
 
     @property
     def found(self) -> bool:
@@ -86,7 +84,7 @@ class Term(NamedTuple):
     changes: list[Array]
 
 
-def generic_terms(study: Study, base: Fit) -> list[Term]:
+def generic_terms(study: Study, base: Hypothesis) -> list[Term]:
     """Return the changes of the trials by generic terms, linearised about a fit.
 
     Terms that change nothing, or with which the simulation diverges, are left out.
@@ -104,7 +102,7 @@ def generic_terms(study: Study, base: Fit) -> list[Term]:
     return [term for of_each in found for term in of_each]
 
 
-def find(study: Study, base: Fit, terms: Sequence[Term], *, rng: np.random.Generator) -> Left:
+def find(study: Study, base: Hypothesis, terms: Sequence[Term], *, rng: np.random.Generator) -> Left:
     """Fit a generic description without physics to the residuals of a fit.
 
     The width of the prior of its terms is chosen on held-out folds.
@@ -116,25 +114,21 @@ def find(study: Study, base: Fit, terms: Sequence[Term], *, rng: np.random.Gener
     plain_drawn = crossval.held_out(inner, draws=draws)
     every = list(range(len(columns)))
     samples = float(inner.samples.sum())
-    gain, prior = 0.0, [WIDTHS[0] ** -2] * len(columns)
-    largest = np.zeros(DRAWS)
+    gain, largest = 0.0, np.zeros(DRAWS)
     for width in WIDTHS:
         tried = [width**-2] * len(columns)
-        used = _freedom(inner, tried)
-        if used > MOST_USED * samples:
+        if _freedom(inner, tried) > MOST_USED * samples:
             break
-        gained = float((plain - crossval.held_out(inner, every, tried)).sum())
+        gain = max(gain, float((plain - crossval.held_out(inner, every, tried)).sum()))
         drawn = (plain_drawn - crossval.held_out(inner, every, tried, draws)).sum(axis=0)
         largest = np.maximum(largest, drawn)
-        if gained > gain:
-            gain, prior = gained, tried
     places = {}
     for place in dict.fromkeys(term.place for term in terms):
         mine = [i for i, term in enumerate(terms) if term.place == place]
         alone = (plain - crossval.held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
         places[place] = max(float(gains.sum()) for gains in alone)
     least = max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples))
-    return Left(max([gain, *places.values()]), least, places, prior)
+    return Left(max([gain, *places.values()]), least, places)
 
 
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:

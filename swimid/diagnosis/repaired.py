@@ -12,8 +12,8 @@ from swimid.diagnosis.answer import parameter_errors
 from swimid.diagnosis.crossval import covariance
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.search import State
-from swimid.diagnosis.study import FINE, STEPS, Fit, rms
+from swimid.diagnosis.search import Search
+from swimid.diagnosis.study import Hypothesis, rms
 from swimid.effects.base import Effect
 from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
@@ -25,7 +25,7 @@ from swimid.simulation.catalogue import Loaded
 
 
 def parameters(
-    state: State,
+    search: Search,
     file: GapFile,
     loaded: Loaded,
     folder: Path,
@@ -49,10 +49,10 @@ def parameters(
         Interpretations of the robot's source that the user chose.
     """
     causes = {c.effect: c for c in file.causes}
-    named = [e for e in state.base.effects if e.name in causes]
-    if not named:
+    named = search.base.effects
+    if not named or any(e.name not in causes for e in named):
         return None
-    fit = _fit_of(state, named)
+    fit = search.base
     own = [e for e in named if e.adds_to is None and not isinstance(e, OtherReading)]
     apart = [e for e in own if any(p.per_trial for p in _parameters_of(fit, e))]
     acting = [e for e in own if e not in apart]
@@ -61,8 +61,8 @@ def parameters(
         for name, value in causes[e.name].parameters.items():
             status[e.adds_to or f"{e.name}/{name}"] = value.status
     changes = {e.adds_to: f"{e.name}/change" for e in named if e.adds_to is not None}
-    errors = parameter_errors(state.study, fit)
-    shared = [p for p in state.study.parameters if not p.per_trial]
+    errors = parameter_errors(search.study, fit)
+    shared = [p for p in search.study.parameters if not p.per_trial]
     written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
     found = {p.name: _estimate(fit, p, changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
@@ -79,9 +79,9 @@ def parameters(
         effects=[e.name for e in (*model.effects, *acting)],
         parameters=found,
         identifiability=said,
-        correlation=_correlation(state, fit, found, changes),
+        correlation=_correlation(search, fit, found, changes),
         settings=_settings(loaded, [*model.effects, *acting], {**readings, **answers}),
-        fit=_fit_block(state, fit, loaded),
+        fit=_fit_block(search, fit, loaded),
         provenance=dict(provenance),
     )
     if loaded.applied.file is not None:
@@ -91,22 +91,17 @@ def parameters(
     return made
 
 
-def _fit_of(state: State, named: Sequence[Effect]) -> Fit:
-    """Return the fit of the model with the named causes."""
-    if len(named) == len(state.base.effects):
-        return state.base
-    study = state.study
-    starts = study.begins(study.problem(named), study.start(named, state.base))
-    return study.fit(named, starts, tolerance=FINE, iterations=STEPS)
-
-
-def _parameters_of(fit: Fit, effect: Effect) -> list[Parameter]:
+def _parameters_of(fit: Hypothesis, effect: Effect) -> list[Parameter]:
     """Return the parameters of an effect among those of a fit, with the name ``effect/parameter``."""
     return [p for p in fit.problem.parameters if p.name.rpartition("/")[0] == effect.name]
 
 
 def _estimate(
-    fit: Fit, p: Parameter, change: str | None, errors: Mapping[str, float], status: Mapping[str, Status]
+    fit: Hypothesis,
+    p: Parameter,
+    change: str | None,
+    errors: Mapping[str, float],
+    status: Mapping[str, Status],
 ) -> Estimate:
     """Return the entry of a parameter in the parameter file.
 
@@ -137,7 +132,7 @@ def _estimate(
 
 
 def _correlation(
-    state: State, fit: Fit, found: Mapping[str, Estimate], changes: Mapping[str, str]
+    search: Search, fit: Hypothesis, found: Mapping[str, Estimate], changes: Mapping[str, str]
 ) -> Correlation | None:
     """Return the correlation matrix of the estimates that have a standard error; None for fewer than two."""
     names = [name for name, one in found.items() if one.stderr]
@@ -145,7 +140,7 @@ def _correlation(
         return None
     # Each row of the matrix selects one parameter, or sums a parameter and its change.
     rows = np.array([np.isin(fit.labels, [n, changes.get(n, n)]) for n in names], dtype=float)
-    whole = covariance(state.study, fit)
+    whole = covariance(search.study, fit)
     part: Array = rows @ whole @ rows.T
     sd = np.sqrt(np.diag(part))
     return Correlation(names=names, matrix=(part / np.outer(sd, sd)).tolist())
@@ -168,9 +163,9 @@ def _settings(loaded: Loaded, effects: Sequence[Effect], readings: Mapping[str, 
     return found | {name: of for name, of in (("readings", chosen), ("effects", own)) if of}
 
 
-def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
+def _fit_block(search: Search, fit: Hypothesis, loaded: Loaded) -> parameters_format.Fit:
     """Return the trials, the errors of each channel and the noise of a fit."""
-    study, file = state.study, loaded.applied.file
+    study, file = search.study, loaded.applied.file
     units = {c.name: c.unit for c in study.model.channels}
     samples = fit.measured()
     channels, noise = {}, {}

@@ -12,7 +12,7 @@ search begins again without this trial.
 
 from __future__ import annotations
 
-import math
+import copy
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,14 +22,13 @@ from itertools import combinations
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import candidates, crossval, noise, odd, posterior, remainder
-from swimid.diagnosis.candidates import Screen, Tried
+from swimid.diagnosis import candidates, noise, odd, posterior, remainder
+from swimid.diagnosis.candidates import Tried
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
-from swimid.diagnosis.proposals import Limits
 from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.remainder import Left
-from swimid.diagnosis.study import FEW, FINE, ROUGH, Fit, Study
+from swimid.diagnosis.study import FEW, FINE, HEAT, ROUGH, Hypothesis, Study
 from swimid.effects.base import Effect
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.fit_common import step_check
@@ -63,151 +62,31 @@ COMBINED = 3
 Key = frozenset[int]
 
 
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Hypothesis: the model with a set of effects, fitted to its optimum.
-
-    Attributes
-    ----------
-    fit : Fit
-        Optimum of the model with these effects.
-    deviances : ndarray, shape (folds,)
-        Minus twice the log predictive density of each fold, up to a constant.
-    log_determinant : ndarray, shape (folds,)
-        Part of the deviances that is the log-determinant of the covariance of the prediction.
-    strain : float
-        Squared distance of the parameters from their prior means.
-    tried : Tried or None
-        Screening result of the effect that was added last; None for the model without effects.
-    rough : bool
-        Whether the fit has not reached its optimum.
-    """
-
-    fit: Fit
-    deviances: Array
-    log_determinant: Array
-    strain: float
-    tried: Tried | None = None
-    rough: bool = False
-
-    @property
-    def key(self) -> Key:
-        """Return the identities of the effects, which identify the hypothesis in the search."""
-        return frozenset(id(e) for e in self.fit.effects)
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Return the names of the effects of the hypothesis."""
-        return frozenset(e.name for e in self.fit.effects)
-
-    @property
-    def deviance(self) -> float:
-        """Sum of the deviances of all folds and of the prior."""
-        return float(self.deviances.sum()) + self.strain
-
-    @property
-    def ends(self) -> list[str]:
-        """Return the parameters of effects that are near a bound at which the effect could imitate others.
-
-        The attribute :attr:`Effect.inside` of an effect lists such bounds.
-        """
-        fit, problem = self.fit, self.fit.problem
-        ends = {"lower": problem.lower, "upper": problem.upper}
-        wanted = {f"{e.name}/{name}": end for e in fit.effects for name, end in e.inside.items()}
-        return [
-            label
-            for j, label in enumerate(fit.labels)
-            if label in wanted and abs(fit.theta[j] - ends[wanted[label]][j]) < problem.scale[j]
-        ]
-
-
-@dataclass(frozen=True)
-class Refitted:
-    """Hypothesis with one more effect than a reference hypothesis.
-
-    Attributes
-    ----------
-    gains : ndarray, shape (folds,)
-        Decrease of the deviance of each fold, compared with the reference hypothesis.
-    """
-
-    tried: Tried
-    fit: Fit
-    gains: Array
-
-    @property
-    def gain(self) -> float:
-        """Return the decrease of the deviance, summed over folds."""
-        return float(self.gains.sum())
-
-    @property
-    def stderr(self) -> float:
-        """Return the standard error of the summed gain, estimated from its variation over folds."""
-        n = len(self.gains)
-        if n < 2:
-            return math.nan
-        return float(np.sqrt(n * np.var(self.gains, ddof=1)))
-
-
 @dataclass
 class Round:
     """Comparison of one candidate cause with its alternatives, while all other causes are in the model.
 
     Attributes
     ----------
-    ranked : list of Refitted
-        The cause, followed by its alternatives in order of decreasing quality.
+    ranked : list of Hypothesis
+        The hypothesis with the cause, followed by those with its alternatives in order of decreasing quality.
     same : tuple of str
         Names of effects that change the trials in the same way as the cause: twins of the cause, and the
         effects that are equivalent to a changed parameter.
     """
 
-    ranked: list[Refitted]
+    ranked: list[Hypothesis]
     same: tuple[str, ...] = ()
 
+    @property
+    def effect(self) -> Effect:
+        """Return the cause."""
+        return self.ranked[0].added.effect
 
-@dataclass
-class State:
-    """Result of the search of a diagnosis.
-
-    Attributes
-    ----------
-    nominal : Fit
-        The model without effects.
-    base : Fit
-        The model with the causes.
-    between : list of Fit
-        The model with the first cause, with the first two causes, and so on, without the last model
-        (:attr:`base`).
-    screen : Screen
-        Screening results of every effect added to the model without effects.
-    singles : list of Refitted
-        Fits with a single effect, best first.
-    rounds : list of Round
-        One for each cause. Changed parameters come first, and then the causes in order of their gain.
-    left : Left
-        Structure that remains with the causes.
-    tried : int
-        Number of effects that apply to the model and that the user requested.
-    odd_trials : dict of str to str
-        Trials that were left out because they have parameters of their own, and how these differ.
-    limits : Limits or None
-        Limits of a proposed trial; None proposes none.
-    """
-
-    study: Study
-    nominal: Fit
-    base: Fit
-    dropouts: Dropouts
-    screen: Screen
-    singles: list[Refitted]
-    posterior: Posterior
-    rounds: list[Round] = field(default_factory=list)
-    between: list[Fit] = field(default_factory=list)
-    left: Left | None = None
-    tried: int = 0
-    odd_trials: dict[str, str] = field(default_factory=dict)
-    limits: Limits | None = None
+    @property
+    def name(self) -> str:
+        """Return the name of the cause."""
+        return self.effect.name
 
 
 def step_of(
@@ -240,7 +119,7 @@ def step_of(
     return choose_step(model, runs, allowances)
 
 
-def step_of_search(study: Study, fit: Fit, effects: Sequence[Effect]) -> Step:
+def step_of_search(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> Step:
     """Choose the integration step by the fitted model, and by the model with each effect on the commands.
 
     A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. The
@@ -270,14 +149,14 @@ def step_of_search(study: Study, fit: Fit, effects: Sequence[Effect]) -> Step:
     return found
 
 
-def prepare(given: Study, effects: Sequence[Effect]) -> tuple[Study, Fit, Dropouts]:
+def prepare(given: Study, effects: Sequence[Effect]) -> tuple[Study, Hypothesis, Dropouts]:
     """Remove failed samples from the trials, estimate the noise, and fit the model without effects.
 
     Returns
     -------
     Study
         The study without the failed samples, with its noise model.
-    Fit
+    Hypothesis
     Dropouts
         The failed samples.
     """
@@ -320,6 +199,38 @@ class Search:
         All effects, also those that are not requested. The noise is estimated with them.
     step : callable
         Function that is called with the name of each fitted effect.
+
+    Attributes
+    ----------
+    null : Hypothesis
+        The model without effects.
+    pool : dict of frozenset of int to Hypothesis
+        All hypotheses, by the identities of their effects.
+    first : list of Hypothesis
+        Fits with a single effect before the noise was estimated with the leading hypothesis.
+    screens : dict of frozenset of int to list of Tried
+        Screening results of the effects that can be added to a hypothesis, largest predicted gain first.
+    first_screen : list of Tried
+        Screening results of every effect added to the model without effects, at the first noise model.
+    left_out : dict of name to reason
+        Effects that could not be screened.
+    posterior : Posterior
+        Probabilities of all hypotheses.
+    base : Hypothesis
+        The model with the causes, the most probable hypothesis.
+    between : list of Hypothesis
+        The model with the first cause, with the first two causes, and so on, without the last model
+        (:attr:`base`).
+    singles : list of Hypothesis
+        Fits with a single effect, best first.
+    rounds : list of Round
+        One for each cause. Changed parameters come first, and then the causes in order of their gain.
+    dropouts : Dropouts
+        Failed samples.
+    left : Left
+        Structure that remains with the causes.
+    odd_trials : dict of str to str
+        Trials that were left out because they have parameters of their own, and how these differ.
     """
 
     study: Study
@@ -332,23 +243,21 @@ class Search:
     fits: Counter[str] = field(default_factory=Counter)
     null: Hypothesis = field(init=False)
     pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
-    #: Fits with a single effect before the noise was estimated with the leading hypothesis.
-    first: list[Refitted] = field(init=False, default_factory=list)
-    screens: dict[Key, Screen] = field(init=False, default_factory=dict)
-    #: Screening results of every effect added to the model without effects, at the first noise model.
-    first_screen: Screen = field(init=False)
-    #: Structure that remained when the noise was estimated.
-    left: Left | None = field(init=False, default=None)
+    first: list[Hypothesis] = field(init=False, default_factory=list)
+    screens: dict[Key, list[Tried]] = field(init=False, default_factory=dict)
+    first_screen: list[Tried] = field(init=False, default_factory=list)
+    left_out: dict[str, str] = field(init=False, default_factory=dict)
+    posterior: Posterior = field(init=False)
+    base: Hypothesis = field(init=False)
+    between: list[Hypothesis] = field(init=False, default_factory=list)
+    singles: list[Hypothesis] = field(init=False, default_factory=list)
+    rounds: list[Round] = field(init=False, default_factory=list)
+    dropouts: Dropouts = field(init=False)
+    left: Left = field(init=False)
+    odd_trials: dict[str, str] = field(init=False, default_factory=dict)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
     # ------------------------------------------------------------ fits
-
-    def judged(self, fit: Fit, tried: Tried | None = None, *, rough: bool = False) -> Hypothesis:
-        """Return the hypothesis of a fit, with its deviances."""
-        equations = crossval.normal_equations(self.study, fit)
-        distance, log_determinant = crossval.deviances(equations)
-        strain = crossval.strain(equations)
-        return Hypothesis(fit, distance + log_determinant, log_determinant, strain, tried, rough)
 
     def prepare(self, acting: Iterable[Sequence[Effect]]) -> None:
         """Compile the models of all interpretations of the robot among sets of effects.
@@ -364,33 +273,34 @@ class Search:
         If the coefficients are far from their prior means, a second fit starts at the prior means. Without
         it, an effect could seem to explain the difference between a poor optimum and the best one.
         """
-        starts = self.study.begins(self.study.problem(()), start)
-        self.null = self.judged(self.study.fit((), starts, tolerance=FINE))
+        others = self.study.begins(self.study.problem(()), start)
+        self.null = self.study.fit((), [start], others=others, tolerance=FINE)
         self.pool[self.null.key] = self.null
         return self.null
 
-    def screened(self, parent: Hypothesis) -> Screen:
+    def screened(self, parent: Hypothesis) -> list[Tried]:
         """Screen all effects that can be added to a hypothesis.
 
         The screening simulates each effect at several sizes and linearises the model about each of them.
         """
         if parent.key not in self.screens:
-            self.prepare([parent.fit.effects])
-            rest = [e for e in self.effects if e.joins(parent.fit.effects)]
-            found = Screen([])
+            self.prepare([parent.effects])
+            rest = [e for e in self.effects if e.joins(parent.effects)]
+            found: list[Tried] = []
+            left_out: dict[str, str] = {}
             for readings in (False, True):
                 # Screen the interpretations of the robot separately from all other effects, so that they do
                 # not change the rounding errors of the other inner products.
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
-                simulated = candidates.simulate(self.study, parent.fit, part)
-                if simulated:
-                    more = candidates.screen(self.study, parent.fit, simulated)
-                    found.tried += more.tried
-                    found.left_out |= more.left_out
-            found.tried.sort(key=lambda t: -t.gain)
+                more, without = candidates.screen(
+                    self.study, parent, candidates.simulate(self.study, parent, part)
+                )
+                found += more
+                left_out |= without
+            found.sort(key=lambda t: -t.gain)
             self.screens[parent.key] = found
-            if not hasattr(self, "first_screen"):
-                self.first_screen = found
+            if not self.first_screen:
+                self.first_screen, self.left_out = found, left_out
         return self.screens[parent.key]
 
     def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
@@ -401,15 +311,15 @@ class Search:
         """
         promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
         for parent in parents:
-            for t in self.screened(parent).tried:
+            for t in self.screened(parent):
                 key = parent.key | {id(t.effect)}
                 expected = parent.deviance - t.gain
                 if key not in promised or expected < promised[key][0]:
                     promised[key] = expected, parent, t
         order = sorted(promised.values(), key=lambda p: p[0])
         new = [(p, t) for _, p, t in order[:most] if p.key | {id(t.effect)} not in self.pool]
-        self.prepare((*parent.fit.effects, tried.effect) for parent, tried in new)
-        self._fit_all([(self._name((*p.fit.effects, t.effect)), p, t) for p, t in new])
+        self.prepare((*parent.effects, tried.effect) for parent, tried in new)
+        self._fit_all([(self._name((*p.effects, t.effect)), p, t) for p, t in new])
         self.finish()
 
     def _fit_all(self, new: Sequence[tuple[str, Hypothesis, Tried]]) -> None:
@@ -425,9 +335,11 @@ class Search:
 
         def proceed(k: int) -> Array:
             _, parent, tried = new[k]
-            effects, found = (*parent.fit.effects, tried.effect), results[k]
-            fit = self.study.multistart(effects, [self._unpacked(effects, found).fit.theta], warm=parent.fit)
-            return self._packed(fit)
+            effects = (*parent.effects, tried.effect)
+            start = self._unpacked(effects, results[k]).theta
+            return self._packed(
+                self.study.fit(effects, [start], tolerance=ROUGH, iterations=HEAT, brief=True, hold=parent)
+            )
 
         results = list(map_in_processes(begin, range(len(new)), self.study.jobs))
         order = sorted(range(len(new)), key=lambda k: results[k][-1])
@@ -442,20 +354,22 @@ class Search:
             name, parent, tried = new[k]
             if kept[k] is None:
                 self.checkpoint.put(name, found)
-            h = self._unpacked((*parent.fit.effects, tried.effect), found)
-            self.pool[h.key] = replace(h, tried=tried)
+            h = self._unpacked((*parent.effects, tried.effect), found, tried)
+            self.pool[h.key] = h
             self.step(tried.effect.name)
 
-    def _packed(self, fit: Fit) -> Array:
-        """Return a fit with its deviances as one array, for a checkpoint or another process."""
-        h = self.judged(fit)
-        return np.concatenate((h.deviances, h.log_determinant, fit.theta, [h.strain, fit.cost]))
+    def _packed(self, h: Hypothesis) -> Array:
+        """Return a hypothesis with its deviances as one array, for a checkpoint or another process."""
+        return np.concatenate((h.deviances, h.log_determinant, h.theta, [h.strain, h.cost]))
 
-    def _unpacked(self, effects: Sequence[Effect], values: Array) -> Hypothesis:
+    def _unpacked(self, effects: Sequence[Effect], values: Array, tried: Tried | None = None) -> Hypothesis:
         """Return the hypothesis with the given numbers (:meth:`_packed`). Its fit is rough."""
         own, log, theta = np.split(values[:-2], np.array([1, 2]) * self.study.folds.count)
         strain, cost = values[-2:].tolist()
-        return Hypothesis(self.study.at(effects, theta, cost), own, log, strain, rough=True)
+        h = self.study.at(effects, theta, cost)
+        h.tried, h.rough = tried, True
+        vars(h).update(deviance_parts=(own, log, strain))
+        return h
 
     def _name(self, effects: Sequence[Effect]) -> str:
         """Return the name under which the next fit of a set of effects is stored.
@@ -469,27 +383,32 @@ class Search:
         self.fits[name] += 1
         return f"{name}+{self.fits[name]}"
 
-    def fitted(self, parent: Hypothesis, tried: Tried) -> Fit:
+    def fitted(self, parent: Hypothesis, tried: Tried) -> Hypothesis:
         """Return the first step of a joint fit of the hypothesis ``parent`` and one more effect.
 
-        The starting points are the size that the screen predicts, the sizes that reduced the residuals
+        The starting points are the size that the screen predicts, the size that reduced the residuals most
         without a refit, and the prior means of the coefficients.
         """
         study = self.study
-        effects = (*parent.fit.effects, tried.effect)
+        effects = (*parent.effects, tried.effect)
         names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
         points = [tried.point]
         # The trials are nearly linear in a changed parameter, so that its predicted optimum is enough.
-        if names and tried.effect.adds_to is None:
-            points += tried.starts
-        starts = [study.start(effects, parent.fit, dict(zip(names, p, strict=True))) for p in points]
-        others = study.begins(study.problem(effects), starts[0])[1:]
-        # From distorted coefficients, one step does not show which starting point is best.
-        steps = FEW if others else 1
-        fit = study.first_steps(effects, [*starts, *others], warm=parent.fit, iterations=steps)
-        if names and not fit.cost <= parent.fit.cost:
+        if names and tried.effect.adds_to is None and tried.start is not None:
+            points.append(tried.start)
+        starts = [study.start(effects, parent, dict(zip(names, p, strict=True))) for p in points]
+        others = study.begins(study.problem(effects), starts[0])
+        steps = 1
+        if others:
+            # From distorted coefficients, the predicted size is inaccurate, and one step does not show which
+            # starting point is best.
+            steps, starts = FEW, starts[-1:]
+        fit = study.fit(
+            effects, starts, others=others, tolerance=ROUGH, iterations=steps, brief=True, hold=parent
+        )
+        if names and not fit.cost <= parent.cost:
             # An added effect cannot increase the cost, because its null value gives the model without it.
-            fit = study.at(effects, study.start(effects, parent.fit), parent.fit.cost, fit.problem)
+            fit = replace(fit, theta=study.start(effects, parent), cost=parent.cost)
         return fit
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
@@ -499,18 +418,18 @@ class Search:
         could seem to explain the difference between a poor optimum and the best one.
         """
         study = self.study
-        rest = tuple(e for e in h.fit.effects if e is not effect)
+        rest = tuple(e for e in h.effects if e is not effect)
         known = self.pool.get(h.key - {id(effect)})
         if known is not None and not known.rough and (h.key, known.key) in self._returned:
             return known
         near = self.null if known is None else known
-        starts = [study.start(rest, fit) for fit in (h.fit, near.fit)]
-        fit = study.multistart(rest, starts, warm=h.fit)
-        if known is not None and not fit.cost < known.fit.cost:
-            fit = known.fit
-        if known is None or known.rough or fit is not known.fit:
-            fit = study.refit(study.at(rest, fit.theta, fit.cost), tolerance=ROUGH)
-        smaller = self.judged(fit, None if known is None else known.tried)
+        starts = [study.start(rest, fit) for fit in (h, near)]
+        smaller = study.fit(rest, starts, tolerance=ROUGH, iterations=HEAT, brief=True, hold=h)
+        if known is not None and not smaller.cost < known.cost:
+            smaller = known
+        if smaller is not known or known.rough:
+            smaller = study.refit(study.at(rest, smaller.theta, smaller.cost), tolerance=ROUGH)
+            smaller.tried = None if known is None else known.tried
         self._put(smaller)
         self._returned.add((h.key, smaller.key))
         return smaller
@@ -523,26 +442,27 @@ class Search:
         self.screens.pop(h.key, None)
         self.null = self.pool[frozenset()]
 
-    def lessened(self) -> Posterior:
-        """Return the posterior probabilities after refits of the most probable set without each effect.
+    def compare(self) -> None:
+        """Compute the posterior probabilities, after refits of the most probable set without each effect.
 
         The refits make sure that the smaller sets are at their best optima.
         """
         while True:
-            found = self.weighed()
-            best = self.likeliest(found)
+            self.posterior = self.weighed()
+            likeliest = (h for h in self.best(len(self.posterior.best)) if h.names == self.posterior.best)
+            self.base = next(likeliest, self.null)
             before = len(self._returned)
-            for effect in best.fit.effects:
-                self.without(best, effect)
+            for effect in self.base.effects:
+                self.without(self.base, effect)
             if len(self._returned) == before:
-                return found
+                return
 
     def best(self, size: int) -> list[Hypothesis]:
         """Return the hypotheses with a given number of effects, best first.
 
         If an effect has several forms, only the best form of each set is returned.
         """
-        found = [h for h in self.pool.values() if len(h.fit.effects) == size and not h.ends]
+        found = [h for h in self.pool.values() if len(h.effects) == size and not h.is_imitating]
         first: dict[frozenset[str], Hypothesis] = {}
         for h in sorted(found, key=lambda h: h.deviance):
             first.setdefault(h.names, h)
@@ -562,27 +482,33 @@ class Search:
     def finish(self) -> None:
         """Fit the hypotheses that are not improbable to their optimum."""
         while wanted := [h for h in self.contenders() if h.rough]:
-            for h, fit in self._refitted(self.study, wanted, ROUGH):
-                self._put(self.judged(fit, h.tried))
+            for h in self._refitted(self.study, wanted):
+                self._put(h)
 
-    def _refitted(
-        self, study: Study, wanted: Sequence[Hypothesis], tolerance: float
-    ) -> Iterator[tuple[Hypothesis, Fit]]:
-        """Yield hypotheses with their fits in a study, which are continued to their optimum."""
+    def _refitted(self, study: Study, wanted: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
+        """Yield hypotheses in a study, which are continued to their optimum."""
 
         def one(h: Hypothesis) -> tuple[Array, float, list[Array], list[Array]]:
-            start = h.fit
-            if study.model is not self.study.model:
-                start = study.at(h.fit.effects, h.fit.theta)
-            fit = study.refit(start, tolerance=tolerance)
+            fit = study.refit(h, tolerance=ROUGH)
             return fit.theta, fit.cost, fit.residuals, fit.derivatives
 
         for h, result in zip(wanted, map_in_processes(one, wanted, study.jobs), strict=True):
             theta, cost, residuals, derivatives = result
-            fit = study.at(h.fit.effects, theta, cost)
+            fit = study.at(h.effects, theta, cost)
+            fit.tried = h.tried
             # Keep what the worker process has computed.
             vars(fit).update(residuals=residuals, derivatives=derivatives)
-            yield h, fit
+            yield fit
+
+    def restrict(self, effects: Sequence[Effect]) -> None:
+        """Continue with some of the effects only."""
+        keys, names = {id(e) for e in effects}, {e.name for e in effects}
+        self.effects = effects
+        self.pool = {key: h for key, h in self.pool.items() if key <= keys}
+        self.first = [h for h in self.first if h.added.effect.name in names]
+        self.first_screen = [t for t in self.first_screen if t.effect.name in names]
+        self.left_out = {name: why for name, why in self.left_out.items() if name in names}
+        self.finish()
 
     # ------------------------------------------------------------ noise and integration step
 
@@ -592,15 +518,15 @@ class Search:
         Structure that a generic description finds in these residuals (:mod:`swimid.diagnosis.remainder`) does
         not count as noise.
         """
-        study, fit = self.study, leading.fit
+        study, fit = self.study, leading
         self.prepare([fit.effects])
         terms = remainder.generic_terms(study, fit)
         differing = noise.possible(study, fit, self.every)
         changes = [t.changes for t in terms]
         known = noise.learn(study, fit, changes, differing)
-        self.left = remainder.find(study.with_noise(known), fit, terms, rng=self.rng)
+        left = remainder.find(study.with_noise(known), fit, terms, rng=self.rng)
         largest = noise.BESIDE_GAP
-        if not self.left.found:
+        if not left.found:
             # Nothing that the trials share remains, so that everything else is noise.
             known = noise.learn(study, fit, [], differing, brief=bool(fit.effects))
             largest = noise.LARGEST_SD
@@ -618,32 +544,43 @@ class Search:
         hypotheses : sequence of Hypothesis, optional
             Hypotheses that are kept. Default: all.
         """
-        kept = [h for h in hypotheses or self.pool.values() if h.fit.effects]
+        kept = [h for h in hypotheses or self.pool.values() if h.effects]
         if not self.first:
             self.first = self.ranked(self.null, self.best(1))
-        ((_, fit),) = self._refitted(study, [self.null], ROUGH)
+        (fit,) = self._refitted(study, [self.null])
         self.study = study
         for known in (self.pool, self.screens, self._cosines, self._returned):
             known.clear()
-        self._put(self.judged(fit))
+        self._put(fit)
 
-        def one(h: Hypothesis) -> Array:
-            problem = study.posed(h.fit.effects, 1)
-            problem.hold_derivatives(fit.problem, fit.derivatives)
-            return self._packed(study.at(h.fit.effects, h.fit.theta, h.fit.cost, problem))
+        def one(h: Hypothesis) -> tuple[Array, Array, float]:
+            return h.deviance_parts
 
-        for h, found in zip(kept, map_in_processes(one, kept, study.jobs), strict=True):
-            self._put(replace(self._unpacked(h.fit.effects, found), tried=h.tried))
+        moved = [self._moved(h, study, fit) for h in kept]
+        for h, found in zip(moved, map_in_processes(one, moved, study.jobs), strict=True):
+            vars(h).update(deviance_parts=found)
+            self._put(h)
         self.finish()
 
-    def refine(self, best: Hypothesis) -> bool:
+    def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
+        """Return a hypothesis at the same parameters in another study.
+
+        Its derivatives are those that are known, or else those of ``null`` and of its own effects.
+        """
+        found = study.at(h.effects, h.theta, h.cost, hold=null)
+        found.tried, found.rough = h.tried, True
+        if "derivatives" in vars(h):
+            vars(found).update(derivatives=h.derivatives)
+        return found
+
+    def refine(self) -> bool:
         """Repeat the fits with a smaller integration step if the best hypothesis needs it.
 
         Return whether the step was too large.
         """
-        study, fit = self.study, best.fit
-        vectors = [fit.problem.vector(fit.theta, k) for k in range(len(study.trials))]
-        needed = step_of(study.affected(fit.effects), vectors, study.trials)
+        study, best = self.study, self.base
+        vectors = [best.problem.vector(best.theta, k) for k in range(len(study.trials))]
+        needed = step_of(study.affected(best.effects), vectors, study.trials)
         if not needed.halvings:
             step_check([trial.id for trial in study.trials], needed.changes)
             return False
@@ -667,13 +604,13 @@ class Search:
     @property
     def record(self) -> Record:
         """Return the size of the data set: numbers of residuals, folds and effects."""
-        return Record(float(sum(self.null.fit.problem.counts)), self.study.folds.count, self.count)
+        return Record(float(sum(self.null.problem.counts)), self.study.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
-        mine = {e.name for e in h.fit.effects}
-        shared = [n for n in h.fit.labels if "[" not in n and n.rpartition("/")[0] in mine]
+        mine = {e.name for e in h.effects}
+        shared = [n for n in h.labels if "[" not in n and n.rpartition("/")[0] in mine]
         # A coefficient with a wider prior than in the model counts as a parameter of an effect.
-        numbers = len(shared) + len(self.study.loosened(h.fit.problem))
+        numbers = len(shared) + len(self.study.loosened(h.problem))
         deviances = h.deviances - self.null.log_determinant
         return Candidate(h.names, deviances, h.strain, numbers, self._alike(h))
 
@@ -685,8 +622,8 @@ class Search:
         """
         if len(h.names) < 2:
             return {}
-        screened = {id(t.effect): t for t in self.first_screen.tried}
-        mine = [(e.name, screened.get(id(e))) for e in h.fit.effects]
+        screened = {id(t.effect): t for t in self.first_screen}
+        mine = [(e.name, screened.get(id(e))) for e in h.effects]
         found = dict.fromkeys(sorted(h.names), 0.0)
         for (one, first), (other, second) in combinations(mine, 2):
             # An effect that changes nothing when it is the only effect has no screening result.
@@ -694,23 +631,21 @@ class Search:
                 continue
             pair = frozenset((id(first), id(second)))
             if pair not in self._cosines:
-                self._cosines[pair] = candidates.alike(self.study, self.null.fit, first, second)
+                self._cosines[pair] = candidates.alike(self.study, self.null, first, second)
             found[one], found[other] = (max(found[n], self._cosines[pair] ** 2) for n in (one, other))
         return found
 
-    def likeliest(self, found: Posterior) -> Hypothesis:
-        """Return the hypothesis of the most probable set, or the model without effects."""
-        return next((h for h in self.best(len(found.best)) if h.names == found.best), self.null)
-
-    def ranked(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Refitted]:
-        """Return the given hypotheses sorted by deviance, best first, with their gains over ``base``.
+    def ranked(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return copies of hypotheses sorted by deviance, best first, with their gains over ``base``.
 
         Each hypothesis has one effect more than the hypothesis ``base``.
         """
         found = []
         for h in sorted(hypotheses, key=lambda h: h.deviance):
-            (last,) = [e for e in h.fit.effects if id(e) not in base.key]
-            found.append(Refitted(self.tried(base, h, last), h.fit, base.deviances - h.deviances))
+            (last,) = [e for e in h.effects if id(e) not in base.key]
+            one = copy.copy(h)
+            one.tried, one.gains = self.tried(base, h, last), base.deviances - h.deviances
+            found.append(one)
         return found
 
     def tried(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Tried:
@@ -719,11 +654,11 @@ class Search:
         """
         if h.tried is not None and h.tried.effect is effect:
             return h.tried
-        found = next((t for t in self.screened(base).tried if t.effect is effect), None)
+        found = next((t for t in self.screened(base) if t.effect is effect), None)
         if found is None:
             parameters = effect.parameters(self.study.model, self.study.trials)
             null = np.array([p.start for p in parameters])
-            signature = [np.zeros(count) for count in base.fit.problem.counts]
+            signature = [np.zeros(count) for count in base.problem.counts]
             found = Tried(effect, parameters, null, np.zeros(self.study.folds.count), 1.0, signature)
         return found
 
@@ -737,7 +672,7 @@ def run(
     most: int = COMBINED,
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
-) -> State:
+) -> Search:
     """Run the complete search of a diagnosis: noise, fits of hypotheses, and choice of the causes.
 
     Parameters
@@ -753,7 +688,6 @@ def run(
     with threadpool_limits(limits=1, user_api="blas"):
         while True:
             study, fit, dropouts = prepare(given, effects)
-            allowed = [e for e in effects if asked is None or e.name in asked]
             with progress("effects", total=len(effects)) as shown:
                 search = Search(
                     study, effects, effects, rng=rng,
@@ -762,48 +696,43 @@ def run(
                 )  # fmt: skip
                 search.begin(study.start((), fit))
                 search.beside([search.null])
-                found = search.lessened()
-                known = [search.null.fit, *(h.fit for h in search.best(1)[:PARENTS])]
-                trial = odd.find(study, known, found, search.record, search.null.log_determinant)
+                search.compare()
+                found, null = search.posterior, search.null
+                known = [null, *search.best(1)[:PARENTS]]
+                trial = odd.find(study, known, found, search.record, null.log_determinant)
                 said = None if trial is None else odd.describe(study, trial)
                 if trial is not None and said is not None:
                     odd_trials[trial.trial] = said
                     given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])
                     continue
-                leader = search.likeliest(found)
-                search.learn(leader if found.sets.get(found.best, 0.0) > found.none else search.null)
+                search.learn(search.base if found.sets.get(found.best, 0.0) > found.none else null)
             break
-        search.effects = allowed
-        state = chosen(search, dropouts, {id(e) for e in allowed}, most, progress)
-        state.odd_trials = odd_trials
+        search.restrict([e for e in effects if asked is None or e.name in asked])
+        search.odd_trials, search.dropouts = odd_trials, dropouts
+        choose(search, most, progress)
         if dropouts.count:
-            simulated = state.base.problem.simulations(state.base.theta)
-            state.dropouts = dropouts.confirmed(look(given.trials, simulated))
-        state.study = state.study.with_noise(noise.with_floors(state.study, state.base))
-        terms = remainder.generic_terms(state.study, state.base)
-        state.left = remainder.find(state.study, state.base, terms, rng=rng)
-    return state
+            simulated = search.base.problem.simulations(search.base.theta)
+            search.dropouts = dropouts.confirmed(look(given.trials, simulated))
+        search.study = search.study.with_noise(noise.with_floors(search.study, search.base))
+        terms = remainder.generic_terms(search.study, search.base)
+        search.left = remainder.find(search.study, search.base, terms, rng=rng)
+    return search
 
 
-def chosen(
-    search: Search, dropouts: Dropouts, allowed: Collection[int], most: int, progress: Progress = silent
-) -> State:
-    """Choose the most probable set of causes.
+def choose(search: Search, most: int, progress: Progress = silent) -> None:
+    """Choose the most probable set of causes, and compare each cause with its alternatives.
 
     Larger sets are tried as long as the remaining excess could make one of them more probable.
     """
-    search.pool = {key: h for key, h in search.pool.items() if key <= set(allowed)}
-    search.finish()
-    found = search.lessened()
-    best = search.likeliest(found)
+    search.compare()
     count = search.count
-    while 0 < len(best.names) < min(most, count):
-        size = len(best.names)
+    while 0 < len(search.base.names) < min(most, count):
+        best, size = search.base, len(search.base.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
         # The noise was estimated from the residuals of the best hypothesis, so it may contain part of the
         # excess of this hypothesis. Add the gain that the screening predicts.
-        left = found.excess[best.names] + max([0.0, *(t.gain for t in search.screened(best).tried)])
-        if posterior.most(left, search.record) < loses:
+        gains = [0.0, *(t.gain for t in search.screened(best))]
+        if posterior.most(search.posterior.excess[best.names] + max(gains), search.record) < loses:
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:
             search.step = partial(show, shown)
@@ -814,72 +743,55 @@ def chosen(
             break
         # The noise was estimated from residuals that may contain what the larger set explains.
         search.learn(larger)
-        found = search.lessened()
-        best = search.likeliest(found)
-        if len(best.names) <= size:
+        search.compare()
+        if len(search.base.names) <= size:
             break  # with the noise model of the larger set, that set is not needed
-    for effect in best.fit.effects if len(best.names) > 1 else ():
+    best = search.base
+    for effect in best.effects if len(best.names) > 1 else ():
         search.beside([search.without(best, effect)], RIVALS)
-    found = search.lessened()
-    best = search.likeliest(found)
-    if search.refine(best):
-        found = search.lessened()
-        best = search.likeliest(found)
-    return rounds(search, best, found, dropouts)
-
-
-def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropouts) -> State:
-    """Return the result of the search with one comparison for each cause.
-
-    Each cause is compared with its alternatives while all other causes are in the model.
-    """
-    best = in_parameters(search, best, found)
-    null = search.null
-    singles = search.ranked(null, search.best(1))
-    known, mine = {r.tried.effect.name for r in singles}, {e.name for e in search.effects}
-    singles += [r for r in search.first if r.tried.effect.name in mine - known]
-    screen = search.first_screen
-    screen = Screen(
-        [t for t in screen.tried if t.effect.name in mine],
-        {name: why for name, why in screen.left_out.items() if name in mine},
-    )
-    state = State(search.study, null.fit, best.fit, dropouts, screen, singles, found, tried=search.count)
-    for effect in best.fit.effects:
+    search.compare()
+    if search.refine():
+        search.compare()
+    search.base = best = in_parameters(search)
+    search.singles = search.ranked(search.null, search.best(1))
+    known = {h.added.effect.name for h in search.singles}
+    search.singles += [h for h in search.first if h.added.effect.name not in known]
+    for effect in best.effects:
         base = search.without(best, effect)
         rivals = [h for h in search.best(len(best.names)) if base.key < h.key and h.key != best.key]
         ranked = [*search.ranked(base, [best]), *search.ranked(base, rivals)]
         same = [
-            r.tried.effect.name
-            for r in ranked[1:]
-            if _twins(found, best.names, base.names | {r.tried.effect.name})
-            or (effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried))
+            h.added.effect.name
+            for h in ranked[1:]
+            if _twins(search.posterior, best.names, base.names | {h.added.effect.name})
+            or (effect.adds_to is not None and _same_change(search, base, ranked[0].added, h.added))
         ]
-        state.rounds.append(Round(ranked, tuple(same)))
+        search.rounds.append(Round(ranked, tuple(same)))
     # A changed parameter comes first, because it needs no additional physics.
-    state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
+    search.rounds.sort(key=lambda r: (r.effect.adds_to is None, -r.ranked[0].gain))
     smaller = best
-    for last in reversed(state.rounds[1:]):
-        smaller = search.without(smaller, last.ranked[0].tried.effect)
-        state.between.insert(0, smaller.fit)
-    return state
+    for last in reversed(search.rounds[1:]):
+        smaller = search.without(smaller, last.effect)
+        search.between.insert(0, smaller)
 
 
-def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothesis:
-    """Replace each effect of a hypothesis that is equivalent to a changed parameter by that parameter.
+def in_parameters(search: Search) -> Hypothesis:
+    """Return the most probable hypothesis, with changed parameters in place of equivalent effects.
 
     The changed parameter is preferred because it needs no additional physics.
     """
-    for effect in best.fit.effects:
+    best, known = search.base, search.posterior.known
+    for effect in best.effects:
         if effect.adds_to is not None:
             continue
         base = search.without(best, effect)
         mine = search.tried(base, best, effect)
         for h in search.best(len(best.names)):
-            rest = [e for e in h.fit.effects if id(e) not in base.key]
+            rest = [e for e in h.effects if id(e) not in base.key]
             if not base.key < h.key or rest[0].adds_to is None:
                 continue
-            likely = found.known.get(h.names, 0.0) >= UNSURE * found.known.get(best.names, 0.0)
-            if likely and _same_change(search, found, base, mine, search.tried(base, h, rest[0])):
+            likely = known.get(h.names, 0.0) >= UNSURE * known.get(best.names, 0.0)
+            if likely and _same_change(search, base, mine, search.tried(base, h, rest[0])):
                 best = h
                 break
     return best
@@ -891,12 +803,12 @@ def _twins(found: Posterior, *sets: frozenset[str]) -> bool:
     return all(names in known for names in sets) and posterior.are_twins(*(known[names] for names in sets))
 
 
-def _same_change(search: Search, found: Posterior, base: Hypothesis, first: Tried, second: Tried) -> bool:
+def _same_change(search: Search, base: Hypothesis, first: Tried, second: Tried) -> bool:
     """Return whether two effects change the trials in the same way when added to a hypothesis.
 
     The deviances with the two effects must also differ by no more than noise.
     """
-    left = [found.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
+    left = [search.posterior.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
     if not abs(left[0] - left[1]) <= posterior.unit(search.record, 0.0):
         return False
-    return abs(candidates.alike(search.study, base.fit, first, second)) > SAME_COSINE
+    return abs(candidates.alike(search.study, base, first, second)) > SAME_COSINE

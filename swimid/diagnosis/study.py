@@ -5,18 +5,23 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.diagnosis import crossval
 from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR, PREFIX
 from swimid.diagnosis.settings import folds
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.problem import Problem, Solution, map_in_processes
+from swimid.fitting.problem import Problem, Watch, map_in_processes
+
+if TYPE_CHECKING:
+    from swimid.diagnosis.candidates import Tried
 
 #: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0
@@ -31,6 +36,8 @@ TOLERANCE = 1e-5
 #: iterations with new derivatives (STEPS), and relative tolerance of the cost before these last iterations
 #: (ROUGH) and in them (FINE).
 HEAT, STEPS, ROUGH, FINE = 4, 80, 1e-3, 1e-4
+#: Ratio of the costs of two brief searches, after the same number of iterations, at which the worse one ends.
+BEATEN = 3.0
 #: Maximum number of iterations of a refit without one fold, which begins at the fit to all folds, and of the
 #: first steps from distorted coefficients.
 FEW = 3
@@ -52,31 +59,112 @@ NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
 ROUNDING = 1e-6
 
 
-@dataclass(frozen=True)
-class Fit:
-    """Fit of a hypothesis: the model with its effects at the optimum.
+@dataclass(eq=False)
+class Hypothesis:
+    """Hypothesis: the model with a set of effects, at a fit to the trials.
 
-    Residuals and derivatives are computed when they are first needed.
+    Residuals, derivatives and deviances are computed when they are first needed.
 
     Attributes
     ----------
+    study : Study
+        Study with the noise model of the fit.
     effects : tuple of Effect
         Effects of the hypothesis.
-    labels : list of str
-        Labels of the parameters.
     theta : ndarray, shape (p,)
         Estimates of the parameters.
     cost : float
         Sum of squared whitened residuals and squared prior terms.
     problem : Problem
         The residual problem that was solved.
+    tried : Tried or None
+        Screening result of the effect that was added last; None for the model without effects.
+    rough : bool
+        Whether the fit has not reached its optimum.
+    gains : ndarray, shape (folds,)
+        Decrease of the deviance of each fold, compared with the hypothesis without the effect that was added
+        last; empty if the two were not compared.
     """
 
+    study: Study
     effects: tuple[Effect, ...]
-    labels: list[str]
     theta: Array
     cost: float
     problem: Problem
+    tried: Tried | None = None
+    rough: bool = False
+    gains: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def key(self) -> frozenset[int]:
+        """Return the identities of the effects, which identify the hypothesis in a search."""
+        return frozenset(id(e) for e in self.effects)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Return the names of the effects of the hypothesis."""
+        return frozenset(e.name for e in self.effects)
+
+    @property
+    def added(self) -> Tried:
+        """Return the screening result of the effect that was added last."""
+        assert self.tried is not None
+        return self.tried
+
+    @property
+    def labels(self) -> list[str]:
+        """Return the labels of the parameters."""
+        return self.problem.labels
+
+    @cached_property
+    def deviance_parts(self) -> tuple[Array, Array, float]:
+        """Return the deviances, their log-determinants, and the strain of the hypothesis.
+
+        Returns
+        -------
+        deviances : ndarray, shape (folds,)
+            Minus twice the log predictive density of each fold, up to a constant.
+        log_determinant : ndarray, shape (folds,)
+            Part of the deviances that is the log-determinant of the covariance of the prediction.
+        strain : float
+            Squared distance of the parameters from their prior means.
+        """
+        equations = crossval.normal_equations(self.study, self)
+        distance, log_determinant = crossval.deviances(equations)
+        return distance + log_determinant, log_determinant, crossval.strain(equations)
+
+    @property
+    def deviances(self) -> Array:
+        """Return the deviance of each fold, shape (folds,)."""
+        return self.deviance_parts[0]
+
+    @property
+    def log_determinant(self) -> Array:
+        """Return the log-determinants that are part of the deviances, shape (folds,)."""
+        return self.deviance_parts[1]
+
+    @property
+    def strain(self) -> float:
+        """Return the squared distance of the parameters from their prior means."""
+        return self.deviance_parts[2]
+
+    @property
+    def deviance(self) -> float:
+        """Return the sum of the deviances of all folds and of the prior."""
+        return float(self.deviances.sum()) + self.strain
+
+    @property
+    def gain(self) -> float:
+        """Return the decrease of the deviance by the effect that was added last, summed over folds."""
+        return float(self.gains.sum())
+
+    @property
+    def gain_stderr(self) -> float:
+        """Return the standard error of the summed gain, estimated from its variation over folds."""
+        n = len(self.gains)
+        if n < 2:
+            return math.nan
+        return float(np.sqrt(n * np.var(self.gains, ddof=1)))
 
     @cached_property
     def residuals(self) -> list[Array]:
@@ -94,11 +182,6 @@ class Fit:
         the noise standard deviation. The derivatives of the residuals have the opposite sign.
         """
         return [-rows for rows in self.problem.own_jacobians(self.theta)]
-
-    @property
-    def rows(self) -> list[Array]:
-        """Return the derivatives of each trial's simulated samples, each shape (n_k, p)."""
-        return [self.columns(k, np.arange(len(self.theta))) for k in range(len(self.problem.trials))]
 
     def columns(self, k: int, unknowns: Sequence[int] | NDArray[np.intp]) -> Array:
         """Return the derivatives of trial ``k`` with respect to some unknowns, shape (n_k, unknowns).
@@ -119,26 +202,26 @@ class Fit:
         """Return a mask of the parameters that are not at a bound, shape (p,)."""
         return np.asarray((self.theta > self.problem.lower) & (self.theta < self.problem.upper))
 
-    def free_of_trial(self, k: int) -> NDArray[np.intp]:
-        """Return the indices of the parameters that only trial ``k`` has and that are not at a bound."""
-        inside = self.inside
-        return np.array([j for j in self.problem.own(k) if inside[j]], dtype=int)
+    @property
+    def is_imitating(self) -> bool:
+        """Return whether a parameter is near a bound at which its effect could imitate others.
 
-    def own(self, k: int) -> Array:
-        """Return the derivatives with respect to the initial state of trial ``k``, shape (n_k, m).
-
-        The derivatives are multiplied by the typical scales of the m parameters.
+        The attribute :attr:`Effect.inside` of an effect lists such bounds.
         """
-        mine = self.problem.own(k)
-        return self.columns(k, mine) * self.problem.scale[mine]
+        ends = {"lower": self.problem.lower, "upper": self.problem.upper}
+        bounds = {f"{e.name}/{name}": ends[end] for e in self.effects for name, end in e.inside.items()}
+        return any(
+            label in bounds and abs(self.theta[j] - bounds[label][j]) < self.problem.scale[j]
+            for j, label in enumerate(self.labels)
+        )
 
-    def split(self, k: int, residual: Array) -> dict[str, Array]:
-        """Split weighted residuals of a trial into one series for each channel, in its unit.
+    def split(self, k: int) -> dict[str, Array]:
+        """Return the residuals of a trial as one series for each channel, in its unit.
 
         The series are NaN where the channel has no sample.
         """
         found = {}
-        parts = zip(self.problem.by_channel(k, residual), self.problem.sd[k], strict=True)
+        parts = zip(self.problem.by_channel(k, self.residuals[k]), self.problem.sd[k], strict=True)
         for (channel, mask, part), sd in parts:
             found[channel] = np.full(len(mask), np.nan)
             found[channel][mask] = part * sd[mask]
@@ -147,8 +230,8 @@ class Fit:
     def by_channel(self) -> dict[str, Array]:
         """Return the residuals of all trials by channel, in the channel's unit."""
         parts: dict[str, list[Array]] = {}
-        for k, r in enumerate(self.residuals):
-            for channel, series in self.split(k, r).items():
+        for k in range(len(self.residuals)):
+            for channel, series in self.split(k).items():
                 parts.setdefault(channel, []).append(series[np.isfinite(series)])
         return {c: np.concatenate(p) for c, p in parts.items()}
 
@@ -165,6 +248,29 @@ class Fit:
         if label in self.labels:
             return float(self.theta[self.labels.index(label)])
         return next(p.start for p in self.problem.parameters if p.name == label)
+
+
+def _brief_watch(tolerance: float) -> Watch:
+    """Return a function that ends a search which another one from another starting point has beaten.
+
+    Parameters
+    ----------
+    tolerance : float
+        Relative decrease of the cost by an iteration below which a search ends.
+    """
+    lowest: dict[int, float] = {}
+    last = math.inf
+
+    def watch(theta: Array, cost: float, iteration: int) -> str | None:
+        nonlocal last
+        lowered, last = last - cost, cost
+        beaten = cost > BEATEN * lowest.get(iteration, cost)
+        lowest[iteration] = min(cost, lowest.get(iteration, cost))
+        if iteration and (beaten or lowered <= tolerance * cost):
+            return "another starting point is better, or the cost falls slowly"
+        return None
+
+    return watch
 
 
 class Study:
@@ -203,7 +309,7 @@ class Study:
         self.correlation = correlation
         self.jobs = jobs
         self._known: dict[tuple[int, ...], Model] = {}
-        self._without: list[tuple[Fit, list[Array]]] = []
+        self.noise = NoiseModel([])
         self.shape = self.problem(())
         self.noise = NoiseModel(self.shape.sd)
         stamps = [
@@ -227,7 +333,7 @@ class Study:
     def with_noise(self, noise: NoiseModel) -> Study:
         """Return a study with another noise model."""
         other = copy.copy(self)
-        other.noise, other._without = noise, []
+        other.noise = noise
         return other
 
     def affected(self, effects: Sequence[Effect]) -> Model:
@@ -246,12 +352,12 @@ class Study:
         trials: Sequence[Trial] | None = None,
         known: Mapping[str, float] | None = None,
     ) -> Problem:
-        """Return the residual problem of the model with effects.
+        """Return the residual problem of the model with effects, with the weights of the noise model.
 
         Parameters
         ----------
         trials : sequence of Trial, optional
-            Default: the trials of the study.
+            Default: the trials of the study. Others have no weights.
         known : mapping of label to float, optional
             Shared parameters that are held at these values.
         """
@@ -262,6 +368,8 @@ class Study:
             model, parameters, self.trials if trials is None else trials, jobs=jobs or self.jobs
         )
         problem.near = NEAR
+        if trials is None and self.noise.sd:
+            problem.sd = [list(sds) for sds in self.noise.sd]
         return problem
 
     def single(self, problem: Problem) -> NDArray[np.bool_]:
@@ -278,17 +386,17 @@ class Study:
             dtype=bool,
         )
 
-    def shared(self, fit: Fit) -> NDArray[np.intp]:
+    def shared(self, fit: Hypothesis) -> NDArray[np.intp]:
         """Return the indices of the parameters that all folds share and that are not at a bound."""
         return np.flatnonzero(~self.single(fit.problem) & fit.inside)
 
-    def apart(self, fit: Fit, k: int) -> NDArray[np.intp]:
+    def apart(self, fit: Hypothesis, k: int) -> NDArray[np.intp]:
         """Return the indices of the parameters of trial ``k`` that are refitted in a held-out fold.
 
         Parameters at a bound are left out.
         """
-        single = self.single(fit.problem)
-        return np.array([j for j in fit.free_of_trial(k) if single[j]], dtype=int)
+        free = self.single(fit.problem) & fit.inside
+        return np.array([j for j in fit.problem.own(k) if free[j]], dtype=int)
 
     def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
         """Return wider priors of coefficients for a model with another interpretation of the robot's source.
@@ -345,10 +453,10 @@ class Study:
         return np.asarray(root.T @ root)
 
     def begins(self, problem: Problem, theta: Array) -> list[Array]:
-        """Return starting points of a fit: ``theta``, and the prior means if ``theta`` is far from them.
+        """Return further starting points of a fit: the prior means, if ``theta`` is far from them.
 
         A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
-        there may end in a poor local optimum. A third starting point has the start values of the initial
+        there may end in a poor local optimum. A second starting point has the start values of the initial
         states beside the prior means, because the initial states may be distorted as well.
         """
         plain, distorted = theta.copy(), False
@@ -366,89 +474,54 @@ class Study:
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
         if not distorted:
-            return [theta]
+            return []
         rest = plain.copy()
         for j, (index, owner) in enumerate(problem.slots):
             if owner is not None and "/" not in problem.parameters[index].name:
                 rest[j] = problem.start[j]
-        return [theta, plain, rest]
+        return [plain, rest]
 
     def fit(
         self,
         effects: Sequence[Effect],
         starts: Sequence[Array],
         *,
+        others: Sequence[Array] = (),
         tolerance: float = TOLERANCE,
         iterations: int = 30,
-        warm: Fit | None = None,
-    ) -> Fit:
-        """Return the best optimum from several starting points.
+        brief: bool = False,
+        hold: Hypothesis | None = None,
+        reuse: Hypothesis | None = None,
+        known: Mapping[str, float] | None = None,
+        kept: Sequence[NDArray[np.bool_]] | None = None,
+    ) -> Hypothesis:
+        """Fit the model with effects, and return the best optimum from several starting points.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
             Starting points.
-        warm : Fit, optional
-            Fit whose derivatives are used first. If the optimum is near this fit, the search is five times as
-            fast.
-        """
-        problem = self.posed(effects)
-        if warm is not None:
-            problem.hold_derivatives(warm.problem, warm.derivatives)
-        best = self.search(problem, starts, tolerance, iterations)
-        return self.at(effects, best.x, best.cost, problem)
-
-    def refit(self, fit: Fit, *, tolerance: float) -> Fit:
-        """Continue a fit to its optimum. Its derivatives are used as long as they are accurate enough."""
-        problem = self.posed(fit.effects, 1)
-        problem.reuse_derivatives(fit.theta, fit.derivatives)
-        best = self.search(problem, [fit.theta], tolerance, STEPS)
-        return self.at(fit.effects, best.x, best.cost, problem)
-
-    def first_steps(
-        self, effects: Sequence[Effect], starts: Sequence[Array], *, warm: Fit, iterations: int = 1
-    ) -> Fit:
-        """Return the best result of a few iterations from each of several starting points.
-
-        Parameters
-        ----------
-        warm : Fit
-            Nearby fit. Its derivatives are used, and own derivatives only with respect to other parameters.
-        """
-        problem = self.posed(effects, 1)
-        problem.hold_derivatives(warm.problem, warm.derivatives)
-        each = [self.search(problem, [point], ROUGH, iterations) for point in starts]
-        best = min(each, key=lambda one: float(np.nan_to_num(one.cost, nan=math.inf)))
-        return self.at(effects, best.x, best.cost, problem)
-
-    def multistart(self, effects: Sequence[Effect], starts: Sequence[Array], *, warm: Fit) -> Fit:
-        """Return a rough optimum from the best of several starting points (:meth:`first_steps`)."""
-        begun = self.first_steps(effects, starts, warm=warm) if len(starts) > 1 else None
-        problem = self.posed(effects, 1)
-        problem.hold_derivatives(warm.problem, warm.derivatives)
-        best = self.search(problem, [starts[0] if begun is None else begun.theta], ROUGH, HEAT)
-        return self.at(effects, best.x, best.cost, problem)
-
-    def search(
-        self,
-        problem: Problem,
-        starts: Sequence[Array],
-        tolerance: float,
-        iterations: int,
-        prior: tuple[Array, Array] | None = None,
-        kept: Sequence[NDArray[np.bool_]] | None = None,
-    ) -> Solution:
-        """Return the optimum with the lowest cost from several starting points.
-
-        Parameters
-        ----------
+        others : sequence of ndarray, shape (p,)
+            Further starting points, of which only the one with the lowest cost is used.
+        brief : bool
+            Whether the fit only has to show which starting point is best. A search then ends as soon as its
+            cost is :data:`BEATEN` times that of an earlier one after the same number of iterations, or when
+            its cost falls by less than the tolerance.
+        hold : Hypothesis, optional
+            Nearby fit, whose derivatives replace those with respect to the parameters that both fits have.
+        reuse : Hypothesis, optional
+            Fit of the same effects, whose derivatives are used as long as they are accurate enough.
+        known : mapping of label to float, optional
+            Shared parameters that are held at these values.
         kept : sequence of ndarray of bool, shape (n_k,), optional
             Mask of the samples of each trial that are fitted. By default all samples are fitted.
-        prior : tuple of ndarray, shapes (p,) and (m, p), optional
-            Prior mean of the parameters, and a root of their prior precision. By default it is the prior of
-            :meth:`fit`.
         """
-        problem.prior = prior or (self.expected(problem)[0], self.root(problem))
+        problem = self.problem(effects, jobs=None if hold is None and reuse is None else 1, known=known)
+        problem.prior = self.expected(problem)[0], self.root(problem)
+        if hold is not None:
+            problem.hold_derivatives(hold.problem, hold.derivatives)
+        if reuse is not None:
+            problem.reuse_derivatives(reuse.theta, reuse.derivatives)
 
         def whiten(k: int, rows: Array) -> Array:
             seen = self.noise.whiten(problem, k, rows)
@@ -457,57 +530,63 @@ class Study:
             return (seen.T * kept[k]).T
 
         problem.whiten = whiten
+        points = list(starts)
+        if others:
+            points.append(min(others, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2))))
+        watch = _brief_watch(tolerance) if brief else None
         found = [
-            problem.solve(start, tolerance=tolerance, max_iterations=iterations, secant=True)
-            for start in starts
+            problem.solve(point, tolerance=tolerance, max_iterations=iterations, secant=True, watch=watch)
+            for point in points
         ]
-        return min(found, key=lambda one: one.cost)
+        best = min(found, key=lambda one: float(np.nan_to_num(one.cost, nan=math.inf)))
+        return Hypothesis(self, tuple(effects), best.x, best.cost, problem)
 
-    def without_each(self, fit: Fit) -> list[Array]:
+    def refit(self, fit: Hypothesis, *, tolerance: float) -> Hypothesis:
+        """Continue a fit to its optimum. Its derivatives are used as long as they are accurate enough."""
+        return self.fit(fit.effects, [fit.theta], tolerance=tolerance, iterations=STEPS, reuse=fit)
+
+    def without_each(self, fit: Hypothesis) -> list[Array]:
         """Return the estimates of refits that leave out one fold each, one array of shape (p,) for each fold.
 
         The noise model is not re-estimated. Per-trial parameters of the held-out fold are not estimated.
         """
 
         def one(f: int) -> Array:
-            problem = self.posed(fit.effects, jobs=1)
             kept = [owner != f for owner in self.folds.owner]
-            problem.reuse_derivatives(fit.theta, fit.derivatives)
-            theta = self.search(problem, [fit.theta], ROUGH, FEW, kept=kept).x
+            theta = self.fit(
+                fit.effects, [fit.theta], tolerance=ROUGH, iterations=FEW, reuse=fit, kept=kept
+            ).theta.copy()
             # Nothing determines the initial state of a trial that is held out as a whole.
             for k in (k for k, fitted in enumerate(kept) if not fitted.any()):
-                own = problem.own(k)
+                own = fit.problem.own(k)
                 theta[own] = fit.theta[own]
             return theta
 
-        for known, found in self._without:
-            if known is fit:
-                return found
-        found = list(map_in_processes(one, range(self.folds.count), self.jobs))
-        self._without.append((fit, found))
-        return found
+        return list(map_in_processes(one, range(self.folds.count), self.jobs))
 
     def at(
         self,
         effects: Sequence[Effect],
         theta: Array,
         cost: float = math.nan,
-        problem: Problem | None = None,
-    ) -> Fit:
-        """Return a fit at the given parameter values, without a search for the optimum."""
-        problem = problem or self.posed(effects)
-        return Fit(tuple(effects), problem.labels, theta, cost, problem)
+        hold: Hypothesis | None = None,
+    ) -> Hypothesis:
+        """Return a hypothesis at the given parameter values, without a search for the optimum.
 
-    def posed(self, effects: Sequence[Effect], jobs: int | None = None) -> Problem:
-        """Return the residual problem with the weights of the noise model."""
-        problem = self.problem(effects, jobs=jobs)
-        problem.sd = [list(sds) for sds in self.noise.sd]
-        return problem
+        Parameters
+        ----------
+        hold : Hypothesis, optional
+            Nearby fit, whose derivatives replace those with respect to the parameters that both fits have.
+        """
+        problem = self.problem(effects)
+        if hold is not None:
+            problem.hold_derivatives(hold.problem, hold.derivatives)
+        return Hypothesis(self, tuple(effects), theta, cost, problem)
 
     def start(
         self,
         effects: Sequence[Effect],
-        fit: Fit,
+        fit: Hypothesis,
         own: Mapping[str, float] | None = None,
     ) -> Array:
         """Return the starting point of a fit with other effects or another noise model.
@@ -527,7 +606,7 @@ class Study:
 
     def project_out(
         self,
-        fit: Fit,
+        fit: Hypothesis,
         k: int,
         block: Array,
         *,
@@ -553,7 +632,8 @@ class Study:
             products of the columns account for the uncertainty of these parameters.
         """
         problem, noise = fit.problem, noise or self.noise
-        mine = fit.free_of_trial(k) if to is None else to
+        inside = fit.inside
+        mine = np.array([j for j in problem.own(k) if inside[j]], dtype=int) if to is None else to
         if not len(mine):
             return noise.whiten(problem, k, block)
         mean, weight = self.expected(problem)
@@ -562,9 +642,9 @@ class Study:
         own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
         wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
         wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
-        return np.asarray(wanted - own @ solved(own.T @ own, own.T @ wanted))
+        return np.asarray(wanted - own @ crossval.solved(own.T @ own, own.T @ wanted))
 
-    def changes(self, base: Fit, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
+    def changes(self, base: Hypothesis, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
         """Return the changes of the simulated samples by an effect for several parameter values.
 
         The result has one list for each item of ``points``, with one array for each trial, shape (n_k,). All
@@ -572,7 +652,7 @@ class Study:
 
         Parameters
         ----------
-        base : Fit
+        base : Hypothesis
             Fit that gives the values of the other parameters. The model includes the effects of this fit.
         points : sequence of ndarray
             Values of all parameters of the effect.
@@ -605,39 +685,6 @@ def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tupl
     return tuple(found)
 
 
-def beyond(columns: Array, values: Array) -> Array:
-    """Return the residuals of a linear least-squares fit of ``values`` by ``columns``, shape (n,)."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-    return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
-
-
 def rms(values: Array) -> float:
     """Return the root mean square of an array."""
     return float(np.sqrt(np.mean(values**2)))
-
-
-def inverted(normal: Array) -> Array:
-    """Return the inverse of a normal matrix, without the directions that nothing determines."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = scale[:, None] * normal * scale
-    inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
-    return np.asarray(scale[:, None] * inverse * scale)
-
-
-def solved(normal: Array, right: Array) -> Array:
-    """Solve scaled normal equations. Undetermined directions of the solution stay at zero.
-
-    Parameters
-    ----------
-    normal : ndarray, shape (..., n, n)
-        One matrix or a stack of matrices.
-    right : ndarray, shape (..., n, m)
-        Right-hand sides.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
-    scaled = scale[..., :, None] * normal * scale[..., None, :]
-    scaled = scaled + 1e-11 * np.eye(normal.shape[-1])
-    try:
-        return np.asarray(scale[..., :, None] * np.linalg.solve(scaled, scale[..., :, None] * right))
-    except np.linalg.LinAlgError:
-        return np.asarray(scale[..., :, None] * (np.linalg.pinv(scaled) @ (scale[..., :, None] * right)))
