@@ -92,6 +92,8 @@ class NoiseModel:
     variance: Mapping[str, float] = field(default_factory=dict)
     random_effects: tuple[RandomEffect, ...] = ()
     changes: tuple[Array, ...] = ()
+    #: Restricted log-likelihood of the residuals with the random effects, up to a constant.
+    log_likelihood: float = math.nan
     #: Noise floor of each channel in the fitted trials, in units of its weights (:func:`with_floors`).
     floors: Mapping[str, float] = field(default_factory=dict)
     #: Channels of each trial, in the order of ``sd``.
@@ -477,6 +479,7 @@ def with_random_effects(
             break
         likelihood, sd = best, found
     kept = np.flatnonzero(sd).tolist()
+    noise = replace(noise, log_likelihood=likelihood)
     if not kept:
         return noise
     effects = tuple(RandomEffect(differing[i].name, float(sd[i])) for i in kept)

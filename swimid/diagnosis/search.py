@@ -13,6 +13,7 @@ search begins again without this trial.
 from __future__ import annotations
 
 import copy
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -512,6 +513,25 @@ class Search:
 
     # ------------------------------------------------------------ noise and integration step
 
+    def leading(self) -> Hypothesis:
+        """Return the hypothesis from whose residuals the noise is estimated.
+
+        Random effects may absorb what an effect explains. The most probable effects and the model without
+        effects are therefore compared by their restricted likelihoods, each with the random effects of its
+        own residuals, and with the price of its effect.
+        """
+        study, scores = self.study, {}
+        for h in (self.null, *self.best(1)[:PARENTS]):
+            self.prepare([h.effects])
+            differing = noise.possible(study, h, self.every)
+            known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
+            if not differing or math.isnan(known.log_likelihood):
+                best = self.posterior.sets.get(self.posterior.best, 0.0)
+                return self.base if best > self.posterior.none else self.null
+            price = 0.5 * math.log(self.record.samples) * self._candidate(h).numbers
+            scores[h.key] = known.log_likelihood - price - math.log(self.count) * len(h.effects)
+        return self.pool[max(scores, key=lambda key: scores[key])]
+
     def learn(self, leading: Hypothesis) -> None:
         """Estimate the noise from the residuals of the leading hypothesis, and refit the contenders.
 
@@ -705,7 +725,7 @@ def run(
                     odd_trials[trial.trial] = said
                     given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])
                     continue
-                search.learn(search.base if found.sets.get(found.best, 0.0) > found.none else null)
+                search.learn(search.leading())
             break
         search.restrict([e for e in effects if asked is None or e.name in asked])
         search.odd_trials, search.dropouts = odd_trials, dropouts
@@ -760,11 +780,17 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
         base = search.without(best, effect)
         rivals = [h for h in search.best(len(best.names)) if base.key < h.key and h.key != best.key]
         ranked = [*search.ranked(base, [best]), *search.ranked(base, rivals)]
+        likely = search.posterior.known
+        least = PROBABLE * likely.get(best.names, 0.0)
         same = [
             h.added.effect.name
             for h in ranked[1:]
             if _twins(search.posterior, best.names, base.names | {h.added.effect.name})
-            or (effect.adds_to is not None and _same_change(search, base, ranked[0].added, h.added))
+            or (
+                effect.adds_to is not None
+                and likely.get(h.names, 0.0) > least
+                and _same_change(search, base, ranked[0].added, h.added)
+            )
         ]
         search.rounds.append(Round(ranked, tuple(same)))
     # A changed parameter comes first, because it needs no additional physics.

@@ -192,13 +192,14 @@ def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
         otherwise = "ambiguous"
     yield Row("held-out errors fall", found, needed, passed, otherwise, bool(carried), reason)
     left = remaining_share(facts, as_given=imitated)
-    said = "unknown, because held-out data have no gap"
-    if left is not None:
+    if left is None:
+        said = reason = "held-out data have no gap, so that the share which remains is unknown"
+    else:
         said = f"{percent(left, 2)} of the squared gap"
+        reason = f"{said} {'as given' if imitated else 'after a refit'} remains on held-out data with {names}"
     passed = left is not None and left <= CALIBRATED.form
-    whose = "as given" if imitated else "after a refit"
-    reason = f"{said} {whose} remains on held-out data with {names}"
-    yield Row("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, "partial", True, reason)
+    otherwise = "ambiguous" if left is None else "partial"
+    yield Row("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, otherwise, True, reason)
     worse = [n for n, t in facts.held_out.items() if _is_worse(t, imitated)]
     reason = f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {listed(worse)} larger"
     yield Row(
