@@ -516,20 +516,23 @@ class Search:
     def leading(self) -> Hypothesis:
         """Return the hypothesis from whose residuals the noise is estimated.
 
-        Random effects may absorb what an effect explains. The most probable effects and the model without
-        effects are therefore compared by their restricted likelihoods, each with the random effects of its
-        own residuals, and with the price of its effect.
+        It is the one with more than half of the probability. Otherwise random effects may have absorbed what
+        an effect explains. The most probable effects and the model without effects are then compared by
+        their restricted likelihoods, each with the random effects of its own residuals, and with the price
+        of its effect.
         """
-        study, scores = self.study, {}
+        study, found = self.study, self.posterior
+        if found.sets.get(found.best, 0.0) > 0.5:
+            return self.base
+        scores = {}
         for h in (self.null, *self.best(1)[:PARENTS]):
             self.prepare([h.effects])
             differing = noise.possible(study, h, self.every)
             known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
-            if not differing or math.isnan(known.log_likelihood):
-                best = self.posterior.sets.get(self.posterior.best, 0.0)
-                return self.base if best > self.posterior.none else self.null
             price = 0.5 * math.log(self.record.samples) * self._candidate(h).numbers
             scores[h.key] = known.log_likelihood - price - math.log(self.count) * len(h.effects)
+        if not all(math.isfinite(score) for score in scores.values()):
+            return self.base if found.sets.get(found.best, 0.0) > found.none else self.null
         return self.pool[max(scores, key=lambda key: scores[key])]
 
     def learn(self, leading: Hypothesis) -> None:
