@@ -267,6 +267,14 @@ def test_errors_that_grow_do_not_fall() -> None:
     assert probability_of_decrease(facts("waves", held_out=held)) < 0.05
 
 
+def test_errors_above_those_of_the_parameters_as_given_do_not_fall() -> None:
+    """The refit is worse than the parameters as given, and the cause closes a part of that only."""
+    held = held_out(560.0, 540.0, 590.0, before=900.0, as_given=400.0)
+    known = facts("waves", held_out=held)
+    assert probability_of_decrease(known) == 0.0
+    assert decide(known).causes == ()
+
+
 def test_one_part_shows_no_variation() -> None:
     known = facts("waves", held_out=parts(400.0))
     assert probability_of_decrease(known) == 0.5

@@ -228,7 +228,7 @@ def probability_of_decrease(facts: Facts, *, as_given: bool = False) -> float:
     the posterior probability that the deviance of most parts decreases, from the number of decreases and a
     uniform prior (Benavoli et al. 2014). With one part it is one half, because nothing shows how much parts
     differ. It is zero if the sum of the deviances does not fall, or that of the squared errors, unless noise
-    explains them.
+    explains them. The squared errors must also be below those of the parameters as given.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def probability_of_decrease(facts: Facts, *, as_given: bool = False) -> float:
     lowered = _gains(facts, as_given)
     n = len(lowered)
     given, before, after, _, _ = _sums(facts.held_out)
-    grows = not after < (given if as_given else before) and any(
+    grows = not after < (given if as_given else min(given, before)) and any(
         t.after > t.limit for t in facts.held_out.values()
     )
     if grows or not lowered.sum() > 0.0:
