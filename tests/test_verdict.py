@@ -197,6 +197,9 @@ def test_an_improbable_cause_that_a_refit_imitates_is_not_named() -> None:
     held = held_out(256.0, 255.0, 257.0, before=256.0, as_given=900.0)
     found = decide(facts("waves", outside=0.99, held_out=held))
     assert (found.verdict, found.causes) == ("unexplained", ())
+    worse = held_out(356.0, 355.0, 357.0, before=256.0, as_given=1900.0)
+    found = decide(facts("waves", outside=0.75, held_out=worse))
+    assert (found.verdict, found.causes) == ("unexplained", ())
 
 
 @pytest.mark.parametrize(

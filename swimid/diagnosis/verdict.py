@@ -157,7 +157,7 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
     _, before, after, expected, _ = _sums(facts.held_out)
     closes = (share_closed(before, after, expected) or 0.0) >= MOST
-    lowers = share > 0.5 or closes or (share > UNSURE and is_imitated(facts))
+    lowers = share > 0.5 or closes or (share > UNSURE and after <= before and is_imitated(facts))
     otherwise: Verdict = "partial" if lowers else "unexplained"
     yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, otherwise, lowers, reason)
     rivals = listed(first.equivalent, "or")
