@@ -41,18 +41,8 @@ def test_wrong_answers_are_described() -> None:
     assert truth.wrong(other) == ["waves", "equivalent waves"]
 
 
-#: Cases in which an answer "unexplained" names an effect that closes part of the gap, but does not act.
-NAMED_BESIDE = ("drops-odd-one", "slow-clock")
-
-
-def _marks(name: str) -> list[pytest.MarkDecorator]:
-    marks = [pytest.mark.slow]
-    if name in NAMED_BESIDE:
-        marks.append(pytest.mark.xfail(reason="an effect that does not act closes part of the gap"))
-    return marks
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=_marks(n)) for n in CASES])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
 def test_required_statements_are_checked(tmp_path: Path, name: str) -> None:
     found = outcome(CASES[name], tmp_path)
     assert found.faults == [], f"{CASES[name].says}: {found.answer.verdict}, {found.answer.causes}"
