@@ -173,17 +173,21 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
 
 
 def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
-    """Yield the rows about the squared errors of held-out data without and with the causes."""
+    """Yield the rows about the squared errors of held-out data without and with the causes.
+
+    The errors without a changed parameter are those of the parameters as given, because every refit changes
+    it, too. So are those of a cause that a refit imitates.
+    """
     needed = f"probability ≥ {percent(CLEAR)}"
-    refitted = probability_of_decrease(facts)
-    given = probability_of_decrease(facts, as_given=True)
-    imitated = is_imitated(facts)
-    found = f"probability {probability_text(given if imitated else refitted)}"
-    if imitated and not all(name.startswith(PREFIX) for name in facts.proposed):
+    is_change = all(name.startswith(PREFIX) for name in facts.proposed)
+    as_given = is_change or is_imitated(facts)
+    if as_given and not is_change:
         reason = f"refitted parameters of the file close the gap on held-out data as well as {names}"
         yield Row("cause against the parameters", "imitated", "distinct", False, "ambiguous", True, reason)
-    carried = carrying_part(facts)
-    passed = refitted >= CLEAR or imitated
+    falls = probability_of_decrease(facts, as_given=as_given)
+    found = f"probability {probability_text(falls)}"
+    carried = "" if is_change else carrying_part(facts)
+    passed = falls >= CLEAR and not carried
     otherwise: Verdict = "unexplained"
     reason = f"held-out errors do not clearly fall with {names} ({found})"
     if carried:
@@ -191,25 +195,25 @@ def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
     elif (facts.no_gap or 0.0) > UNSURE:
         otherwise = "ambiguous"
     yield Row("held-out errors fall", found, needed, passed, otherwise, bool(carried), reason)
-    left = remaining_share(facts, as_given=imitated)
+    left = remaining_share(facts, as_given=as_given)
     if left is None:
         said = reason = "held-out data have no gap, so that the share which remains is unknown"
     else:
         said = f"{percent(left, 2)} of the squared gap"
-        reason = f"{said} {'as given' if imitated else 'after a refit'} remains on held-out data with {names}"
+        reason = f"{said} {'as given' if as_given else 'after a refit'} remains on held-out data with {names}"
     passed = left is not None and left <= CALIBRATED.form
     otherwise = "ambiguous" if left is None else "partial"
     yield Row("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, otherwise, True, reason)
-    worse = [n for n, t in facts.held_out.items() if _is_worse(t, imitated)]
+    worse = [n for n, t in facts.held_out.items() if _is_worse(t, as_given)]
     reason = f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {listed(worse)} larger"
     yield Row(
         "held-out trials", listed(worse) or "none worse", "none worse", not worse, "ambiguous", True, reason
     )
 
 
-def _is_worse(t: HeldOutTrial, imitated: bool) -> bool:
+def _is_worse(t: HeldOutTrial, as_given: bool) -> bool:
     """Return whether the causes make both the squared error and the deviance of a held-out part larger."""
-    before, gain = (t.as_given, t.gain_as_given) if imitated else (t.before, t.gain)
+    before, gain = (t.as_given, t.gain_as_given) if as_given else (t.before, t.gain)
     return gain < 0.0 and t.after > max(t.limit, before)
 
 
