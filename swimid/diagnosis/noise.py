@@ -457,9 +457,9 @@ def with_random_effects(
     noise = noise.plain
     series = []
     for k, residual in enumerate(fit.residuals):
-        block = np.column_stack(
-            [*(d.changes[k] for d in differing), fit.columns(k, study.shared(fit)), residual]
-        )
+        random = [d.changes[k] for d in differing]
+        # The mean of a quantity over the trials is no random effect, so that it is a fixed effect as well.
+        block = np.column_stack([*random, *random, fit.columns(k, study.shared(fit)), residual])
         series.append(study.project_out(fit, k, block, noise=noise))
     pure = _differences(study.trials, series, len(differing))
     if pure:
