@@ -342,6 +342,21 @@ def test_what_repeats_have_in_common_is_no_random_effect(rng: np.random.Generato
     assert found.sd in (0.02, 0.05, 0.1)
 
 
+def test_repeats_of_unlike_length_and_with_gaps_are_compared_at_equal_times(rng: np.random.Generator) -> None:
+    """Each setting has a slow pattern, and no quantity differs. A shift by one sample would leave a slope."""
+    time = np.linspace(0.0, 1.0, 200)
+    trials = []
+    for number in range(5):
+        pattern = 3.0 * np.sin(40.0 * time + number)
+        for k in range(2):
+            kept = np.arange(200) < 200 - 30 * k
+            kept[40 + 10 * k : 50 + 10 * k] = False
+            y = pattern + 0.02 * rng.normal(size=200)
+            trials.append(replace(trial(number, time[kept], y[kept]), id=f"{number}{k}"))
+    study = with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), 0.02)
+    assert scattering(study, [Tilt()]).random_effects == ()
+
+
 def test_of_two_similar_random_effects_one_is_found(rng: np.random.Generator) -> None:
     """It is the one that describes the trials."""
     other = Tilt()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -345,12 +345,13 @@ def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[i
     of Helmert: a repeat against the mean of those before it. They are empty if they have less than
     :data:`MIN_PURE` of the samples.
     """
-    groups: dict[str, list[_Series]] = {}
-    for k, one in series.items():
-        groups.setdefault(repeated(trials[k]), []).append(one)
     found: dict[int, Rows] = {}
-    for group in groups.values():
-        paired = _paired(group)
+    for group in _repeats(trials, series):
+        times = [series[k].time_s for k in group]
+        paired = [series[k].at(at) for k, at in zip(group, _common(times), strict=True)]
+        if max(map(len, times)) == 1:
+            # The rows of a table have no terms of their own.
+            paired = [one._replace(own=one.own[:, :0]) for one in paired]
         for j in range(1, len(paired)):
             weights = [1.0 / j] * j + [-1.0]
             sd = np.sqrt(sum((w * one.sd) ** 2 for w, one in zip(weights, paired, strict=False)))
@@ -363,48 +364,61 @@ def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[i
     return found if sum(len(rows.residual) for rows in found.values()) >= MIN_PURE * count else {}
 
 
-def _differences(trials: Sequence[Trial], series: Sequence[Array], random: int) -> list[Array]:
+def _differences(problem: Problem, series: Sequence[Array], random: int) -> list[Array]:
     """Return Helmert contrasts of the whitened rows of repeats, or none with too few of them.
 
     Parameters
     ----------
-    series : sequence of ndarray, shape (n_k, c)
-        Rows of each trial. The first ``random`` columns are changes by random effects, which are alike in
-        repeats and independent in each.
+    series : sequence of ndarray, shape (n_k + m, c)
+        Rows of each trial. The first n_k are those of its samples. The first ``random`` columns are changes
+        by random effects, which are alike in repeats and independent in each.
     """
-    groups: dict[str, list[int]] = {}
-    for k, trial in enumerate(trials):
-        groups.setdefault(f"{repeated(trial)} {trial.time_s[:2]}", []).append(k)
-    found = []
-    for group in groups.values():
-        count = min(len(series[k]) for k in group)
-        rows = np.array([series[k][:count] for k in group])
+    trials, found = problem.trials, []
+    for group in _repeats(trials, range(len(trials))):
+        parts = [problem.by_channel(k, series[k][: problem.counts[k]]) for k in group]
+        if len({tuple(channel for channel, _, _ in part) for part in parts}) > 1:
+            continue
+        aligned = []
+        for each in zip(*parts, strict=True):
+            times = [trials[k].time_s[mask] for k, (_, mask, _) in zip(group, each, strict=True)]
+            chosen = [part[at] for (_, _, part), at in zip(each, _common(times), strict=True)]
+            aligned.append(np.array(chosen))
+        rows = np.concatenate(aligned, axis=1)
         for j in range(1, len(group)):
             contrast = (rows[:j].mean(axis=0) - rows[j]) / math.sqrt(1.0 + 1.0 / j)
             contrast[:, :random] = rows[: j + 1, :, :random].mean(axis=0)
             found.append(contrast)
-    enough = sum(map(len, found)) >= MIN_PURE * sum(map(len, series))
+    enough = sum(map(len, found)) >= MIN_PURE * sum(problem.counts)
     return found if enough else []
 
 
-def _paired(group: Sequence[_Series]) -> list[_Series]:
-    """Return the samples of repeats at the times that all of them have, within half a sampling step."""
-    first = group[0]
-    counts = {len(one.time_s) for one in group}
-    if counts == {1}:
-        # The rows of a table have no terms of their own.
-        return [one._replace(own=one.own[:, :0]) for one in group]
-    if len(group) < 2 or min(counts) < 2:
-        return []
-    half = 0.5 * float(np.median(np.diff(first.time_s)))
+def _repeats(trials: Sequence[Trial], indices: Iterable[int]) -> list[list[int]]:
+    """Return the indices of the trials of each setting that was repeated."""
+    groups: dict[str, list[int]] = {}
+    for k in indices:
+        groups.setdefault(repeated(trials[k]), []).append(k)
+    return [group for group in groups.values() if len(group) > 1]
+
+
+def _common(times: Sequence[Array]) -> list[NDArray[np.intp]]:
+    """Return, for each series, the indices of the samples at the times that all series have.
+
+    Times are equal if they differ by at most half a sampling step. Series of one sample are rows of a table,
+    which have no times.
+    """
+    first = times[0]
+    if {len(time_s) for time_s in times} == {1}:
+        return [np.zeros(1, dtype=np.intp)] * len(times)
+    if min(map(len, times)) < 2:
+        return [np.zeros(0, dtype=np.intp)] * len(times)
+    half = 0.5 * float(np.median(np.diff(first)))
     nearest = []
-    for one in group:
-        after = np.clip(np.searchsorted(one.time_s, first.time_s), 1, len(one.time_s) - 1)
-        earlier = first.time_s - one.time_s[after - 1] < one.time_s[after] - first.time_s
-        nearest.append(after - earlier)
-    apart = [np.abs(one.time_s[at] - first.time_s) for one, at in zip(group, nearest, strict=True)]
+    for time_s in times:
+        after = np.clip(np.searchsorted(time_s, first), 1, len(time_s) - 1)
+        nearest.append(after - (first - time_s[after - 1] < time_s[after] - first))
+    apart = [np.abs(time_s[at] - first) for time_s, at in zip(times, nearest, strict=True)]
     common = np.max(apart, axis=0) <= half * (1.0 + 1e-6)
-    return [one.at(at[common]) for one, at in zip(group, nearest, strict=True)]
+    return [at[common] for at in nearest]
 
 
 def _shared_level(study: Study, fit: Hypothesis, generic: Sequence[Sequence[Array]]) -> dict[str, float]:
@@ -461,7 +475,7 @@ def with_random_effects(
         # The mean of a quantity over the trials is no random effect, so that it is a fixed effect as well.
         block = np.column_stack([*random, *random, fit.columns(k, study.shared(fit)), residual])
         series.append(study.project_out(fit, k, block, noise=noise))
-    pure = _differences(study.trials, series, len(differing))
+    pure = _differences(fit.problem, series, len(differing))
     if pure:
         series, largest = pure, LARGEST_SD
     stacked = np.array([rows.T @ rows for rows in series])
