@@ -256,6 +256,14 @@ def test_repeated_rows_of_a_table_tell_their_noise(rng: np.random.Generator) -> 
     assert np.mean(levels) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (20 * 30)))
 
 
+def test_a_copy_of_a_recording_is_no_repeat(rng: np.random.Generator) -> None:
+    """The difference of a recording and its copy is zero, which is not its noise."""
+    time = STEP_S * np.arange(400)
+    trials = [trial(k, time, 0.1 * rng.normal(size=400)) for k in range(4)]
+    known, _ = estimated([*trials, *(replace(t, id=f"{t.id} again") for t in trials)])
+    assert level(known) == pytest.approx(0.1, rel=5.0 / np.sqrt(2 * 1600))
+
+
 def test_few_repeats_do_not_tell_the_noise(rng: np.random.Generator) -> None:
     """Three trials of eight are repeats. Their slow pattern counts as noise, as that of all others does."""
     time = STEP_S * np.arange(1000)

@@ -393,11 +393,15 @@ def _differences(problem: Problem, series: Sequence[Array], random: int) -> list
 
 
 def _repeats(trials: Sequence[Trial], indices: Iterable[int]) -> list[list[int]]:
-    """Return the indices of the trials of each setting that was repeated."""
-    groups: dict[str, list[int]] = {}
+    """Return the indices of the trials of each setting that was repeated.
+
+    A copy of a recording is no repeat, because it has the same noise.
+    """
+    groups: dict[str, dict[tuple[bytes, ...], int]] = {}
     for k in indices:
-        groups.setdefault(repeated(trials[k]), []).append(k)
-    return [group for group in groups.values() if len(group) > 1]
+        measured = tuple(values.tobytes() for values in trials[k].measured.values())
+        groups.setdefault(repeated(trials[k]), {}).setdefault(measured, k)
+    return [list(group.values()) for group in groups.values() if len(group) > 1]
 
 
 def _common(times: Sequence[Array]) -> list[NDArray[np.intp]]:
