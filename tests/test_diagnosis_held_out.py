@@ -317,6 +317,12 @@ def test_a_wider_uncertainty_has_a_larger_limit() -> None:
     assert known.limit(1) < known.limit(10) < wide.limit(10)
 
 
+@pytest.mark.parametrize("trials", [0, 7, 14, 1000])
+def test_without_random_effects_the_limit_does_not_depend_on_the_number_of_trials(trials: int) -> None:
+    """It is the quantile of a chi-squared variable of 200 degrees of freedom for one of 40."""
+    assert replace(made(200.0), trials=trials).limit(1) == pytest.approx(241.06 + 2.0, abs=0.1)
+
+
 def test_a_random_effect_of_few_trials_has_a_larger_limit(rng: np.random.Generator) -> None:
     """A new trial exceeds the limit as seldom as stated, if its variance is estimated from six trials.
 

@@ -80,7 +80,9 @@ class Prediction:
         an F distribution. A model error of a tenth of the noise is allowed.
         """
         degrees = 2.0 * self.expected**2 / max(self.variance, 1e-300)
-        known = max(self.trials - 1, 1) * (self.expected / max(self.by_chance, 1e-9 * self.expected)) ** 2
+        # With more than 10⁶ degrees of freedom F is chi-squared, and the quantile would be inaccurate.
+        share = max(self.by_chance / self.expected, 1e-3)
+        known = max(self.trials - 1, 1) / share**2
         largest = self.expected * float(special.fdtri(degrees, known, 1.0 - CHANCE / max(count, 1)))
         return largest + TENTH**2 * self.samples
 
