@@ -232,6 +232,14 @@ def test_what_a_refit_imitates_closes_a_part_of_the_gap_beside_another_cause() -
     assert (found.verdict, found.causes) == ("partial", ("parameter:c_d0",))
 
 
+def test_a_changed_parameter_that_closes_the_gap_as_given_is_named_beside_a_form_error() -> None:
+    """A real model leaves a small share of a large gap, which a refit leaves as well."""
+    held = held_out(1900.0, 1700.0, 1800.0, before=1810.0, as_given=180000.0)
+    found = decide(facts("parameter:c_d0", outside=0.97, held_out=held))
+    assert (found.verdict, found.causes) == ("partial", ("parameter:c_d0",))
+    assert decide(facts("waves", outside=0.97, held_out=held)).causes == ()
+
+
 @pytest.mark.parametrize(("no_gap", "verdict"), [(0.05, "unexplained"), (0.3, "ambiguous")])
 def test_without_a_cause_no_part_of_the_gap_is_closed(no_gap: float, verdict: str) -> None:
     """The held-out errors do not fall, and a cause outside the catalogue is less likely than the effect."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import norm
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.noise import NoiseModel
@@ -532,7 +533,8 @@ class Study:
         problem.whiten = whiten
         points = list(starts)
         if others:
-            points.append(min(others, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2))))
+            # The norm of residuals that diverge stays finite where their squares overflow.
+            points.append(min(others, key=lambda theta: float(norm(problem.residuals(theta)))))
         watch = _brief_watch(tolerance) if brief else None
         found = [
             problem.solve(point, tolerance=tolerance, max_iterations=iterations, secant=True, watch=watch)

@@ -155,8 +155,8 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     share = inside / max(inside + outside, 1e-300)
     found = f"{probability_text(share)} of the probability of a gap"
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
-    _, before, after, expected, _ = _sums(facts.held_out)
-    closes = (share_closed(before, after, expected) or 0.0) >= MOST
+    given, before, after, expected, _ = _sums(facts.held_out)
+    closes = (share_closed(given if _is_change(facts) else before, after, expected) or 0.0) >= MOST
     lowers = share > 0.5 or closes or (share > UNSURE and after <= before and is_imitated(facts))
     otherwise: Verdict = "partial" if lowers else "unexplained"
     yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, otherwise, lowers, reason)
@@ -179,7 +179,7 @@ def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
     it, too. So are those of a cause that a refit imitates.
     """
     needed = f"probability ≥ {percent(CLEAR)}"
-    is_change = all(name.startswith(PREFIX) for name in facts.proposed)
+    is_change = _is_change(facts)
     as_given = is_change or is_imitated(facts)
     if as_given and not is_change:
         reason = f"refitted parameters of the file close the gap on held-out data as well as {names}"
@@ -209,6 +209,11 @@ def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
     yield Row(
         "held-out trials", listed(worse) or "none worse", "none worse", not worse, "ambiguous", True, reason
     )
+
+
+def _is_change(facts: Facts) -> bool:
+    """Return whether all proposed causes are changed parameters."""
+    return all(name.startswith(PREFIX) for name in facts.proposed)
 
 
 def _is_worse(t: HeldOutTrial, as_given: bool) -> bool:
