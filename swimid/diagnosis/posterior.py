@@ -218,6 +218,18 @@ def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
     return noise + known.form * max(gap, 0.0)
 
 
+def price(candidate: Candidate, record: Record, known: Calibration = CALIBRATED) -> float:
+    """Return the log-evidence that a hypothesis loses by its parameters, and by their distance from the prior.
+
+    Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
+    by all of them. Each parameter therefore costs as much as in the BIC. The prior is one more part of the
+    data. No share of the gap excuses a parameter that is far from it.
+    """
+    directions = known.directions * record.parts
+    far = 0.5 * directions * math.log1p(candidate.strain / directions)
+    return 0.5 * math.log(record.samples) * candidate.numbers + far
+
+
 def most(excess: float, record: Record) -> float:
     """Return the maximum log-evidence that a further effect can add to a set of effects with this excess."""
     return 0.5 * CALIBRATED.directions * math.log1p(max(excess, 0.0) / unit(record, 0.0))
@@ -264,12 +276,7 @@ def posterior(
     same = [max(sum(are_twins(c, other) for other in better), 1) for c in candidates]
     known = np.array([0.0, *(prior(len(c.names), record.effects) for c in candidates)])
     known[1:] -= np.log(same)
-    # Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
-    # by all of them. Each parameter therefore costs as much as in the BIC.
-    known -= 0.5 * math.log(record.samples) * np.array([c.numbers for c in every])
-    # The prior is one more part of the data. No share of the gap excuses a parameter that is far from it.
-    directions = calibration.directions * record.parts
-    known -= 0.5 * directions * np.log1p(np.array([c.strain for c in every]) / directions)
+    known -= [price(c, record, calibration) for c in every]
     closes = known[:, None] + 0.5 * calibration.directions * record.parts * (size[0] - size)
     _further(every, known, closes, small, calibration.directions)
     evidence = np.vstack((closes, closes + calibration.outside + 0.5 * calibration.directions * size))

@@ -59,6 +59,8 @@ PROBABLE, CONTENDERS = 1e-4, 6
 SAME_COSINE = 0.95
 #: Maximum number of effects in one hypothesis.
 COMBINED = 3
+#: Maximum number of times that the noise is learnt before sets of effects are tried.
+LEARNT = 3
 
 Key = frozenset[int]
 
@@ -256,6 +258,8 @@ class Search:
     dropouts: Dropouts = field(init=False)
     left: Left = field(init=False)
     odd_trials: dict[str, str] = field(init=False, default_factory=dict)
+    #: Maximum standard deviation of a random effect, in typical scales.
+    largest_sd: float = field(init=False, default=noise.BESIDE_GAP)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
     # ------------------------------------------------------------ fits
@@ -519,18 +523,19 @@ class Search:
         It is the one with more than half of the probability. Otherwise random effects may have absorbed what
         an effect explains. The most probable effects and the model without effects are then compared by
         their restricted likelihoods, each with the random effects of its own residuals, and with the price
-        of its effect.
+        of its effect and of coefficients that are far from their priors.
         """
         study, found = self.study, self.posterior
         if found.sets.get(found.best, 0.0) > 0.5:
             return self.base
+        likeliest = sorted(self.best(1), key=lambda h: -found.known[h.names])
         scores = {}
-        for h in (self.null, *self.best(1)[:PARENTS]):
+        for h in (self.null, *likeliest[:PARENTS]):
             self.prepare([h.effects])
             differing = noise.possible(study, h, self.every)
             known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
-            price = 0.5 * math.log(self.record.samples) * self._candidate(h).numbers
-            scores[h.key] = known.log_likelihood - price - math.log(self.count) * len(h.effects)
+            price = posterior.price(self._candidate(h), self.record) + math.log(self.count) * len(h.effects)
+            scores[h.key] = known.log_likelihood - price
         if not all(math.isfinite(score) for score in scores.values()):
             return self.base if found.sets.get(found.best, 0.0) > found.none else self.null
         return self.pool[max(scores, key=lambda key: scores[key])]
@@ -554,7 +559,25 @@ class Search:
             known = noise.learn(study, fit, [], differing, brief=bool(fit.effects))
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
+        self.largest_sd = largest
         self.change(study.with_noise(known))
+
+    def settle(self) -> None:
+        """Learn the noise until its random effects are those of the leading hypothesis that it leads to.
+
+        The first leading hypothesis was fitted without random effects, and may have absorbed them.
+        """
+        leading = self.leading()
+        for _ in range(LEARNT):
+            self.learn(leading)
+            self.compare()
+            before, leading = leading, self.leading()
+            study = self.study
+            differing = noise.possible(study, leading, self.every)
+            known = noise.with_random_effects(study, leading, study.noise, differing, largest=self.largest_sd)
+            names = [{e.name for e in of.random_effects} for of in (known, study.noise)]
+            if leading.key == before.key and names[0] == names[1]:
+                return
 
     def change(self, study: Study, hypotheses: Sequence[Hypothesis] | None = None) -> None:
         """Continue with another noise model or integration step.
@@ -728,7 +751,7 @@ def run(
                     odd_trials[trial.trial] = said
                     given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])
                     continue
-                search.learn(search.leading())
+                search.settle()
             break
         search.restrict([e for e in effects if asked is None or e.name in asked])
         search.odd_trials, search.dropouts = odd_trials, dropouts

@@ -82,14 +82,15 @@ def draw_fit(
     Returns
     -------
     estimates, stderr : ndarray, shape (k,)
-        Estimates within the bounds and their standard errors, in the units of the parameters.
+        Estimates within the bounds, and their standard errors, in the units of the parameters. The standard
+        errors do not depend on the drawn estimates.
     correlation : ndarray, shape (k, k)
     """
     sd = np.sqrt(np.diag(covariance))
     while True:
         estimates = values * (1.0 + rng.multivariate_normal(np.zeros(len(sd)), covariance))
         if np.all((estimates > 0.05 * values) & (estimates < upper)):
-            return estimates, sd * estimates, covariance / np.outer(sd, sd)
+            return estimates, sd * values, covariance / np.outer(sd, sd)
 
 
 def stacked(
