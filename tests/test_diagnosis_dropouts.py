@@ -43,6 +43,16 @@ def test_no_sample_fails_in_clean_noise(seed: int) -> None:
     assert looked(TRUE + noise, 0.95 * TRUE + 0.02 * np.sin(TIME)).count == 0
 
 
+def test_readings_that_are_rounded_do_not_fail_at_slow_motion() -> None:
+    """A robot that hovers moves by less than the last digit of its position, and its model drifts away."""
+    slow = 0.0005 * TIME + 0.0008 * np.sin(0.8 * TIME)
+    for drift in (0.0, 0.01):
+        assert looked(np.round(slow, 3), slow + drift * TIME + 1e-4 * np.sin(2.0 * TIME)).count == 0
+    stopped = np.round(TRUE, 3)
+    stopped[100:130] = stopped[100]
+    assert looked(stopped).count >= 25
+
+
 def test_a_frozen_marker_is_detected(tracked: np.ndarray) -> None:
     hit = (TIME >= 4.0) & (TIME < 5.0)
     tracked[hit] = tracked[np.argmax(hit)]

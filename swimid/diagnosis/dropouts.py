@@ -16,6 +16,7 @@ from swimid.diagnosis.gap_file import Cause, Shrinkage, Value
 from swimid.diagnosis.study import rms
 from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Array, Trial
+from swimid.logs.sampling import step_of
 
 if TYPE_CHECKING:
     from swimid.diagnosis.search import Search
@@ -140,11 +141,17 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     kinds = np.full(len(values), "", dtype="U9")
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(simulated))
     x, r = values[there], (values - simulated)[there]
-    size = _robust(np.diff(r))
+    # The variance of the error of values that are rounded to a step q is q² / 12.
+    rounded = step_of(x)
+    size = max(_robust(np.diff(r)), (rounded or 0.0) / math.sqrt(6.0))
     if size <= 0:
         return kinds
     for rows in _runs(np.concatenate(([False], np.diff(x) == 0.0))):
-        if len(rows) + 1 >= FROZEN and np.ptp(simulated[there][rows[0] - 1 : rows[-1] + 1]) > MOVED * size:
+        if len(rows) + 1 < FROZEN or np.ptp(simulated[there][rows[0] - 1 : rows[-1] + 1]) <= MOVED * size:
+            continue
+        # Rounded values also repeat while a robot rests. A frozen marker jumps when it is tracked again.
+        after = x[rows[-1] + 1 : rows[-1] + 2]
+        if rounded is None or (np.abs(after - x[rows[-1]]) > JUMP * size).any():
             kinds[there[rows]] = "frozen"
     smooth = median_filter(r, size=5, mode="nearest")
     spikes = there[np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))]

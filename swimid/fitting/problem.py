@@ -485,6 +485,8 @@ class Problem:
 MIN_AGREEMENT = 0.9
 #: Maximum length of the correction of a step for curvature, as a fraction of the length of the step.
 MAX_CORRECTION = 0.75
+#: Decrease of the cost by an undamped step, in units of the noise variance, above which a search continues.
+MIN_REST = 1.0
 #: Minimum decrease of the cost by a step, as a fraction of the predicted decrease, that allows a secant
 #: update instead of new derivatives.
 SECANT_AGREEMENT = 0.75
@@ -614,6 +616,19 @@ def minimise(
                 reason = tell(x, cost, iteration)
                 # End only with new derivatives, because a secant update may be the reason for a small step.
                 if still and not age:
+                    # Damping hides a direction that the data hardly determine, and a prior does.
+                    whole = _step(
+                        normal,
+                        rows.gradient(r),
+                        1e-12 * size**2,
+                        (lower - x) / scale,
+                        (upper - x) / scale,
+                        blocked,
+                    )
+                    rest = attempt(x, whole)
+                    if cost - rest.cost > MIN_REST:
+                        x, r, cost = rest.x, rest.residuals, rest.cost
+                        break
                     reason = STILL
                 if reason is not None:
                     return Solution(x, cost, True, reason, iteration)
