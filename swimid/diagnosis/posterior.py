@@ -219,7 +219,7 @@ def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
 
 
 def price(candidate: Candidate, record: Record, known: Calibration = CALIBRATED) -> float:
-    """Return the log-evidence that a hypothesis loses by its parameters, and by their distance from the prior.
+    """Return the log-evidence that a hypothesis loses by its parameters, and by their distance from priors.
 
     Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
     by all of them. Each parameter therefore costs as much as in the BIC. The prior is one more part of the

@@ -614,24 +614,18 @@ def minimise(
                 still = small or (lowered <= tolerance * cost and predicted <= 10 * tolerance * cost)
                 x, r, cost = tried.x, tried.residuals, tried.cost
                 reason = tell(x, cost, iteration)
+                done = reason is not None
                 # End only with new derivatives, because a secant update may be the reason for a small step.
+                # Damping may be one as well, in a direction that the data hardly determine and a prior does.
                 if still and not age:
-                    # Damping hides a direction that the data hardly determine, and a prior does.
-                    whole = _step(
-                        normal,
-                        rows.gradient(r),
-                        1e-12 * size**2,
-                        (lower - x) / scale,
-                        (upper - x) / scale,
-                        blocked,
+                    solve = partial(_step, normal, damping=1e-12 * size**2, blocked=blocked)
+                    rest = attempt(
+                        x, solve(rows.gradient(r), low=(lower - x) / scale, high=(upper - x) / scale)
                     )
-                    rest = attempt(x, whole)
-                    if cost - rest.cost > MIN_REST:
-                        x, r, cost = rest.x, rest.residuals, rest.cost
-                        break
-                    reason = STILL
-                if reason is not None:
-                    return Solution(x, cost, True, reason, iteration)
+                    done, reason = done or cost - rest.cost <= MIN_REST, STILL
+                    x, r, cost = min((x, r, cost), (rest.x, rest.residuals, rest.cost), key=lambda t: t[-1])
+                if done:
+                    return Solution(x, cost, True, reason or STILL, iteration)
                 if secant and gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still:
                     rows, age, renew = rows.updated(off, tried.step, size**2), age + 1, False
                 break

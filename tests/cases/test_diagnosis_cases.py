@@ -69,7 +69,8 @@ def test_damping_that_was_added_to_a_real_decay_is_named_beside_what_remains(
         "added-mass",
     }
     assert file.causes[0].parameters["linear_drag"].value == pytest.approx(25.3, rel=0.15)
-    assert file.closed is not None and file.closed.share is not None
+    assert file.closed is not None
+    assert file.closed.share is not None
     assert file.closed.share > 0.98
 
 
