@@ -127,6 +127,25 @@ class TestMinimise:
         assert strict.iterations > loose.iterations
         assert abs(strict.x[0]) < abs(loose.x[0])
 
+    def test_a_prior_determines_what_the_data_leave_open_beside_a_large_misfit(
+        self, rng: np.random.Generator
+    ) -> None:
+        """The data determine force over mass only. The prior of the force is below the tolerance of the cost."""
+        seen = 12500.0 * np.linspace(0.0, 2.0, 2000) ** 2
+        measured = 9.4 * seen + 30.0 * rng.normal(size=2000)
+
+        def residuals(p: np.ndarray) -> np.ndarray:
+            return np.append(seen * p[0] / p[1] - measured, (p[0] - 0.408) / 0.004)
+
+        def derivatives(p: np.ndarray) -> np.ndarray:
+            data = np.column_stack((seen / p[1], -seen * p[0] / p[1] ** 2))
+            return np.vstack((data, [[1.0 / 0.004, 0.0]]))
+
+        box = Box(np.array([0.05, 0.007]), np.array([2.0, 0.237]), np.array([0.4, 0.0037]))
+        start = np.array([0.348, 0.037])
+        found = minimise(residuals, derivatives, start, box, tolerance=1e-3, secant=True)
+        assert found.x == pytest.approx([0.408, 0.408 / 9.4], rel=5e-4)
+
     def test_a_slow_search_is_ended_and_named(self) -> None:
         """Derivatives ten times too large, far from the optimum."""
         found = minimise(
