@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import candidates, noise, odd, posterior, remainder
+from swimid.diagnosis import candidates, crossval, noise, odd, posterior, remainder
 from swimid.diagnosis.candidates import Tried
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
@@ -520,25 +520,28 @@ class Search:
     def leading(self) -> Hypothesis:
         """Return the hypothesis from whose residuals the noise is estimated.
 
-        It is the one with more than half of the probability. Otherwise random effects may have absorbed what
-        an effect explains. The most probable effects and the model without effects are then compared by
-        their restricted likelihoods, each with the random effects of its own residuals, and with the price
-        of its effect and of coefficients that are far from their priors.
+        Random effects of the trials change which hypothesis is probable. The most probable effects and the
+        model without effects are therefore compared by :meth:`likelihood`.
         """
-        study, found = self.study, self.posterior
-        if found.sets.get(found.best, 0.0) > 0.5:
-            return self.base
-        likeliest = sorted(self.best(1), key=lambda h: -found.known[h.names])
-        scores = {}
-        for h in (self.null, *likeliest[:PARENTS]):
-            self.prepare([h.effects])
-            differing = noise.possible(study, h, self.every)
-            known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
-            price = posterior.price(self._candidate(h), self.record) + math.log(self.count) * len(h.effects)
-            scores[h.key] = known.log_likelihood - price
+        known = self.posterior.known
+        likeliest = sorted(self.best(1), key=lambda h: -known[h.names])
+        scores = {h.key: self.likelihood(h) for h in (self.null, *likeliest[:CONTENDERS])}
         if not all(math.isfinite(score) for score in scores.values()):
-            return self.base if found.sets.get(found.best, 0.0) > found.none else self.null
+            return self.base if known.get(self.posterior.best, 0.0) > self.posterior.none else self.null
         return self.pool[max(scores, key=lambda key: scores[key])]
+
+    def likelihood(self, h: Hypothesis) -> float:
+        """Return the restricted log-likelihood of a hypothesis with the random effects of its own residuals.
+
+        It pays for its effects, and for coefficients that are far from their priors.
+        """
+        study = self.study
+        self.prepare([h.effects])
+        differing = noise.possible(study, h, self.every)
+        known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
+        strain = crossval.strain(crossval.normal_equations(study.with_noise(known), h))
+        price = posterior.price(replace(self._candidate(h), strain=strain), self.record)
+        return known.log_likelihood - price + posterior.prior(len(h.names), self.count) * bool(h.names)
 
     def learn(self, leading: Hypothesis) -> None:
         """Estimate the noise from the residuals of the leading hypothesis, and refit the contenders.
@@ -787,8 +790,8 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
         larger = min(search.best(size + 1), key=lambda h: h.deviance, default=best)
         if best.deviance - larger.deviance < posterior.unit(search.record, 0.0):
             break
-        # The noise was estimated from residuals that may contain what the larger set explains.
-        search.learn(larger)
+        # The noise was estimated from residuals that may contain what a larger set explains.
+        search.learn(max(search.best(size + 1)[:PARENTS], key=search.likelihood))
         search.compare()
         if len(search.base.names) <= size:
             break  # with the noise model of the larger set, that set is not needed
