@@ -30,6 +30,11 @@ SURE = 0.8
 MOST = 0.5
 #: Minimum probability that the causes reduce the errors on held-out data.
 CLEAR = 0.95
+#: Minimum decrease of the deviance of the other held-out parts with which their decrease is clear: strong
+#: evidence (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90, 1995, 773-795).
+LEAST_DECREASE = 6.0
+#: Number of random weights of the held-out parts.
+WEIGHTINGS = 1000
 #: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
 #: of nearly equal numbers.
 LEAST_GAP = 0.04
@@ -87,9 +92,11 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
     if causes or facts.failed_samples:
         verdicts.append("explained")
     found = max(verdicts, key=ORDER.index)
-    if found == "partial" and not causes:
+    if found == "partial" and (facts.no_gap or 0.0) > UNSURE:
+        found = "ambiguous"
+    elif found == "partial" and not causes:
         # Without a cause, nothing closes a part of the gap.
-        found = "ambiguous" if (facts.no_gap or 0.0) > UNSURE else "unexplained"
+        found = "unexplained"
     return Decision(found, causes)
 
 
@@ -233,33 +240,34 @@ def is_imitated(facts: Facts) -> bool:
 def probability_of_decrease(facts: Facts, *, as_given: bool = False) -> float:
     """Return the probability that the causes reduce the error of held-out data.
 
-    It is the larger one of two: that of a t test of the decreases of the deviance of the held-out parts, and
-    the posterior probability that the deviance of most parts decreases, from the number of decreases and a
-    uniform prior (Benavoli et al. 2014). With one part it is one half, because nothing shows how much parts
-    differ. It is zero if the sum of the deviances does not fall, or that of the squared errors, unless noise
-    explains them. The squared errors must also be below those of the parameters as given.
+    The part whose deviance decreases most is left out, so that no part carries the decrease alone. The
+    others get random weights (Bayesian bootstrap). The probability is at most one half if they decrease by
+    less than :data:`LEAST_DECREASE` together, or if there is one part only, because nothing shows how much
+    parts differ. It is zero if the sum of the deviances does not fall, or that of the squared errors, unless
+    noise explains them. The squared errors must also be below those of the parameters as given.
 
     Parameters
     ----------
     as_given : bool
         Whether the causes are compared with the parameters as given, and not with their refit.
+
+    References
+    ----------
+    .. [1] D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9(1), 1981.
     """
     lowered = _gains(facts, as_given)
-    n = len(lowered)
     given, before, after, _, _ = _sums(facts.held_out)
     grows = not after < (given if as_given else min(given, before)) and any(
         t.after > t.limit for t in facts.held_out.values()
     )
     if grows or not lowered.sum() > 0.0:
         return 0.0
-    if n < 2:
+    rest = np.sort(lowered)[:-1]
+    if not len(rest):
         return 0.5
-    error = float(np.std(lowered, ddof=1)) / math.sqrt(n)
-    mean = float(np.mean(lowered))
-    by_size = float(special.stdtr(n - 1, mean / error)) if error > 0.0 else float(mean > 0.0)
-    decreases = int(np.sum(lowered > 0.0))
-    by_sign = float(special.betaincc(decreases + 1, n - decreases + 1, 0.5))
-    return max(by_size, by_sign)
+    weights = np.random.default_rng(0).dirichlet(np.ones(len(rest)), WEIGHTINGS)
+    falls = float(np.mean(weights @ rest > 0.0))
+    return falls if rest.sum() >= LEAST_DECREASE else min(falls, 0.5)
 
 
 def _gains(facts: Facts, as_given: bool) -> np.ndarray:
