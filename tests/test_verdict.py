@@ -283,7 +283,7 @@ def test_no_part_carries_the_decrease_alone() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6])
 def test_noise_alone_rarely_decreases_the_errors(count: int, rng: np.random.Generator) -> None:
-    """Each deviance changes by the difference of two chi-squared variables: two parameters without meaning."""
+    """Two parameters without meaning change a deviance by the difference of two chi-squared variables."""
     draws = rng.chisquare(2, (400, count)) - rng.chisquare(2, (400, count))
     passed = [probability_of_decrease(facts("waves", held_out=parts(*d.tolist()))) >= 0.95 for d in draws]
     assert np.mean(passed) < 0.05
