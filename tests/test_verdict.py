@@ -240,6 +240,16 @@ def test_a_changed_parameter_that_closes_the_gap_as_given_is_named_beside_a_form
     assert decide(facts("waves", outside=0.97, held_out=held)).causes == ()
 
 
+def test_a_gap_that_may_not_be_there_leaves_nothing_unexplained() -> None:
+    """A rig in which nothing is wrong: no gap is the likeliest answer, and no error is above its limit."""
+    held = held_out(101.0, 99.0, 100.0, before=100.0)
+    assert decide(facts("waves", no_gap=0.47, outside=0.39, held_out=held)).verdict == "ambiguous"
+    assert (
+        decide(facts("waves", no_gap=0.47, outside=0.39, held_out=parts(900.0, 800.0, 700.0))).verdict
+        == "ambiguous"
+    )
+
+
 @pytest.mark.parametrize(("no_gap", "verdict"), [(0.05, "unexplained"), (0.3, "ambiguous")])
 def test_without_a_cause_no_part_of_the_gap_is_closed(no_gap: float, verdict: str) -> None:
     """The held-out errors do not fall, and a cause outside the catalogue is less likely than the effect."""

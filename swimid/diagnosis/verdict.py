@@ -92,7 +92,9 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
     if causes or facts.failed_samples:
         verdicts.append("explained")
     found = max(verdicts, key=ORDER.index)
-    if found == "partial" and (facts.no_gap or 0.0) > UNSURE:
+    is_doubtful = facts.proposed and any(row.question == "gap" for row in failed)
+    if is_doubtful and not (facts.diverged or facts.unreproduced):
+        # A gap that may not be there leaves nothing unexplained.
         found = "ambiguous"
     elif found == "partial" and not causes:
         # Without a cause, nothing closes a part of the gap.
