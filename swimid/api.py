@@ -27,7 +27,7 @@ _NAMES_OF = {
     # Functions that import logs and fit a model of a user.
     "swimid.logs.import_log": ("import_log",),
     "swimid.logs.mapping": ("guess_mapping",),
-    "swimid.fitting.fit_common": ("fit_model",),
+    "swimid.fitting.fit": ("fit_model",),
     # Classes of results.
     "swimid.tracking.track_camera": ("Calibration",),
     "swimid.simulation.simulate": ("Simulation",),

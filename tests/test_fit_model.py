@@ -9,7 +9,7 @@ import pytest
 
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.provenance import Held
-from swimid.fitting.fit_common import fit_model
+from swimid.fitting.fit import fit_model
 from swimid.fitting.model import Trial
 from swimid.results.parameters import Fitted
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials

@@ -9,8 +9,8 @@ import pytest
 
 from swimid.fitting import output_error
 from swimid.fitting import uncertainty as idn
+from swimid.fitting.model import share
 from swimid.fitting.output_error import FitResult
-from swimid.fitting.parameter_map import share
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
 
 TOTAL = float(np.dot(WEIGHTS, FRICTION_TRUTH[1:]))

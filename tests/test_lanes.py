@@ -18,8 +18,7 @@ import pytest
 
 from swimid.effects import catalogue as effect_catalogue
 from swimid.fitting import drives
-from swimid.fitting.model import SwimInput, Trial
-from swimid.fitting.parameter_map import share
+from swimid.fitting.model import SwimInput, Trial, share
 from swimid.fitting.problem import Problem
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid

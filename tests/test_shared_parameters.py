@@ -9,8 +9,8 @@ import pytest
 
 from swimid.errors import UsageError
 from swimid.fitting import output_error
-from swimid.fitting.model import Trial
-from swimid.fitting.parameter_map import ParameterMap, expand, groups_by_prefix, share
+from swimid.fitting.model import Trial, expand, groups_by_prefix, share
+from swimid.fitting.problem import Problem
 from tests.toy_models import FRICTION, Toy, friction, parameter
 
 TRIAL = Trial("t", "fit", np.linspace(0, 3, 20), {})
@@ -20,21 +20,21 @@ MEMBERS = ("c_f0", "c_f13", "c_f4")
 def test_every_member_has_the_shared_value() -> None:
     shared = share(FRICTION, {"c_f": MEMBERS})
     assert [p.name for p in shared] == ["thrust", "c_f"]
-    mapped = ParameterMap([p.name for p in FRICTION], shared, [TRIAL])
-    assert mapped.labels == ["thrust", "c_f"]
-    assert mapped.values(np.array([2.0, 0.7]), 0).tolist() == [2.0, 0.7, 0.7, 0.7]
+    problem = Problem(Toy(friction, FRICTION), shared, [TRIAL])
+    assert problem.labels == ["thrust", "c_f"]
+    assert problem.vector(np.array([2.0, 0.7]), 0).tolist() == [2.0, 0.7, 0.7, 0.7]
 
 
 def test_fixed_and_own_values_take_their_places() -> None:
     own = replace(FRICTION[1], per_trial=True)
     parameters = (replace(FRICTION[0], free=False, start=9.0), own, *FRICTION[2:])
     other = replace(TRIAL, id="u", starts={"c_f0": 0.25})
-    mapped = ParameterMap([p.name for p in FRICTION], parameters, [TRIAL, other])
-    assert mapped.labels == ["c_f0[t]", "c_f0[u]", "c_f13", "c_f4"]
-    assert mapped.start[1] == 0.25
+    problem = Problem(Toy(friction, FRICTION), parameters, [TRIAL, other])
+    assert problem.labels == ["c_f0[t]", "c_f0[u]", "c_f13", "c_f4"]
+    assert problem.start[1] == 0.25
     theta = np.array([1.0, 2.0, 3.0, 4.0])
-    assert [mapped.values(theta, k).tolist() for k in (0, 1)] == [[9.0, 1.0, 3.0, 4.0], [9.0, 2.0, 3.0, 4.0]]
-    assert [taken.tolist() for taken in mapped.taken] == [[0, 2, 3], [1, 2, 3]]
+    assert [problem.vector(theta, k).tolist() for k in (0, 1)] == [[9.0, 1.0, 3.0, 4.0], [9.0, 2.0, 3.0, 4.0]]
+    assert [taken.tolist() for taken in problem.taken] == [[0, 2, 3], [1, 2, 3]]
 
 
 def test_a_fit_estimates_the_shared_value(rng: np.random.Generator) -> None:

@@ -1,13 +1,21 @@
-"""``fit``: identification of the model of any experiment, from its trials file."""
+"""``fit``: identification of the model of any experiment, from its trials file or from trials in memory."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from swimid.fitting.fit_common import fit_model, load_experiment
+from swimid.errors import UsageError
+from swimid.files import atomic, provenance
+from swimid.files.provenance import Input
+from swimid.fitting import fit_common, output_error
+from swimid.fitting.model import Model, Trial, chosen
 from swimid.fitting.options import FitOptions
 from swimid.logs.experiments import read_experiments
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, silent
+from swimid.notices import Progress, automatic, recorded, silent
 from swimid.options import takes
+from swimid.results import evidence as ev
 from swimid.results.parameters import Fitted
 
 
@@ -80,7 +88,7 @@ def fit(
     """
     if not isinstance(trials, TrialSet):
         trials = TrialSet.read(trials, read_experiments(*options.own_experiments))
-    experiment = load_experiment(trials, command="fit")
+    experiment = fit_common.load_experiment(trials, command="fit")
     return fit_model(
         experiment.model,
         experiment.trials,
@@ -92,3 +100,120 @@ def fit(
         output=output,
         progress=progress,
     )
+
+
+def fit_model(
+    model: Model,
+    trials: Sequence[Trial],
+    *,
+    fixed: Mapping[str, float] | None = None,
+    freed: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    robot: str = "",
+    inputs: Sequence[Input] = (),
+    output: str | Path | None = None,
+    progress: Progress = automatic,
+) -> Fitted:
+    """Estimate the parameters of any model from trials in memory, with all checks and figures of a fit.
+
+    Convergence does not show that the model is right: look at ``.verdict``, and at the checks of the
+    residuals in ``.checks()``.
+
+    Parameters
+    ----------
+    model : Model
+        Model that simulates a trial from parameter values.
+    trials : sequence of Trial
+        Trials to fit. Trials of the role ``validate`` are held out: they are simulated and scored, not
+        fitted.
+    fixed : mapping of name to float, optional
+        Values of parameters that are not estimated, in the units of the parameters.
+    freed : sequence of str
+        Names of parameters that are estimated although the model fixes them by default.
+    bounds : mapping of name to (lower, upper), optional
+        Bounds that replace those of the model, in the units of the parameters.
+    robot : str
+        Name of the robot, for the parameter file.
+    inputs : sequence of paths or objects
+        Sources of the trials for the provenance: the ``log.source`` of each log.
+    output : path, optional
+        Parameter file to write, together with its evidence file. By default nothing is written.
+    progress : Progress
+        Progress bar of the search.
+
+    Returns
+    -------
+    Fitted
+        ``.parameters`` has the value, standard error and 95 % interval of each parameter, in its unit.
+        ``.correlation``, ``.converged`` and ``.verdict`` show whether the parameters can be trusted.
+
+    Raises
+    ------
+    UsageError
+        If the model does not have a named parameter, or no trial has the role ``fit``.
+    InputError
+        If the output cannot be written.
+    NoTrustworthyResult
+        If the search does not converge, or no parameter can be identified.
+
+    See Also
+    --------
+    swimid.fitting.output_error.fit : the estimator, and a description of its method.
+
+    References
+    ----------
+    .. [1] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error and coloured residuals.
+
+    Examples
+    --------
+    A body coasts from 1 m/s against a quadratic drag:
+
+    >>> import numpy as np
+    >>> from swimid import Channel, Model, Parameter, Trial
+    >>> class Coasting(Model):
+    ...     name = "coasting"
+    ...     parameters = (Parameter("drag_per_m", "1/m", lower=0.0, upper=10.0, start=1.0, scale=1.0),)
+    ...     channels = (Channel("x_m", "m", "way"),)
+    ...
+    ...     def simulate(self, values, trial):
+    ...         return {"x_m": np.log1p(values[0] * trial.time_s) / values[0]}
+    >>> t = np.arange(200) / 50
+    >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
+    >>> fit = fit_model(Coasting(), [Trial("run 1", "fit", time_s=t, measured={"x_m": way})])
+    >>> round(fit["drag_per_m"].value, 2), fit.verdict
+    (0.5, 'caution')
+    """
+    if not any(trial.role == "fit" for trial in trials):
+        raise UsageError("there is no trial to fit")
+    target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
+    with recorded(repeat=True) as notices:
+        parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
+        result = output_error.fit(model, trials, parameters=parameters, progress=progress)
+        result = output_error.complete(result)
+        settings = {
+            "fixed": dict(fixed or {}),
+            "freed": list(freed),
+            "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
+        }
+        origin = provenance.collect(inputs, settings=settings)
+        file = fit_common.parameter_file(result, robot=robot, provenance=origin)
+        tested = fit_common.checks(result)
+    fit_common.insist_identified(result, "use more trials, and such as differ more")
+    fitted_trials = sum(trial.role == "fit" for trial in trials)
+    whose = f"{model.name} of {robot}" if robot else model.name
+    evidence = ev.Evidence(
+        command="fit",
+        title=f"Fit of {whose}",
+        verdict=ev.judged(fit_common.answer(file), tested),
+        checks=tested,
+        figures=fit_common.figures(result),
+        notices=ev.notices(notices),
+        methods=[
+            f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) "
+            f"({result.samples} samples) by output-error maximum likelihood with the model {model.name}.",
+            fit_common.COVARIANCE,
+        ],
+        provenance=origin,
+    )
+    return Fitted.of(file, evidence).saved(target)

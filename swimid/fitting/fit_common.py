@@ -1,7 +1,4 @@
-"""Functions that all fits use: reading logs, scoring, parameter file, checks and figures.
-
-The module also fits a user-defined model (:func:`fit_model`).
-"""
+"""Functions that all fits use: reading logs, scoring, parameter file, checks and figures."""
 
 from __future__ import annotations
 
@@ -16,11 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
-from swimid.files import atomic, provenance
+from swimid.errors import InputError, Interrupted, NoTrustworthyResult
+from swimid.files import atomic
 from swimid.files.kernels import numba
 from swimid.files.provenance import Input
-from swimid.fitting import output_error, steps
+from swimid.fitting import steps
 from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
 from swimid.fitting.output_error import FitResult
@@ -38,10 +35,10 @@ from swimid.logs.experiments import TrialEntry, Trials
 from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held, white_noise_sd
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, automatic, recorded, warn
+from swimid.notices import warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
+from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, spoken
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot, locate
 
@@ -1053,123 +1050,3 @@ def answer(file: ParameterFile) -> str:
     if len(parts) > 3:
         parts[3:] = [f"and {len(parts) - 3} more"]
     return f"{'; '.join(parts) or 'Nothing was estimated'}."
-
-
-# ---------------------------------------------------------------- a model of one's own
-
-
-def fit_model(
-    model: Model,
-    trials: Sequence[Trial],
-    *,
-    fixed: Mapping[str, float] | None = None,
-    freed: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    robot: str = "",
-    inputs: Sequence[Input] = (),
-    output: str | Path | None = None,
-    progress: Progress = automatic,
-) -> Fitted:
-    """Estimate the parameters of any model from trials in memory, with all checks and figures of a fit.
-
-    Convergence does not show that the model is right: look at ``.verdict``, and at the checks of the
-    residuals in ``.checks()``.
-
-    Parameters
-    ----------
-    model : Model
-        Model that simulates a trial from parameter values.
-    trials : sequence of Trial
-        Trials to fit. Trials of the role ``validate`` are held out: they are simulated and scored, not
-        fitted.
-    fixed : mapping of name to float, optional
-        Values of parameters that are not estimated, in the units of the parameters.
-    freed : sequence of str
-        Names of parameters that are estimated although the model fixes them by default.
-    bounds : mapping of name to (lower, upper), optional
-        Bounds that replace those of the model, in the units of the parameters.
-    robot : str
-        Name of the robot, for the parameter file.
-    inputs : sequence of paths or objects
-        Sources of the trials for the provenance: the ``log.source`` of each log.
-    output : path, optional
-        Parameter file to write, together with its evidence file. By default nothing is written.
-    progress : Progress
-        Progress bar of the search.
-
-    Returns
-    -------
-    Fitted
-        ``.parameters`` has the value, standard error and 95 % interval of each parameter, in its unit.
-        ``.correlation``, ``.converged`` and ``.verdict`` show whether the parameters can be trusted.
-
-    Raises
-    ------
-    UsageError
-        If the model does not have a named parameter, or no trial has the role ``fit``.
-    InputError
-        If the output cannot be written.
-    NoTrustworthyResult
-        If the search does not converge, or no parameter can be identified.
-
-    See Also
-    --------
-    swimid.fitting.output_error.fit : the estimator, and a description of its method.
-
-    References
-    ----------
-    .. [1] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
-       Output error and coloured residuals.
-
-    Examples
-    --------
-    A body coasts from 1 m/s against a quadratic drag:
-
-    >>> import numpy as np
-    >>> from swimid import Channel, Model, Parameter, Trial
-    >>> class Coasting(Model):
-    ...     name = "coasting"
-    ...     parameters = (Parameter("drag_per_m", "1/m", lower=0.0, upper=10.0, start=1.0, scale=1.0),)
-    ...     channels = (Channel("x_m", "m", "way"),)
-    ...
-    ...     def simulate(self, values, trial):
-    ...         return {"x_m": np.log1p(values[0] * trial.time_s) / values[0]}
-    >>> t = np.arange(200) / 50
-    >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
-    >>> fit = fit_model(Coasting(), [Trial("run 1", "fit", time_s=t, measured={"x_m": way})])
-    >>> round(fit["drag_per_m"].value, 2), fit.verdict
-    (0.5, 'caution')
-    """
-    if not any(trial.role == "fit" for trial in trials):
-        raise UsageError("there is no trial to fit")
-    target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
-    with recorded(repeat=True) as notices:
-        parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
-        result = output_error.fit(model, trials, parameters=parameters, progress=progress)
-        result = output_error.complete(result)
-        settings = {
-            "fixed": dict(fixed or {}),
-            "freed": list(freed),
-            "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
-        }
-        origin = provenance.collect(inputs, settings=settings)
-        file = parameter_file(result, robot=robot, provenance=origin)
-        tested = checks(result)
-    insist_identified(result, "use more trials, and such as differ more")
-    fitted_trials = sum(trial.role == "fit" for trial in trials)
-    whose = f"{model.name} of {robot}" if robot else model.name
-    evidence = ev.Evidence(
-        command="fit",
-        title=f"Fit of {whose}",
-        verdict=ev.judged(answer(file), tested),
-        checks=tested,
-        figures=figures(result),
-        notices=ev.notices(notices),
-        methods=[
-            f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) "
-            f"({result.samples} samples) by output-error maximum likelihood with the model {model.name}.",
-            COVARIANCE,
-        ],
-        provenance=origin,
-    )
-    return Fitted.of(file, evidence).saved(target)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -37,6 +38,7 @@ MEAN_SPEED = "mean_speed_m_s"
 #: measurement noise from lengthening the path.
 STRETCHES = 12
 Outcome = TypeVar("Outcome")
+Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True)
@@ -946,6 +948,106 @@ def chosen(
             parameter = replace(parameter, free=True)
         result.append(parameter)
     return tuple(result)
+
+
+def share(parameters: Sequence[Parameter], groups: Mapping[str, Sequence[str]]) -> tuple[Parameter, ...]:
+    """Return parameters in which each group is replaced by one shared parameter.
+
+    The shared parameter has the index of the first member of its group. Its start value is the mean of the
+    members' start values. Its bounds are the intersection of the members' bounds. Its scale is the largest
+    scale of the members.
+
+    Parameters
+    ----------
+    groups : mapping of name to sequence of str
+        Name of each shared parameter, and the names of its members.
+
+    Raises
+    ------
+    UsageError
+        If a member is unknown or belongs to two groups, if the name is already used, or if members differ in
+        unit or have no common value within their bounds.
+    """
+    known = {p.name: p for p in parameters}
+    owner: dict[str, str] = {}
+    for name, members in groups.items():
+        for member in members:
+            if member not in known:
+                raise UsageError(f"there is no parameter '{member}'", hint=suggestion(member, list(known)))
+            if member in owner:
+                raise UsageError(f"{member} is shared twice: as {owner[member]} and as {name}")
+            owner[member] = name
+        if name in known and name not in members:
+            raise UsageError(f"the name {name} is taken by a parameter that does not share it")
+    found: dict[str, Parameter] = {}
+    for p in parameters:
+        name = owner.get(p.name, p.name)
+        if name not in found:
+            found[name] = _shared(name, [known[m] for m in groups[name]]) if p.name in owner else p
+    return tuple(found.values())
+
+
+def _shared(name: str, members: Sequence[Parameter]) -> Parameter:
+    """Return the parameter that its members share."""
+    first = members[0]
+    for other in members[1:]:
+        if (other.unit, other.per_trial) != (first.unit, first.per_trial):
+            both = f"{first.name} ({first.unit}) and {other.name} ({other.unit})"
+            raise UsageError(f"{both} cannot share a value")
+    names = tuple(m.name for m in members)
+    lower, upper = max(m.lower for m in members), min(m.upper for m in members)
+    if lower > upper:
+        raise UsageError(f"no value lies within the bounds of all of {', '.join(names)}")
+    return replace(
+        first,
+        name=name,
+        lower=lower,
+        upper=upper,
+        start=float(np.clip(np.mean([m.start for m in members]), lower, upper)),
+        scale=max(m.scale for m in members),
+        free=any(m.free for m in members),
+        meaning=f"one value for {', '.join(names)}",
+        source="",
+        members=names,
+    )
+
+
+def groups_by_prefix(parameters: Sequence[Parameter], prefix: str) -> dict[str, tuple[str, ...]]:
+    """Return one group with all parameters whose name is the prefix followed by digits.
+
+    Raises
+    ------
+    UsageError
+        If fewer than two parameters match. The hint has the nearest prefix.
+    """
+    members = tuple(p.name for p in parameters if re.fullmatch(re.escape(prefix) + r"\d+", p.name))
+    if len(members) < 2:
+        stems = [re.sub(r"\d+$", "", p.name) for p in parameters if re.search(r"\d+$", p.name)]
+        several = sorted({s for s in stems if stems.count(s) > 1})
+        hint = suggestion(prefix, several)
+        raise UsageError(f"there are no parameters to share as '{prefix}'", hint=hint)
+    return {prefix: members}
+
+
+def values_of(model: Model, parameters: Sequence[Parameter], known: Mapping[str, float]) -> Array:
+    """Return the values of a model's parameters from the value of each parameter of a fit."""
+    expanded = expand(parameters, known)
+    return np.array([expanded[p.name] for p in model.parameters])
+
+
+def expand(parameters: Sequence[Parameter], entries: Mapping[str, Entry]) -> dict[str, Entry]:
+    """Return entries by parameter, with each shared parameter replaced by its members.
+
+    The keys are parameter names or ``name[trial]``. Each member has the entry of the shared parameter, and so
+    its standard error. The members are fully correlated.
+    """
+    groups = {p.name: p.members for p in parameters if p.members}
+    found: dict[str, Entry] = {}
+    for label, entry in entries.items():
+        name, bracket, rest = label.partition("[")
+        for member in groups.get(name, (name,)):
+            found[member + bracket + rest] = entry
+    return found
 
 
 class Scales:

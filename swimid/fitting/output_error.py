@@ -21,8 +21,7 @@ from threadpoolctl import threadpool_limits
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise, steps, uncertainty
 from swimid.fitting.intervals import Differences, compute_errors
-from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.parameter_map import values_of
+from swimid.fitting.model import Array, Model, Parameter, Trial, values_of
 from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Blocks, Patience, Problem, minimise
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import Progress, show, silent, warn

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from swimid.files import isolated
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.parameter_map import ParameterMap
 
 #: Minimum duration of one simulation, s, above which several simulations are divided among threads.
 WORTH_A_THREAD = 3e-4
@@ -155,7 +154,10 @@ def _product(part: Array, other: Array) -> Array:
 class Problem:
     """Least-squares problem: weighted residuals of trials and their derivatives, for given unknowns.
 
-    Simulations and derivatives are cached without weights, so that new weights need no new simulation.
+    The values of the model's parameters in trial k are ``A_k theta + b`` with the unknowns theta. A fixed
+    parameter is an entry of b. An estimated one is an unknown that all trials share, or one unknown for each
+    trial. Several parameters of the model may share one unknown (:attr:`Parameter.members`). Simulations and
+    derivatives are cached without weights, so that new weights need no new simulation.
 
     Parameters
     ----------
@@ -165,9 +167,13 @@ class Problem:
 
     Attributes
     ----------
-    map : ParameterMap
-        Values of the model's parameters in each trial. It has the ``labels`` and ``slots`` of the unknowns,
-        and for each trial the unknowns that affect it (``taken``).
+    labels : list of str, length p
+        One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own
+        value.
+    slots : list of (int, int or None), length p
+        Index of the parameter of each unknown, and index of its trial (None if all trials share it).
+    taken : list of ndarray
+        For each trial the indices of the unknowns that affect it.
     channels : list of list of str
         Names of the channels of each trial that have samples.
     masks, sd : list of list of ndarray, each shape (n_k,)
@@ -175,7 +181,8 @@ class Problem:
     counts : list of int
         Number of residuals of each trial.
     start, lower, upper, scale : ndarray, shape (p,)
-        Start values, bounds and typical scales of the unknowns.
+        Start values, bounds and typical scales of the unknowns. Start values that the log of a trial suggests
+        are preferred to those of the parameter.
     evaluations : int
         Number of simulations of single trials so far.
     near : float
@@ -202,8 +209,27 @@ class Problem:
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
         ]
-        self.map = ParameterMap([p.name for p in model.parameters], self.parameters, self.trials)
-        self.labels, self.slots, self.taken = self.map.labels, self.map.slots, self.map.taken
+        rows = [[model.index(name) for name in p.members or (p.name,)] for p in self.parameters]
+        self._offset = np.zeros(len(model.parameters))
+        unknowns: list[tuple[int, int | None, str, float]] = []
+        for i, p in enumerate(self.parameters):
+            self._offset[rows[i]] = p.start
+            if p.free and not p.per_trial:
+                unknowns.append((i, None, p.name, p.start))
+            for k, t in enumerate(self.trials):
+                if p.free and p.per_trial and p.name not in t.held:
+                    unknowns.append((i, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)))
+        self.slots = [(i, k) for i, k, _, _ in unknowns]
+        self.labels = [label for _, _, label, _ in unknowns]
+        starts = np.array([start for _, _, _, start in unknowns], dtype=float)
+        self.taken: list[NDArray[np.intp]] = []
+        # Store for each trial which of its values have which unknown.
+        self._entries: list[NDArray[np.intp]] = []
+        for k in range(len(self.trials)):
+            owned = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
+            pairs = [(row, j) for j in owned for row in rows[self.slots[j][0]]]
+            self.taken.append(np.array(owned, dtype=int))
+            self._entries.append(np.array(pairs, dtype=int).reshape(-1, 2).T)
         self.masks, self.sd, self._kept = [], [], []
         for t, names in zip(self.trials, self.channels, strict=True):
             masks = [np.isfinite(t.measured[c]) for c in names]
@@ -216,7 +242,7 @@ class Problem:
         )
         self.prior = mean, np.zeros((0, len(own)))
         self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
-        self.start = np.clip(self.map.start, self.lower, self.upper)
+        self.start = np.clip(starts, self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self.counts = [len(values) for values in self._measured]
         ends = np.cumsum(self.counts)
@@ -253,7 +279,10 @@ class Problem:
 
     def vector(self, theta: Array, trial: int) -> Array:
         """Return the values of the model's parameters in one trial."""
-        return self.map.values(theta, trial)
+        values = self._offset.copy()
+        rows, unknowns = self._entries[trial]
+        values[rows] = theta[unknowns]
+        return values
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
         """Return the simulated channels of every trial. Those of the last :data:`KEPT` points are cached."""

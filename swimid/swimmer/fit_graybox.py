@@ -18,9 +18,17 @@ from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error, rivals
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import (
+    Array,
+    Model,
+    Parameter,
+    Trial,
+    expand,
+    groups_by_prefix,
+    share,
+    values_of,
+)
 from swimid.fitting.output_error import FitResult
-from swimid.fitting.parameter_map import expand, groups_by_prefix, share, values_of
 from swimid.fitting.rivals import Rival
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
