@@ -35,9 +35,6 @@ NEAR = 0.01
 BROKEN = 1e6
 #: Number of latest points of a search whose simulations are cached.
 KEPT = 12
-#: Maximum number of columns of a block of derivatives whose products are computed without BLAS. For few
-#: columns, waking the threads of BLAS takes longer than the multiplication.
-FEW_COLUMNS = 8
 
 
 class Box(NamedTuple):
@@ -116,14 +113,14 @@ class Blocks:
         """Return the product of the transposed derivatives and residuals, shape (p,)."""
         found = np.zeros(self.shape[1])
         for own, at, part in self.parts:
-            found[at] += _product(part, residuals[own])
+            found[at] += part.T @ residuals[own]
         return found
 
     def normal(self) -> Array:
         """Return the product of the transposed derivatives and the derivatives, shape (p, p)."""
         found = np.zeros((self.shape[1],) * 2)
         for _, at, part in self.parts:
-            found[at[:, None], at] += _product(part, part)
+            found[at[:, None], at] += part.T @ part
         return found
 
     def updated(self, off: Array, step: Array, weights: Array) -> Blocks:
@@ -142,13 +139,6 @@ class Blocks:
             length = float(along @ step[at])
             parts.append((own, at, part + np.outer(off[own], along / length) if length > 0 else part))
         return Blocks(self.shape, parts)
-
-
-def _product(part: Array, other: Array) -> Array:
-    """Return the product of a transposed block and residuals or the block itself."""
-    if part.shape[1] <= FEW_COLUMNS:
-        return np.einsum("ij,i...->j...", part, other)
-    return np.asarray(part.T @ other)
 
 
 class Problem:
@@ -245,12 +235,6 @@ class Problem:
         self.start = np.clip(starts, self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self.counts = [len(values) for values in self._measured]
-        ends = np.cumsum(self.counts)
-        # Store for each trial the rows of its residuals and the columns of its unknowns in the Jacobian.
-        self._blocks = [
-            (slice(end - len(values), end), numbers)
-            for end, values, numbers in zip(ends, self._measured, self.taken, strict=True)
-        ]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
         self._held: list[dict[str, Array]] = [{} for _ in self.trials]
@@ -317,13 +301,14 @@ class Problem:
 
     def blocks(self, theta: Array, *, central: bool = False) -> Blocks:
         """Return the derivatives of :meth:`residuals`: a block for each trial, and one for a prior."""
+        parts, end = [], 0
+        for k, rows in enumerate(self.own_jacobians(theta, central=central)):
+            begin, end = end, end + self.counts[k]
+            parts.append((slice(begin, end), self.taken[k], self.whiten(k, rows)))
         _, root = self.prior
-        each = enumerate(self.own_jacobians(theta, central=central))
-        parts = [(*self._blocks[k], self.whiten(k, rows)) for k, rows in each]
-        end = sum(self.counts)
-        shape = end + len(root), len(theta)
-        prior = [(slice(end, shape[0]), np.arange(len(theta)), root)]
-        return Blocks(shape, parts + prior * (len(root) > 0))
+        if len(root):
+            parts.append((slice(end, end + len(root)), np.arange(len(theta)), root))
+        return Blocks((end + len(root), len(theta)), parts)
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
         """Return the derivatives of each trial's residuals with respect to all unknowns, shape (n_k, p).
