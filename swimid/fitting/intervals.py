@@ -24,6 +24,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,26 +99,6 @@ class Differences:
         """Return the differences with each parameter multiplied by its unit."""
         sd, hidden = ({n: v * unit[n] for n, v in part.items()} for part in (self.sd, self.hidden))
         return replace(self, sd=sd, hidden=hidden)
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of the estimates of a fit.
-
-    Attributes
-    ----------
-    covariance : ndarray, shape (p, p)
-        Covariance of the scaled unknowns. The 95 % interval of an estimate is 1.96 square roots of the
-        diagonal wide on each side. NaN for unknowns that the residuals do not determine.
-    root : ndarray, shape (p, p)
-        Square root of the inverse of the covariance. It is accurate even if the covariance is infinite.
-    differences : Differences
-        Differences between the trials, in scaled units.
-    """
-
-    covariance: Array
-    root: Array
-    differences: Differences
 
 
 @dataclass(frozen=True)
@@ -203,8 +184,8 @@ def compute_errors(
     free: NDArray[np.bool_],
     rows: Sequence[Array],
     residuals: Sequence[Array],
-) -> Errors:
-    """Return the errors of the free unknowns of a fit.
+) -> tuple[Array, Array, Differences]:
+    """Return the errors of the free unknowns of a fit, and the differences between its trials.
 
     Parameters
     ----------
@@ -215,6 +196,16 @@ def compute_errors(
     rows, residuals : sequence of ndarray, each shape (n_k, m_k) and (n_k,)
         Weighted derivatives of the simulated samples of each trial with respect to its scaled unknowns
         (:attr:`Problem.taken`), and weighted residuals.
+
+    Returns
+    -------
+    covariance : ndarray, shape (p, p)
+        Covariance of the scaled unknowns. The 95 % interval of an estimate is 1.96 square roots of the
+        diagonal wide on each side. NaN for unknowns that the residuals do not determine.
+    root : ndarray, shape (p, p)
+        Square root of the inverse of the covariance. It is accurate even if the covariance is infinite.
+    differences : Differences
+        Differences between the trials, in scaled units.
     """
     shared = np.array([j for j, (_, k) in enumerate(problem.slots) if k is None and free[j]], dtype=int)
     own = [np.array([j for j in problem.own(k) if free[j]], dtype=int) for k in range(len(rows))]
@@ -230,7 +221,7 @@ def compute_errors(
     frame = Coordinates(apart)
     if not len(frame.forward):
         nothing = np.full((len(theta),) * 2, np.nan)
-        return Errors(nothing, np.zeros((len(theta),) * 2), Differences(len(rows)))
+        return nothing, np.zeros_like(nothing), Differences(len(rows))
     series = compute_rows(problem, residuals, parts)
     scores = _Scores(series, frame.backward, [len(mine) for mine in own])
     magnitude = np.maximum(np.abs(theta) / problem.scale, 1.0)[shared]
@@ -245,7 +236,7 @@ def compute_errors(
     # Unknowns that are confounded have one factor, so that their known sums keep their accuracy.
     vague = half > NORMAL * VAGUE * magnitude
     factor[vague] = np.max(factor[vague], initial=1.0)
-    return _assemble(scores, frame, whitened, factor, shared, own, len(theta), differences)
+    return *_assemble(scores, frame, whitened, factor, shared, own, len(theta)), differences
 
 
 class _Scores:
@@ -417,14 +408,14 @@ def _mix(
     # A parameter that no trial determines to within its magnitude has a narrow range of sizes.
     lowest = np.minimum(SMALLEST_SIZE * error, 0.1 * highest)
     hypotheses = [_Set((), np.zeros((1, 0)))]
-    hypotheses += [_Set.of((i,), lowest, highest) for i in visible]
+    hypotheses += [_draw_sizes((i,), lowest, highest) for i in visible]
     found = [_evaluate(scores, frame.forward, one) for one in hypotheses]
     alone = _own_likelihood(information, scores.score)[:, None]
     gains = [float(np.max(alone + one[0])) for one in found[1:]]
     leading = sorted(visible[i] for i in np.argsort(gains)[::-1][:MAX_TOGETHER])
     for count in range(2, len(leading) + 1):
         for members in itertools.combinations(leading, count):
-            hypotheses.append(_Set.of(members, lowest, highest))
+            hypotheses.append(_draw_sizes(members, lowest, highest))
             found.append(_evaluate(scores, frame.forward, hypotheses[-1]))
     prior = np.full(len(hypotheses), 0.5 / max(len(hypotheses) - 1, 1))
     prior[0] = 0.5
@@ -460,8 +451,7 @@ def _mix(
     return mixture, Differences(trials, differ, sd, chance, hidden)
 
 
-@dataclass(frozen=True)
-class _Set:
+class _Set(NamedTuple):
     """Set of parameters that may differ between trials.
 
     Attributes
@@ -475,12 +465,12 @@ class _Set:
     members: tuple[int, ...]
     sizes: Array
 
-    @classmethod
-    def of(cls, members: tuple[int, ...], lowest: Array, highest: Array) -> _Set:
-        """Return the set with sizes that are uniform in their logarithms between two bounds, shape (s,)."""
-        low, high = (np.log(bound[list(members)]) for bound in (lowest, highest))
-        points = _points(len(members), LOG2_SIZES[len(members) - 1])
-        return cls(members, np.exp(low + points * (high - low)))
+
+def _draw_sizes(members: tuple[int, ...], lowest: Array, highest: Array) -> _Set:
+    """Return a set with sizes that are uniform in their logarithms between two bounds, shape (s,)."""
+    low, high = (np.log(bound[list(members)]) for bound in (lowest, highest))
+    points = _points(len(members), LOG2_SIZES[len(members) - 1])
+    return _Set(members, np.exp(low + points * (high - low)))
 
 
 def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array, Array, Array]:
@@ -622,8 +612,7 @@ def _assemble(
     shared: NDArray[np.intp],
     own: Sequence[NDArray[np.intp]],
     unknowns: int,
-    differences: Differences,
-) -> Errors:
+) -> tuple[Array, Array]:
     """Return the covariance of all unknowns, and the square root of its inverse.
 
     Parameters
@@ -656,4 +645,4 @@ def _assemble(
         first = last
     whole = change @ whitened @ change.T + spread
     covariance[np.ix_(known, known)] = whole[np.ix_(known, known)]
-    return Errors(covariance, root, differences)
+    return covariance, root

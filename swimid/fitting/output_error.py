@@ -248,17 +248,10 @@ def fit(
     the covariance is enlarged to include their differences. A parameter counts as free in the covariance if
     noise alone can explain that it is at its bound.
     """
-    threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
-    search = Search(
-        model,
-        tuple(trials),
-        parameters,
-        threads,
-        progress=progress,
-        begin=begin,
-        budget=max_iterations or MAX_ITERATIONS,
-        must_converge=max_iterations is None,
-    )
+    threads, budget = jobs or os.cpu_count() or 1, max_iterations or MAX_ITERATIONS
+    chosen = tuple(parameters or model.parameters)
+    search = Search(model, tuple(trials), chosen, threads, begin=begin, budget=budget, progress=progress)
+    search.must_converge = max_iterations is None
     result = _fit_with_step(search)
     if tested and result.converged:
         return check_by_restarts(result, jobs=threads)
@@ -273,8 +266,6 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
     """
     first, count, settled = result, 0, True
     spent, gain = result.evaluations, 0.0
-    if result.interrupted:
-        return result
     try:
         while True:
             # Limit all restarts together to twice the simulations of the first fit, unless the cost is not
@@ -621,18 +612,12 @@ def with_intervals(result: FitResult) -> FitResult:
     derivatives = problem.own_jacobians(theta, central=central)
     rows = [-part * scale[at] for part, at in zip(derivatives, problem.taken, strict=True)]
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
-    errors = compute_errors(problem, theta, free, rows, residuals)
-    root = np.full((len(errors.root), len(theta)), np.nan)
-    root[:, free] = (errors.root / scale)[:, free]
-    covariance, status = _judge(problem, theta, errors.covariance * np.outer(scale, scale), free)
-    unit = {label: float(scale[j]) for j, label in enumerate(problem.labels)}
-    return replace(
-        result,
-        covariance=covariance,
-        status=status,
-        information_root=root,
-        differences=errors.differences.in_units(unit),
-    )
+    covariance, root, differences = compute_errors(problem, theta, free, rows, residuals)
+    root = np.where(free, root / scale, np.nan)
+    covariance, status = _judge(problem, theta, covariance * np.outer(scale, scale), free)
+    differences = differences.in_units(dict(zip(problem.labels, scale.tolist(), strict=True)))
+    known = replace(result, covariance=covariance, status=status)
+    return replace(known, information_root=root, differences=differences)
 
 
 def complete(result: FitResult) -> FitResult:
@@ -859,19 +844,15 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
             # A parameter without slope does not move: both distances are 0.
             if cost >= here - material and after >= 0.5 * before:
                 ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
-    cost, point = min(ends, key=lambda pair: pair[0])
-    if cost >= here - material:
-        return Surroundings(None, problem.evaluations, rough)
+    lower = [end for end in ends if end[0] < here - material]
+    _, point = min(lower, key=lambda end: end[0], default=(here, None))
     return Surroundings(point, problem.evaluations, rough)
 
 
-def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
-    """Return the least-squares problem of a fit with its final weights.
-
-    If ``parameters`` are given, they replace those of the fit.
-    """
+def weighted(result: FitResult, *, jobs: int = 1) -> Problem:
+    """Return the least-squares problem of a fit with its final weights."""
     fitted = [t for t in result.trials if t.role == "fit"]
-    problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
+    problem = Problem(result.model, result.parameters, fitted, jobs=jobs)
     set_weights(problem, result)
     return problem
 

@@ -146,10 +146,8 @@ def compute_deviance(stated: FitResult, fits: Sequence[FitResult]) -> float:
         Fit of all trials, or fits of different trials.
     """
     problems = [output_error.weighted(fit) for fit in fits]
-    known = {(s.trial, s.channel): s.sd for s in stated.series}
     for problem in problems:
-        for k, trial in enumerate(problem.trials):
-            problem.sd[k] = [known[trial.id, channel] for channel in problem.channels[k]]
+        output_error.set_weights(problem, stated)
     points = [fit.estimate for fit in fits]
     deviance, steps = _evaluate(problems, points)
     for _ in range(MAX_STEPS):
