@@ -147,7 +147,7 @@ class TestEncoder:
         x = np.interp(t, times, np.arange(len(times)) * STEP)
         sampled = rig_trials.read_encoder(t, np.floor(x / STEP) * STEP)
         assert sampled.kind == "sampled"
-        assert sampled.resolution == pytest.approx(STEP, rel=1e-6)
+        assert sampled.shifts["ceil"] == pytest.approx(-STEP, rel=1e-6)
         assert rig_trials.read_encoder(t, x).kind == "continuous"
 
     def test_a_noisy_rounded_record_is_no_encoder(self, rng: np.random.Generator) -> None:

@@ -31,7 +31,6 @@ from swimid.fitting.model import (
     Model,
     Parameter,
     Rig,
-    RigInput,
     Scales,
     Trial,
     no_force,
@@ -117,13 +116,13 @@ class RigScales(Scales):
         """
         if self.model.rig.swings:
             return 0.01 * self.force
-        return 0.1 * self.force
+        return super().brake
 
     @property
     def quadratic(self) -> float:
         """Smallest quadratic drag of all trials, in N s2/m2 or N m s2/rad2, at the parameter start values."""
         start = np.array([p.start for p in self.model.parameters])
-        return min((self.model.coefficients(start, t.rig)["quadratic"] for t in self.trials), default=0.0)
+        return min((self.model.equation(start, t)["quadratic"] for t in self.trials), default=0.0)
 
 
 class RigModel(Model):
@@ -180,34 +179,29 @@ class RigModel(Model):
                 return float(values[self._at[name]])
         return 0.0
 
-    def coefficients(self, values: Array, known: RigInput) -> dict[str, float]:
-        """Return the coefficients of the equation of motion of one trial for given parameter values."""
-        drag = self._value(values, "drag_coefficient")
-        friction = 0.0
+    def equation(self, values: Array, trial: Trial) -> dict[str, float]:
+        """Return the coefficients of the equation of motion of one trial for given parameter values.
+
+        They include the constant force of the trial and its initial state: ``force`` (N), ``drift`` (N/s),
+        ``x0`` and ``v0``.
+        """
+        known, friction = trial.rig, 0.0
         if known.pulley:
             friction = self._value(values, "pulley_friction") + self._value(values, "friction_deviation")
+        drag = self._value(values, "drag_coefficient") * known.area_factor
+        drag += self._value(values, "quadratic_drag", "quadratic_damping")
         return {
             "inertia": known.inertia + self._value(values, "added_mass", "added_inertia"),
-            "quadratic": (1.0 + self._value(values, "relative_drag_deviation"))
-            * (drag * known.area_factor + self._value(values, "quadratic_drag", "quadratic_damping")),
+            "quadratic": drag * (1.0 + self._value(values, "relative_drag_deviation")),
             "linear": self._value(values, "linear_drag", "linear_damping"),
             "dry": friction + self._value(values, "dry_friction"),
             "stiffness": self._value(values, "stiffness"),
             "rest": self._value(values, "rest_position"),
             "gravity": self._value(values, "gravity_stiffness"),
             "cubic": self._value(values, "cubic_stiffness"),
-        }
-
-    def equation(self, values: Array, trial: Trial) -> dict[str, float]:
-        """Return the coefficients of a trial, with its constant force and its initial state.
-
-        They are ``force`` (N), ``drift`` (N/s), ``x0`` and ``v0``.
-        """
-        return {
-            **self.coefficients(values, trial.rig),
-            "force": self._value(values, "force_offset") + trial.rig.pull,
+            "force": self._value(values, "force_offset") + known.pull,
             "drift": self._value(values, "force_drift"),
-            "x0": trial.rig.x0 + self._value(values, "start_offset"),
+            "x0": known.x0 + self._value(values, "start_offset"),
             "v0": self._value(values, "initial_speed"),
         }
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -92,23 +92,21 @@ class Displacement:
         encoder at regular times.
     time_s, position : ndarray, shape (n,)
         Samples of the record. If ``rounded`` is 0 or 1, these are the times at which a sampled count changed.
-    resolution : float or None
-        Step of the encoder, in the unit of the displacement; None without an encoder.
     time_sd_s : float or ndarray, shape (n,)
         Standard deviation of the times, due to the sampling interval.
     position_sd : float
         Standard deviation of the positions, due to the step of the encoder.
-    rounded : int or None
-        Number of the case in :data:`ROUNDINGS`; None if the positions are not those of a sampled count.
+    shifts : dict of str to float
+        True position minus position for each possible rounding of the count (:data:`ROUNDINGS`); empty if the
+        positions are not those of a sampled count.
     """
 
     kind: Literal["continuous", "clicks", "sampled"]
     time_s: Array
     position: Array
-    resolution: float | None = None
     time_sd_s: float | Array = 0.0
     position_sd: float = 0.0
-    rounded: int | None = None
+    shifts: Mapping[str, float] = field(default_factory=dict)
 
 
 #: Possible roundings of an encoder count. Each has the difference of true position and count, in encoder
@@ -135,7 +133,7 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
         # Rounded noisy values rise and fall, but the count of an encoder moves in one direction.
         return plain
     if np.mean(np.abs(moves) == 1) > 0.9 and np.std(np.diff(time_s)) >= 0.02 * np.mean(np.diff(time_s)):
-        return Displacement("clicks", time_s, position, step)
+        return Displacement("clicks", time_s, position)
     if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
         at = np.flatnonzero(moves) + 1
         gap = time_s[at] - time_s[at - 1]
@@ -146,9 +144,11 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
         # The time of the change is uniformly distributed between two samples. Its standard deviation is the
         # sampling interval divided by sqrt(12).
         falls = int(middle[-1] < middle[0])
-        return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, falls)
+        shifts = {name: step * shares[falls] for name, shares in ROUNDINGS.items()}
+        return Displacement("sampled", times, middle, time_sd_s=gap / np.sqrt(12.0), shifts=shifts)
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
-        return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0), 2)
+        shifts = {name: step * shares[2] for name, shares in ROUNDINGS.items()}
+        return Displacement("sampled", time_s, position, position_sd=step / np.sqrt(12.0), shifts=shifts)
     return plain
 
 
@@ -157,6 +157,4 @@ def true_position(record: Displacement, rounding: str) -> Array:
 
     The rounding is a key of :data:`ROUNDINGS`. A record that was not counted is returned unchanged.
     """
-    if record.rounded is None or record.resolution is None:
-        return record.position
-    return record.position + ROUNDINGS[rounding][record.rounded] * record.resolution
+    return record.position + record.shifts.get(rounding, 0.0)
