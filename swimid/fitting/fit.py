@@ -15,7 +15,6 @@ from swimid.logs.experiments import read_experiments
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, automatic, recorded, silent
 from swimid.options import takes
-from swimid.results import evidence as ev
 from swimid.results.parameters import Fitted
 
 
@@ -201,19 +200,12 @@ def fit_model(
         tested = fit_common.checks(result)
     fit_common.insist_identified(result, "use more trials, and such as differ more")
     fitted_trials = sum(trial.role == "fit" for trial in trials)
-    whose = f"{model.name} of {robot}" if robot else model.name
-    evidence = ev.Evidence(
-        command="fit",
-        title=f"Fit of {whose}",
-        verdict=ev.judged(fit_common.answer(file), tested),
-        checks=tested,
-        figures=fit_common.figures(result),
-        notices=ev.notices(notices),
-        methods=[
-            f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) "
-            f"({result.samples} samples) by output-error maximum likelihood with the model {model.name}.",
-            fit_common.COVARIANCE,
-        ],
-        provenance=origin,
+    title = f"Fit of {model.name}"
+    if robot:
+        title += f" of {robot}"
+    said = (
+        f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
+        f"by output-error maximum likelihood with the model {model.name}."
     )
-    return Fitted.of(file, evidence).saved(target)
+    shown = {"figures": fit_common.figures(result), "methods": [said, fit_common.COVARIANCE]}
+    return fit_common.finish("fit", file, tested, notices, target, title=title, **shown)

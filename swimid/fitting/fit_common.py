@@ -35,10 +35,10 @@ from swimid.logs.experiments import TrialEntry, Trials
 from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held, white_noise_sd
 from swimid.logs.trials import TrialSet
-from swimid.notices import warn
+from swimid.notices import Notice, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, spoken
+from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot, locate
 
@@ -702,6 +702,9 @@ def parameter_file(
     validation: dict[str, Any] = {}
     if listed["validate"]:
         validation = {"trials": trials["validate"], "channels": listed["validate"]}
+    between: dict[str, Any] = {}
+    if result.differences is not None:
+        between = vars(result.differences)
     known_sums = {
         c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
         for c in combinations(result)
@@ -723,19 +726,12 @@ def parameter_file(
             noise=noise,
             method=method,  # type: ignore[call-arg]
             samples=result.samples,  # type: ignore[call-arg]
-            between_trials=_between_trials(result),  # type: ignore[call-arg]
+            between_trials=between,  # type: ignore[call-arg]
             step_error=result.step_error,  # type: ignore[call-arg]
             samples_sha256={t.id: t.digest for t in result.trials},
         ),
         provenance=provenance,
     )
-
-
-def _between_trials(result: FitResult) -> dict[str, Any]:
-    """Return the differences between the trials as an entry of the parameter file."""
-    if result.differences is None:
-        return {}
-    return {name: dict(v) if isinstance(v, Mapping) else v for name, v in vars(result.differences).items()}
 
 
 def robot_reference(experiment: Experiment, folder: Path) -> str:
@@ -1038,6 +1034,36 @@ def figures(result: FitResult) -> list[ev.Figure]:
             ),
         ]
     return found
+
+
+def finish(
+    command: str,
+    file: ParameterFile,
+    checks: list[ev.Check],
+    warnings: Sequence[Notice],
+    output: Path | None,
+    **shown: Any,
+) -> Fitted:
+    """Return the result of a fit, and write its parameter file and its evidence if an output path is given.
+
+    Parameters
+    ----------
+    command : str
+        Name of the command in the evidence.
+    warnings : sequence of Notice
+        Warnings that were recorded during the fit.
+    **shown
+        Further fields of the evidence: title, tables, figures, notes, methods and references.
+    """
+    evidence = ev.Evidence(
+        command=command,
+        verdict=ev.judged(answer(file), checks),
+        checks=checks,
+        notices=ev.notices(warnings),
+        provenance=file.provenance,
+        **shown,
+    )
+    return Fitted.of(file, evidence).saved(output)
 
 
 def answer(file: ParameterFile) -> str:

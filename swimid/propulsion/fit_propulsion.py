@@ -132,16 +132,8 @@ def fit_propulsion(
                 warn("SWM004", "--keep-departures belongs to a cruise experiment and has no effect here")
         file, checks, shown = fit(experiment, choices, options, progress)
         file.provenance = origin
-    evidence = ev.Evidence(
-        command="fit-propulsion",
-        verdict=ev.judged(fit_common.answer(file), checks),
-        checks=checks,
-        notices=ev.notices(notices),
-        references=list(experiment.robot.sources),
-        provenance=origin,
-        **shown,
-    )
-    return Fitted.of(file, evidence).saved(output)
+    shown["references"] = list(experiment.robot.sources)
+    return fit_common.finish("fit-propulsion", file, checks, notices, output, **shown)
 
 
 # ---------------------------------------------------------------- beat-averaged surge
@@ -304,7 +296,7 @@ def _held_out_fins(
             without = output_error.fit(model, roles, parameters=choices)
             errors += [s.residual / s.measured for s in without.series_of(SPEED, "validate")]
     fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
-    error, usual = (100 * _rms(parts) if parts else math.nan for parts in (errors, fitted))
+    error, usual = (100 * ev.rms(*parts) if parts else math.nan for parts in (errors, fitted))
     limit = fit_common.VALIDATION_RATIO * usual
     reason = f"the speeds of a fin that was not fitted are predicted with an error of {error:.2g} %"
     if not errors:
@@ -312,12 +304,6 @@ def _held_out_fins(
     text = "root-mean-square error of the speeds of each fin, predicted by a fit to the others"
     shown = ("fins held out in turn", f"{error:.2g} %", error <= limit, f"≤ {limit:.2g} %", text)
     return ev.check(*shown, reason=reason)
-
-
-def _rms(parts: Sequence[Array]) -> float:
-    """Return the root mean square of the finite samples of several series."""
-    values = np.concatenate(parts)
-    return float(np.sqrt(np.nanmean(values**2)))
 
 
 # ------------------------------------------------------------ checks of the law

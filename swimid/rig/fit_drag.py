@@ -162,26 +162,27 @@ def fit_drag(
         checks = [*fit_common.checks(result), *possible_checks(experiment, result), *checks]
     hint = "use longer runs, more different forces, or fix what is known with --fix"
     fit_common.insist_identified(result, hint)
-    figures, notes, methods = fit_common.figures(result), [], _methods(result, experiment.name, None)
-    if pair is not None:
-        figures.append(_speed_figure(pair))
-        notes.append(pair.text)
-        if options.method == "two-point":
-            file, methods = _two_point_file(file, pair), _methods(result, experiment.name, pair)
-    evidence = ev.Evidence(
-        command="fit-drag",
-        title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
-        verdict=ev.judged(fit_common.answer(file), checks),
-        checks=checks,
-        tables=[_methods_table(experiment, result, pair)],
-        figures=figures,
-        notes=notes,
-        notices=ev.notices(notices),
-        methods=methods,
-        references=list(experiment.robot.sources),
-        provenance=origin,
+    count = sum(t.role == "fit" for t in result.trials)
+    said = (
+        f"{', '.join(result.shared)} were estimated from {count} {experiment.name} trials ({result.samples} "
+        "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model."
     )
-    return Fitted.of(file, evidence).saved(output)
+    shown: dict[str, Any] = {
+        "title": f"Rig identification of {experiment.robot.name}: {experiment.name}",
+        "tables": [_methods_table(experiment, result, pair)],
+        "figures": fit_common.figures(result),
+        "methods": [said, fit_common.COVARIANCE],
+        "references": list(experiment.robot.sources),
+    }
+    if pair is not None:
+        shown["figures"].append(_speed_figure(pair))
+        shown["notes"] = [pair.text]
+        if options.method == "two-point":
+            file = _two_point_file(file, pair)
+            points = " and ".join(f"{point:.3f} m" for point in pair.points_m)
+            said = f"The two-point method (Eqs 13 to 19 of the boxfish paper) was used at {points}."
+            shown["methods"].append(said)
+    return fit_common.finish("fit-drag", file, checks, notices, output, **shown)
 
 
 # ------------------------------------------------------------ maximum likelihood
@@ -230,23 +231,6 @@ def _fit_best(
     if experiment.name == "towed":
         checks.append(sign_check(best))
     return result, facts, checks + trial_checks(best, result, judged)
-
-
-def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[str]:
-    """Return sentences for the methods section of a paper that describe the fit of a rig experiment.
-
-    If the result ``pair`` of the two-point method is given, a further sentence describes this method.
-    """
-    count = len([t for t in result.trials if t.role == "fit"])
-    sentences = [
-        f"{', '.join(result.shared)} were estimated from {count} {name} trials ({result.samples} samples) by "
-        "output-error maximum likelihood with a single-degree-of-freedom rig model.",
-        fit_common.COVARIANCE,
-    ]
-    if pair is not None:
-        points = " and ".join(f"{point:.3f} m" for point in pair.points_m)
-        sentences.append(f"The two-point method (Eqs 13 to 19 of the boxfish paper) was used at {points}.")
-    return sentences
 
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
@@ -600,7 +584,7 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
     """
 
     def at(values: Array) -> float:
-        return quantity(result.model.coefficients(values, trial.rig))  # type: ignore[attr-defined]
+        return quantity(result.model.equation(values, trial))  # type: ignore[attr-defined]
 
     values = result.values(trial.id)
     centre = at(values)
