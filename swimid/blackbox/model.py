@@ -18,7 +18,6 @@ from __future__ import annotations
 import copy
 import itertools
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -669,8 +668,7 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     if all(entry.role == "validate" for entry in entries):
         raise UsageError("every trial is a validation trial; at least one must be fitted")
     ids = [entry.id for entry in entries]
-    counts = Counter(ids)
-    names = [entry.id if counts[entry.id] == 1 else entry.log for entry in entries]
+    names = [entry.id if ids.count(entry.id) == 1 else entry.log for entry in entries]
     required = tuple(name for name in (columns.measured_source, columns.output) if name)
     contents, repeats = [], []
     for entry in entries:

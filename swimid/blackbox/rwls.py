@@ -514,40 +514,32 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     point = WorkingPoint(source, output, t, True)
     removed = mode == "mean" or (mode == "auto" and size > CLEAR_T)
     if mode == "auto" and not removed and (far or size > LIKELY_T):
-        removed = _helps(records, orders, point, far=far, likely=size > WEAK_T)
+        before, pole_before = _simulate_fit(records, orders)
+        after, pole_after = _simulate_fit(shifted(records, point), orders)
+        needed_gain = CLEAR_GAIN
+        if far and size > WEAK_T:
+            needed_gain = 0.0
+        loses_pole = far and pole_before > INTEGRATING >= pole_after
+        removed = loses_pole or after < before * (1.0 - needed_gain)
     if removed:
         return point
     return WorkingPoint(0.0, 0.0, t, False)
 
 
-def _helps(
-    records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
-) -> bool:
-    """Return whether subtracting the means of the records improves the free run or removes a pole at 1.
+def _simulate_fit(records: Sequence[Record], orders: Orders) -> tuple[float, float]:
+    """Fit an ARX model by least squares, and return the error of its free run and its largest pole.
 
-    Parameters
-    ----------
-    far : bool
-        Whether the mean of the output is far from zero. Only then does the removal of a pole count.
-    likely : bool
-        Whether a constant term is likely. If the output is also far from zero, any improvement of the free
-        run counts.
+    The error is a root mean square, and infinite if the free run has no samples. The pole is a magnitude.
     """
     plain = replace(orders, nc=0)
-    rms, largest = [], []
-    for part in (records, shifted(records, point)):
-        data = regression(part, plain)
-        theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
-        squared = np.subtract(*simulate_all(part, plain, theta)) ** 2
-        compared = squared[np.isfinite(squared)]
-        if not len(compared):
-            compared = np.full(1, np.inf)
-        rms.append(float(np.sqrt(np.mean(compared))))
-        roots = np.roots([1.0, *theta[: orders.na]])
-        largest.append(float(np.max(np.abs(roots), initial=0.0)))
-    if far and largest[0] > INTEGRATING >= largest[1]:
-        return True
-    return rms[1] < rms[0] * (1.0 - CLEAR_GAIN * (not (far and likely)))
+    data = regression(records, plain)
+    theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
+    squared = np.subtract(*simulate_all(records, plain, theta)) ** 2
+    error, compared = math.inf, squared[np.isfinite(squared)]
+    if len(compared):
+        error = float(np.sqrt(np.mean(compared)))
+    roots = np.roots([1.0, *theta[: orders.na]])
+    return error, float(np.max(np.abs(roots), initial=0.0))
 
 
 def constant_term(data: Regression) -> tuple[float, float]:

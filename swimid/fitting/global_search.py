@@ -6,7 +6,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -91,10 +91,10 @@ def multistart(
     results: list[FitResult] = []
     ends: list[Start] = []
     failures: list[NoTrustworthyResult] = []
-    with progress("starts", total=starts) as step, ExitStack() as stack:
-        begun: Iterable[Array] = points
-        if elsewhere is not None:
-            begun = stack.enter_context(map_in_threads(elsewhere, points, executors.WAITING))
+    searched: AbstractContextManager[Iterable[Array]] = nullcontext(points)
+    if elsewhere is not None:
+        searched = map_in_threads(elsewhere, points, executors.WAITING)
+    with progress("starts", total=starts) as step, searched as begun:
         for k, (begin, nearer) in enumerate(zip(points, begun, strict=True)):
             try:
                 found = {0: first}.get(k) or output_error.fit(
