@@ -49,7 +49,7 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import uncertainty as rt
-from swimid.fitting.fit_common import Score, is_still, score
+from swimid.fitting.fit_common import VALIDATION_RATIO, Score, is_still, score
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
@@ -74,9 +74,6 @@ CLEAR_GAIN = 0.1
 #: Minimum ratio of the absolute mean of the output to its standard deviation at which the output counts as
 #: far from zero.
 FAR = 3.0
-#: Ratio of the root-mean-square error of the free run on held-out data to that on the fitted data, above
-#: which the warning SWM015 is issued.
-MAX_RATIO = 2.0
 #: Code of the warning for each check that issues one if it does not pass. The key is the name of the check.
 #: The text of the warning is the reason that the check gives.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
@@ -217,7 +214,7 @@ def _checks(m: Identified) -> list[Check]:
         checks.append(
             ev.check("Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason)
         )
-    runs = m.judged
+    runs, ratio = m.judged, f"{VALIDATION_RATIO:g} times that of the fit"
     if m.fit.diverged:
         runs["the fitted part"] = m.fit
     for name, part in runs.items():
@@ -229,11 +226,11 @@ def _checks(m: Identified) -> list[Check]:
             otherwise = "fail"
             reason = f"on {name} the free run is worse than the mean of the output ({value})"
         elif name in m.worse:
-            reason = f"the error on {name} is more than {MAX_RATIO:g} times that of the fit"
+            reason = f"the error on {name} is more than {ratio}"
         else:
             passed = fit >= MIN_FIT_PERCENT
             reason = f"the free run reproduces less than half of {name} ({value})"
-        limit = f"at least {MIN_FIT_PERCENT:g} %, and an error below {MAX_RATIO:g} times that of the fit"
+        limit = f"at least {MIN_FIT_PERCENT:g} %, and an error below {ratio}"
         checks.append(ev.check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason))
     for name, test, reason in (
         ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
@@ -689,9 +686,9 @@ class Identified:
     def worse(self) -> list[str]:
         """Names of the held-out data whose free-run error is much larger than that of the fitted data.
 
-        The limit of the ratio is :data:`MAX_RATIO`.
+        The limit of the ratio is :data:`swimid.fitting.fit_common.VALIDATION_RATIO`.
         """
-        limit = MAX_RATIO * self.fit.free_run.rmse
+        limit = VALIDATION_RATIO * self.fit.free_run.rmse
         return [name for name, part in self.held_out.items() if part.free_run.rmse > limit]
 
     @property
