@@ -704,7 +704,7 @@ def parameter_file(
         validation = {"trials": trials["validate"], "channels": listed["validate"]}
     between: dict[str, Any] = {}
     if result.differences is not None:
-        between = vars(result.differences)
+        between = dict(vars(result.differences))
     known_sums = {
         c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
         for c in combinations(result)
