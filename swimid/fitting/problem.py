@@ -35,6 +35,9 @@ NEAR = 0.01
 BROKEN = 1e6
 #: Number of latest points of a search whose simulations are cached.
 KEPT = 12
+#: Maximum number of columns of a block of derivatives whose products are computed without BLAS. For few
+#: columns, waking the threads of BLAS takes longer than the multiplication.
+FEW_COLUMNS = 8
 
 
 class Box(NamedTuple):
@@ -113,14 +116,14 @@ class Blocks:
         """Return the product of the transposed derivatives and residuals, shape (p,)."""
         found = np.zeros(self.shape[1])
         for own, at, part in self.parts:
-            found[at] += part.T @ residuals[own]
+            found[at] += _product(part, residuals[own])
         return found
 
     def normal(self) -> Array:
         """Return the product of the transposed derivatives and the derivatives, shape (p, p)."""
         found = np.zeros((self.shape[1],) * 2)
         for _, at, part in self.parts:
-            found[at[:, None], at] += part.T @ part
+            found[at[:, None], at] += _product(part, part)
         return found
 
     def updated(self, off: Array, step: Array, weights: Array) -> Blocks:
@@ -139,6 +142,13 @@ class Blocks:
             length = float(along @ step[at])
             parts.append((own, at, part + np.outer(off[own], along / length) if length > 0 else part))
         return Blocks(self.shape, parts)
+
+
+def _product(part: Array, other: Array) -> Array:
+    """Return the product of a transposed block and residuals or the block itself."""
+    if part.shape[1] <= FEW_COLUMNS:
+        return np.einsum("ij,i...->j...", part, other)
+    return np.asarray(part.T @ other)
 
 
 class Problem:
