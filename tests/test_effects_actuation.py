@@ -355,7 +355,7 @@ class TestAverageModels:
 
         found = model.hooked(starts(model), trial, Hooks(coefficients=(change,)))[SPEED]
         nominal = model.simulate(starts(model), trial)[SPEED]
-        ratio = velocity_ratio(DRAG_AREA / MASS, 0.0, trial.inputs["distance_m"])
+        ratio = velocity_ratio(DRAG_AREA / MASS, trial.inputs["distance_m"])
         for speed, plain, distance in zip(found, nominal / ratio, trial.inputs["distance_m"], strict=True):
             power = DRAG_AREA * plain**3
 
@@ -376,7 +376,7 @@ class TestAverageModels:
     def test_general_run_is_the_paper_s_without_linear_drag(self):
         v1, x = np.array([0.05, 0.1, 0.3]), np.array([0.02, 1.15, 40.0])
         found = mean_speed(v1, x, {"mass": MASS, "quadratic": DRAG_AREA, "linear": 0.0})
-        np.testing.assert_allclose(found, v1 * velocity_ratio(DRAG_AREA / MASS, 0.0, x), rtol=1e-11)
+        np.testing.assert_allclose(found, v1 * velocity_ratio(DRAG_AREA / MASS, x), rtol=1e-11)
         power = np.array([0.0, 1e-6, 1e-2])
         found = terminal_speed(power, {"quadratic": 2.0, "linear": 0.0, "dry": 0.0})
         np.testing.assert_allclose(found, np.cbrt(power / 2.0), rtol=1e-13)

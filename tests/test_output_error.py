@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -37,6 +38,15 @@ def slow() -> None:
     time.sleep(1e-3)
 
 
+def blocks_of(*parts: np.ndarray) -> Blocks:
+    """Return the derivatives of each trial as blocks without their zero columns."""
+    ends = np.cumsum([0, *map(len, parts)]).tolist()
+    columns = [np.flatnonzero(part.any(axis=0)) for part in parts]
+    rows = [slice(begin, end) for begin, end in itertools.pairwise(ends)]
+    blocks = [(row, at, part[:, at]) for row, at, part in zip(rows, columns, parts, strict=True)]
+    return Blocks((ends[-1], parts[0].shape[1]), blocks)
+
+
 def unbounded(count: int) -> Box:
     return Box(np.full(count, -np.inf), np.full(count, np.inf), np.ones(count))
 
@@ -61,9 +71,9 @@ class TestMinimise:
         start = rng.uniform([0.1, 0.1, 0.0], [5.0, 3.0, 0.3])
         taken = [0]
 
-        def counted(p: np.ndarray) -> np.ndarray:
+        def counted(p: np.ndarray) -> Blocks:
             taken[0] += 1
-            return jacobian(p)
+            return blocks_of(jacobian(p))
 
         ours = minimise(residuals, counted, start, Box(np.zeros(3), upper, np.ones(3)), secant=secant)
         if secant:
@@ -81,9 +91,9 @@ class TestMinimise:
         def search(secant: bool) -> tuple[Solution, int]:
             taken = [0]
 
-            def jacobian(p: np.ndarray) -> np.ndarray:
+            def jacobian(p: np.ndarray) -> Blocks:
                 taken[0] += 1
-                return np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0]])
+                return blocks_of(np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0]]))
 
             found = minimise(
                 lambda p: np.array([1000.0 * (p[1] - p[0] ** 2), 1.0 - p[0]]),
@@ -102,7 +112,7 @@ class TestMinimise:
     def test_a_search_without_a_minimum_is_no_success(self) -> None:
         never = minimise(
             lambda p: np.array([np.exp(-p[0])]),
-            lambda p: np.array([[-np.exp(-p[0])]]),
+            lambda p: blocks_of(np.array([[-np.exp(-p[0])]])),
             np.array([0.0]),
             unbounded(1),
             max_iterations=5,
@@ -115,7 +125,7 @@ class TestMinimise:
         def search(move: float) -> Solution:
             return minimise(
                 lambda p: np.append(p, 1e3),
-                lambda p: np.array([[10.0], [0.0]]),
+                lambda p: blocks_of(np.array([[10.0], [0.0]])),
                 np.array([1.0]),
                 unbounded(1),
                 tolerance=0.0,
@@ -150,7 +160,7 @@ class TestMinimise:
         """Derivatives ten times too large, far from the optimum."""
         found = minimise(
             lambda p: np.append(p, 1e6),
-            lambda p: np.array([[10.0], [0.0]]),
+            lambda p: blocks_of(np.array([[10.0], [0.0]])),
             np.array([1e4]),
             unbounded(1),
             watch=Patience(),
@@ -207,8 +217,8 @@ class TestThreads:
         model = Toy(decay, DECAY, ("y", "v"))
         problem = Problem(model, DECAY, trials(model, TRUTH, BOTH, rng))
         theta = np.array(TRUTH)
-        forward = np.concatenate(problem.trial_jacobians(theta))
-        central = np.concatenate(problem.trial_jacobians(theta, central=True))
+        forward = np.concatenate(problem.own_jacobians(theta))
+        central = np.concatenate(problem.own_jacobians(theta, central=True))
         error = np.linalg.norm(forward - central, axis=0) / np.linalg.norm(central, axis=0)
         # half of the second derivative (at most 49, from t^2) times the step of 1e-6, over the first
         # derivative
@@ -362,7 +372,7 @@ class TestNearlyNull:
         model = Toy(line, (parameter("slope", 1.0), parameter("root", 1.0)))
         problem = Problem(model, model.parameters, [trial])
         r = rng.normal(size=samples)
-        found = sandwich(problem, [np.column_stack((a, a + apart * b))], [r], {"y": np.empty(0)})
+        found = sandwich(problem, blocks_of(np.column_stack((a, a + apart * b))), [r], {"y": np.empty(0)})
         sd = np.sqrt(np.diag(found.covariance) / (r @ r / (samples - 2)))
         # rounding of the columns, 1e-16 over eps
         assert sd == pytest.approx([np.hypot(1, 1 / apart), 1 / apart], rel=1e-6 + 1e-15 / apart)
@@ -418,7 +428,7 @@ def test_blocks_of_trials_are_the_matrix_of_all_derivatives(rng: np.random.Gener
     """The products, a selection of columns and the factors of blocks are those of the whole matrix."""
     masks = np.array([[1, 1, 1, 0, 0], [1, 1, 0, 1, 0], [1, 1, 0, 0, 1]])
     parts = [rng.normal(size=(9, 5)) * mask for mask in masks]
-    whole, blocks = np.concatenate(parts), Blocks.of(parts)
+    whole, blocks = np.concatenate(parts), blocks_of(*parts)
     np.testing.assert_allclose(blocks.normal(), whole.T @ whole)
     chosen = np.array([True, False, True, True, False])
     np.testing.assert_allclose(blocks.columns(chosen).normal(), (whole.T @ whole)[np.ix_(chosen, chosen)])

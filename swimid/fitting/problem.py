@@ -65,21 +65,6 @@ class Blocks:
     shape: tuple[int, int]
     parts: list[tuple[slice, NDArray[np.intp], Array]]
 
-    @classmethod
-    def of(cls, derivatives: Array | Blocks | Sequence[Array]) -> Blocks:
-        """Return the derivatives as blocks. A matrix is one block; the matrix of each trial may be given."""
-        if isinstance(derivatives, Blocks):
-            return derivatives
-        if isinstance(derivatives, np.ndarray):
-            derivatives = [derivatives]
-        ends = np.cumsum([0, *map(len, derivatives)])
-        owned = [np.flatnonzero(part.any(axis=0)) for part in derivatives]
-        parts = [
-            (slice(begin, end), at, part[:, at])
-            for begin, end, at, part in zip(ends, ends[1:], owned, derivatives, strict=False)
-        ]
-        return cls((int(ends[-1]), derivatives[0].shape[1]), parts)
-
     def columns(self, chosen: NDArray[np.bool_]) -> Blocks:
         """Return the derivatives with respect to the unknowns that a mask chooses, shape (p,)."""
         index = np.cumsum(chosen) - 1
@@ -320,14 +305,9 @@ class Problem:
             parts.append((slice(end, end + len(root)), np.arange(len(theta)), root))
         return Blocks((end + len(root), len(theta)), parts)
 
-    def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
-        """Return the derivatives of each trial's residuals with respect to all unknowns, shape (n_k, p).
-
-        Forward differences have a relative accuracy of about 1e-6. Central differences are more accurate and
-        cost twice as much. Derivatives at an earlier point are used again if the point is within :attr:`near`
-        of it.
-        """
-        own = self.own_jacobians(theta, central=central)
+    def trial_jacobians(self, theta: Array) -> list[Array]:
+        """Return the derivatives of each trial's residuals with respect to all unknowns, shape (n_k, p)."""
+        own = self.own_jacobians(theta)
         found = [np.zeros((len(rows), len(theta))) for rows in own]
         for whole, rows, numbers in zip(found, own, self.taken, strict=True):
             whole[:, numbers] = rows
@@ -337,7 +317,9 @@ class Problem:
         """Return the derivatives of each trial's residuals with respect to the unknowns that affect it.
 
         The derivatives of a trial have the shape (n_k, m_k). The unknowns are the shared ones, and those of
-        the trial.
+        the trial. Forward differences have a relative accuracy of about 1e-6. Central differences are more
+        accurate and cost twice as much. Derivatives at an earlier point are used again if the point is within
+        :attr:`near` of it.
         """
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
@@ -555,7 +537,7 @@ class _Tried(NamedTuple):
 @np.errstate(over="ignore", invalid="ignore")
 def minimise(
     residuals: Callable[[Array], Array],
-    jacobian: Callable[[Array], Array | Blocks],
+    jacobian: Callable[[Array], Blocks],
     start: Array,
     box: Box,
     *,
@@ -569,8 +551,8 @@ def minimise(
     Parameters
     ----------
     residuals : callable, (p,) -> (n,)
-    jacobian : callable, (p,) -> (n, p)
-        The derivatives are a matrix or :class:`Blocks`.
+    jacobian : callable
+        Function from the parameters to the derivatives of the residuals.
     start : ndarray, shape (p,)
     box : Box
         Bounds and typical scales of the parameters.
@@ -606,7 +588,7 @@ def minimise(
     damping, growth, age, renew = 1e-3, 2.0, 0, True
     for iteration in range(1, max_iterations + 1):
         if renew:
-            rows, age = Blocks.of(jacobian(x)).scaled(scale), 0
+            rows, age = jacobian(x).scaled(scale), 0
         renew = True
         gradient, normal = rows.gradient(r), rows.normal()
         blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))

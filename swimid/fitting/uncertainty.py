@@ -581,7 +581,7 @@ class Sandwich:
 
 def sandwich(
     problem: Problem,
-    jacobians: Sequence[Array] | Blocks,
+    blocks: Blocks,
     residuals: list[Array],
     autoregressions: dict[str, Array],
 ) -> Sandwich:
@@ -589,7 +589,7 @@ def sandwich(
 
     Parameters
     ----------
-    jacobians, residuals : Blocks or list of ndarray, each shape (n_k, p) and (n_k,)
+    blocks, residuals : Blocks and list of ndarray, each shape (n_k,)
         Weighted derivatives and residuals of each trial. Columns are scaled to parameters of similar size.
     autoregressions : dict of channel name to ndarray
         Coefficients of the autoregression of the weighted residuals.
@@ -601,7 +601,6 @@ def sandwich(
     otherwise have a small variance that is only rounding error. The derivatives of each trial are replaced by
     their triangular factor first, because few unknowns affect each of many trials.
     """
-    blocks = Blocks.of(jacobians)
     samples, unknowns = blocks.shape
     squares = np.zeros(unknowns)
     for _, at, part in blocks.parts:

@@ -477,7 +477,7 @@ def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, An
     coefficient = experiment.facts["drag"].parameters["drag_coefficient"]
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
     models = (experiment.model, *_models_by_drag_error(experiment).values())
-    ratio, *moved = (float(velocity_ratio(m.b1, 0.0, distance)) for m in models)  # type: ignore[attr-defined]
+    ratio, *moved = (float(velocity_ratio(m.b1, distance)) for m in models)  # type: ignore[attr-defined]
     error = math.sqrt(sum((other - ratio) ** 2 for other in moved))
     scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
     relative = math.hypot((coefficient.stderr or 0.0) / coefficient.value, scatter)
@@ -503,7 +503,7 @@ def _operating_points(experiment: Experiment, result: FitResult) -> list[dict[st
         for k in np.flatnonzero(np.isfinite(trial.measured[SPEED])):
             speed, distance = float(trial.measured[SPEED][k]), trial.inputs["distance_m"][k]
             f, a = float(trial.inputs["frequency_hz"][k]), float(trial.inputs["amplitude_rad"][k])
-            terminal = float(speed / velocity_ratio(model.b1, 0.0, distance))
+            terminal = float(speed / velocity_ratio(model.b1, distance))
             efficiency = None
             if inertia is not None and a > offset:
                 efficiency = float(

@@ -38,26 +38,22 @@ def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_k
     return 9 / 128 * density_kg_m3 * math.pi * ((length_m + axle_gap_m) ** 4 - axle_gap_m**4) * height_m
 
 
-def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | float) -> Array:
+def velocity_ratio(b1: Array | float, distance_m: Array | float) -> Array:
     """Return the average speed of a run from rest divided by the terminal speed (boxfish paper, Eq 25).
 
     Parameters
     ----------
     b1 : float, 1/m
         Coefficient ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
-    start_m, end_m : float, m
-        Displacements, measured from the point of rest, between which the speed is averaged.
+    distance_m : float, m
+        Displacement from the point of rest, over which the speed is averaged.
 
-    >>> round(float(velocity_ratio(1.304, 0.0, 1.15)), 3)
+    >>> round(float(velocity_ratio(1.304, 1.15)), 3)
     0.688
     """
-
-    def phase(x: Array | float) -> Array:
-        # Compute arccosh(exp(y)) as y + log(1 + sqrt(1 - exp(-2y))), which does not overflow for large y.
-        y = np.asarray(b1 * np.asarray(x, dtype=float))
-        return np.asarray(y + np.log1p(np.sqrt(-np.expm1(-2 * y))))
-
-    return np.asarray(b1 * (np.asarray(end_m) - np.asarray(start_m)) / (phase(end_m) - phase(start_m)))
+    y = np.asarray(b1 * np.asarray(distance_m, dtype=float))
+    # Compute arccosh(exp(y)) as y + log(1 + sqrt(1 - exp(-2y))), which does not overflow for large y.
+    return np.asarray(y / (y + np.log1p(np.sqrt(-np.expm1(-2 * y)))))
 
 
 def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
@@ -243,9 +239,7 @@ class RecoilModel(Model):
         if c["quadratic"] <= 0 or c["mass"] <= 0:
             return self.broken_down(trial)
         if c["linear"] == c["dry"] == 0:
-            speed = velocity_ratio(c["quadratic"] / c["mass"], 0.0, distance) * np.cbrt(
-                power / c["quadratic"]
-            )
+            speed = velocity_ratio(c["quadratic"] / c["mass"], distance) * np.cbrt(power / c["quadratic"])
         else:
             speed = mean_speed(terminal_speed(power, c), distance, c)
         if hooks.flow:

@@ -134,9 +134,7 @@ class RigModel(Model):
 
     offers = frozenset({"coefficients", "force", "flow", "output", "clock"})
 
-    def __init__(
-        self, name: str, parameters: tuple[Parameter, ...], coordinate: str, *, max_step: float = DEFAULT_STEP
-    ) -> None:
+    def __init__(self, name: str, parameters: tuple[Parameter, ...], coordinate: str) -> None:
         unit, speed_unit, rotation = COORDINATES[coordinate]
         self.name = name
         self.parameters = parameters
@@ -145,7 +143,7 @@ class RigModel(Model):
         if rotation:
             self.speed, self.force_unit = coordinate.replace("_rad", "_rate_rad_s"), "N m"
         self.channels = (Channel(coordinate, unit, "displacement"), Channel(self.speed, speed_unit, "speed"))
-        self.max_step = max_step
+        self.max_step = DEFAULT_STEP
         self._at = {p.name: i for i, p in enumerate(parameters)}
 
     @property
