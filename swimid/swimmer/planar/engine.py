@@ -420,11 +420,11 @@ def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # 
         Angle, rate, acceleration, cosine and sine (mounting angle included) of each driven joint. The value
         of each input in the first column.
     tables : tuple
-        Input arrays in the order of :meth:`swimid.swimmer.tree.Tree.tables`: ``topology`` (links, 3), ``joint``
-        (links, 4), ``inertia`` (links, 6), ``passive`` (passive joints, 11), then the links and the properties
-        of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE` and
-        :data:`LOAD`, the row of ``row`` with the input of each load, and whether the base moves. A base that
-        does not move keeps its pose.
+        Input arrays in the order of :meth:`swimid.swimmer.tree.Tree.tables`: ``topology`` (links, 3),
+        ``joint`` (links, 4), ``inertia`` (links, 6), ``passive`` (passive joints, 11), then the links and the
+        properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`
+        and :data:`LOAD`, the row of ``row`` with the input of each load, and whether the base moves. A base
+        that does not move keeps its pose.
     forced : tuple or None
         Forces of effects, as :func:`outside` packs them; None if there are none.
     time : float, s

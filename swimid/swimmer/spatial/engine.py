@@ -433,12 +433,12 @@ def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # 
         Angle, rate, acceleration, cosine and sine of each driven hinge. The value of each input in the first
         column.
     tables : tuple
-        Input arrays in the order of :meth:`swimid.swimmer.tree.Tree.tables`: ``topology`` (links, 4), ``joint``
-        (links, 33), ``inertia`` (links, 21), ``passive`` (passive hinges, 11; columns of
-        ``swimid.swimmer.planar.engine.PASSIVE``), then the links and the properties of the elements, with the
-        columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE` and :data:`LOAD`, the row of ``row``
-        with the input of each load, the height of the water surface in the world (m), and whether the base
-        moves. A base that does not move keeps its pose.
+        Input arrays in the order of :meth:`swimid.swimmer.tree.Tree.tables`: ``topology`` (links, 4),
+        ``joint`` (links, 33), ``inertia`` (links, 21), ``passive`` (passive hinges, 11; columns of
+        ``swimid.swimmer.planar.engine.PASSIVE``), then the links and the properties of the elements, with
+        the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE` and :data:`LOAD`, the row of
+        ``row`` with the input of each load, the height of the water surface in the world (m), and whether
+        the base moves. A base that does not move keeps its pose.
     forced : None
         No forces of effects act.
     time : float, s
