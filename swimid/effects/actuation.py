@@ -56,13 +56,7 @@ class AmplitudeOffset(base.Actuation):
     sources = ("boxfish, section 4.3 and Eq 27",)
     smooth = True
     scatters = True
-
-    def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the effect applies.
-
-        A command must drive the joints, and the model must not estimate the offset.
-        """
-        return super().applies(model, trials) and not model.estimates("amplitude_offset_deg")
+    own = ("amplitude_offset_deg",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return as a parameter the angle that is added to each driven joint, in the unit of the command."""
@@ -86,8 +80,7 @@ class AmplitudeOffset(base.Actuation):
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        hooks = base.on_command(model, trial, base.only_joints(model, command))
-        return replace(hooks, stroke=(beaten,))
+        return replace(base.on_command(model, trial, command, of_angles=True), stroke=(beaten,))
 
 
 #: Ratio of a rate limit to the largest rate of a sine below which the rate-limited sine is a triangle wave:

@@ -79,6 +79,9 @@ class Effect(ABC):
     inside : mapping of name to end
         Bounds, ``lower`` or ``upper``, from which an estimate must keep at least the parameter's scale.
         Closer to the bound the effect could imitate others, and is not accepted as a hypothesis.
+    own : tuple of str
+        Parameters of a model with the same meaning as the effect. A model that estimates one of them does not
+        lack the effect.
     adds_to : str or None
         Name of the model parameter to which the only parameter of the effect is added. Such an effect has no
         hooks.
@@ -92,6 +95,7 @@ class Effect(ABC):
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
     inside: ClassVar[Inside] = {}
+    own: ClassVar[tuple[str, ...]] = ()
     adds_to: ClassVar[str | None] = None
 
     def __init_subclass__(cls) -> None:
@@ -116,7 +120,7 @@ class Effect(ABC):
 
     def applies(self, model: Model, trials: Sequence[Trial]) -> bool:
         """Return whether the effect can act on the given model in the given trials."""
-        return bool(self.needs & model.offers)
+        return bool(self.needs & model.offers) and not model.estimates(*self.own)
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Return the forms of the effect that apply to a model, for example one form for each joint or wall.
@@ -221,6 +225,11 @@ def has_pulley(trials: Trials) -> bool:
     return any(trial.rig.pulley for trial in trials)
 
 
+def is_held(model: Model) -> bool:
+    """Return whether a model is a robot with links in a plane whose base is fixed."""
+    return model.body is not None and not model.body.free
+
+
 def free_body(model: Model) -> Body | None:
     """Return the body of a swimmer whose base moves; None for other models."""
     return model.body if model.body is not None and model.body.free else None
@@ -287,15 +296,12 @@ class RigCoefficient(Effect, ABC):
     ----------
     coefficient : str
         Name of the coefficient in the model's equation of motion.
-    own : tuple of str
-        Parameters of the model with the same meaning as the effect.
     pulley : bool
         Whether the effect acts only in trials with a pulley.
     """
 
     smooth = True
     coefficient: ClassVar[str]
-    own: ClassVar[tuple[str, ...]] = ()
     pulley: bool = False
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -351,29 +357,23 @@ class Actuation(Effect, ABC):
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
-        hooks = follow_commands(model, trial, partial(self.follow, value))
-        if self.of_angles:
-            hooks = replace(hooks, command=tuple(only_joints(model, change) for change in hooks.command))
+        hooks = follow_commands(model, trial, partial(self.follow, value), of_angles=self.of_angles)
         return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
 
 
-def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
-    """Return hooks that apply ``change`` to the commands of a trial; no hooks without a command."""
-    return Hooks(command=(change,)) if model.commanded(trial) else Hooks()
+def on_command(model: Model, trial: Trial, change: Command, *, of_angles: bool = False) -> Hooks:
+    """Return hooks that apply ``change`` to the commands of a trial; no hooks without a command.
 
-
-def only_joints(model: Model, change: Command) -> Command:
-    """Return a hook that applies ``change`` to the commands of joints, and not to the inputs of a robot."""
-    if model.swimmer is None or not model.swimmer.inputs:
-        return change
-    joints = len(model.swimmer.actuators)
+    A change of angles applies to the commands of joints, and not to the inputs of a robot.
+    """
+    if not model.commanded(trial):
+        return Hooks()
+    joints = len(model.swimmer.actuators) if of_angles and model.swimmer is not None else math.inf
 
     def command(time_s: Array, value: Array, number: int) -> Array:
-        if number >= joints:
-            return value
-        return change(time_s, value, number)
+        return change(time_s, value, number) if number < joints else value
 
-    return command
+    return Hooks(command=(command,))
 
 
 def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
@@ -395,9 +395,11 @@ def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
     return command
 
 
-def follow_commands(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
+def follow_commands(
+    model: Model, trial: Trial, change: Callable[[Array, Array], Array], *, of_angles: bool = False
+) -> Hooks:
     """Return hooks that apply ``change`` to the command of every joint, across missing samples."""
-    return on_command(model, trial, for_every_joint(partial(bridge_missing, change)))
+    return on_command(model, trial, for_every_joint(partial(bridge_missing, change)), of_angles=of_angles)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -465,8 +467,9 @@ def largest_rate(model: Model, trials: Trials) -> float:
 
     For a black-box model it is that of the input, in the unit of the input per second.
     """
-    rates = [r for _, _, r in _signals(model, trials)]
-    for time, signal, _ in _signals(model, trials):
+    rates = []
+    for time, signal, rate in _signals(model, trials):
+        rates.append(rate)
         if len(time) > 1:
             rates.append(float(np.max(np.abs(np.diff(signal) / np.diff(time)))))
     frequency, amplitude_rad = _strokes(trials)

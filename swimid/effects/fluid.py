@@ -127,16 +127,8 @@ class DragReynolds(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the exponent n of the drag coefficient ``C = C_0 (|u| / u_ref)^-n`` as a parameter."""
-        return (
-            parameter(
-                f"{self.whole * 'trial_'}exponent",
-                "1",
-                0.2,
-                "the drag coefficient falls as speed^-n",
-                -1.5,
-                1.5,
-            ),
-        )
+        name, words = f"{self.whole * 'trial_'}exponent", "the drag coefficient falls as speed^-n"
+        return (parameter(name, "1", 0.2, words, -1.5, 1.5),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that change the model's axial quadratic drag, or all its drag coefficients."""
@@ -202,8 +194,6 @@ class LiftDamping(Effect):
         return Hooks(tables=(lambda tables: body.lift(tables, links, points),))
 
 
-#: Names of model parameters that already describe a linear drag.
-OWN = ("linear_drag", "linear_damping")
 #: Name and unit of the linear drag coefficient, for each unit that a model's force may have.
 UNITS = {
     "N": ("linear_N_s_m", "N s/m"),
@@ -222,15 +212,12 @@ class LinearDrag(Effect):
     meaning = "drag in proportion to the speed"
     sources = ("Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 6.4",)
     needs = frozenset({"coefficients", "tables"})
+    own = ("linear_drag", "linear_damping")
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the effect applies.
-
-        The base of the body must move, and the model must not estimate a linear drag.
-        """
-        held = model.body is not None and not model.body.free
-        return super().applies(model, trials) and not held and not model.estimates(*OWN)
+        """Return whether the effect applies: the base of the body must move."""
+        return super().applies(model, trials) and not base.is_held(model)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the linear drag coefficient as a parameter.
@@ -238,7 +225,7 @@ class LinearDrag(Effect):
         Its unit is N s/m, N m s/rad for a rotation, or 1/s for a model with forces per mass.
         """
         name, unit = UNITS[model.force_unit]
-        scales, least = model.scales(trials), -model.start(*OWN)
+        scales, least = model.scales(trials), -model.start(*self.own)
         return (parameter(name, unit, scales.brake / scales.speed, "drag per speed", lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:

@@ -20,15 +20,11 @@ class CameraRotation(Effect):
     sources = ("sea lion, section II (a camera on a wall of the tank)",)
     needs = frozenset({"output"})
     smooth = True
+    own = ("camera_rotation",)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the effect applies.
-
-        Both position coordinates of a swimmer must be measured. A model that estimates the rotation of the
-        camera is excluded.
-        """
-        known = model.body is None or model.estimates("camera_rotation")
-        return not known and super().applies(model, trials) and _both_measured(model, trials)
+        """Return whether the effect applies: both position coordinates of a swimmer must be measured."""
+        return super().applies(model, trials) and model.body is not None and _both_measured(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the rotation angle of the camera as a parameter, rad."""

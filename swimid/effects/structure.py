@@ -511,7 +511,7 @@ class LoadFriction(Friction):
 
                 return base.bridge_missing(stuck, time_s, angle)
 
-            return base.on_command(model, trial, base.only_joints(model, command))
+            return base.on_command(model, trial, command, of_angles=True)
         if not (trial.rig.pulley or self.everywhere):
             return Hooks()
         measured = trial.inputs.get("force_N")
@@ -639,8 +639,8 @@ class WaterIngress(Effect):
 
         Models with forces per mass, and models with a held base, have none.
         """
-        held = model.body is not None and not model.body.free
-        return super().applies(model, trials) and not held and model.force_unit != PER_MASS
+        has_inertia = model.force_unit != PER_MASS and not base.is_held(model)
+        return super().applies(model, trials) and has_inertia
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the mass of the water in the hull (kg), and for a swimmer also the position of this water.
