@@ -496,6 +496,25 @@ def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
     return Trace(x=x, y=y, lower=y - half, upper=y + half, **trace)
 
 
+def pair(x: Sequence[Any], y: Sequence[Any], **measured: Any) -> list[Trace]:
+    """Return two traces: measured values as points, and simulated values as a line.
+
+    Parameters
+    ----------
+    x, y : sequence of (measured, simulated)
+    **measured
+        Further fields of the trace of the measured values.
+    """
+    points = Trace(x=x[0], y=y[0], style="points", label="measured", group=0, **measured)
+    return [points, Trace(x=x[1], y=y[1], label="simulated", group=0)]
+
+
+def path(title: str, names: Sequence[str], x: Sequence[Any], y: Sequence[Any]) -> Panel:
+    """Return a panel with a measured and a simulated path, from the columns ``names`` of two coordinates."""
+    x_label, y_label = map(numbers.column_title, names)
+    return panel(x_label, y_label, pair(x, y), title=title, equal_aspect=True)
+
+
 def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any], **trace: Any) -> Trace:
     """Return a trace of points, one for each object in ``runs``.
 
@@ -522,11 +541,7 @@ def measured_and_simulated(
     for name, s in _extremes(shown).items():
         known = apart(s.time_s, s.measured)
         x, y = thinned(s.time_s, factor * s.simulated, POINTS)
-        measured = factor * s.measured[known]
-        traces = [
-            Trace(x=s.time_s[known], y=measured, style="points", label="measured", group=0),
-            Trace(x=x, y=y, label="simulated", group=0),
-        ]
+        traces = pair((s.time_s[known], x), (factor * s.measured[known], y))
         drawn.append(panel("time (s)", y_label, traces, title=name))
     return panels(id, title, caption, drawn)
 

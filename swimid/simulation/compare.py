@@ -390,7 +390,7 @@ def _profile_figure(profile: Profile) -> ev.Figure:
         error = None
         if count > 1:
             error = np.nan_to_num(np.std(values[:, 0], axis=0, ddof=1))
-        traces = _pair((time, time), values.mean(axis=0), y_error=error)
+        traces = ev.pair((time, time), values.mean(axis=0), y_error=error)
         panels.append(ev.Panel(x_label="time (s)", y_label=numbers.column_title(name), traces=traces))
     return ev.Figure(id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels)
 
@@ -654,12 +654,6 @@ def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
     return titles
 
 
-def _pair(x: Sequence[Any], y: Sequence[Any], **measured: Any) -> list[ev.Trace]:
-    """Return two traces: a measured curve as points, and a simulated curve as a line."""
-    points = ev.Trace(x=x[0], y=y[0], style="points", label="measured", group=0, **measured)
-    return [points, ev.Trace(x=x[1], y=y[1], label="simulated", group=0)]
-
-
 def _overlay(done: Sequence[Compared]) -> ev.Figure:
     panels = []
     for title, d in _telling(done).items():
@@ -669,7 +663,7 @@ def _overlay(done: Sequence[Compared]) -> ev.Figure:
             factor, unit = numbers.in_degrees(p.channel.unit)
             curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
             label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
-            traces = _pair(*zip(*curves, strict=True))
+            traces = ev.pair(*zip(*curves, strict=True))
             panels.append(ev.Panel(x_label="time (s)", y_label=label, traces=traces, title=title))
     caption = "The trials with the largest and the smallest mean error over the measured range."
     title = "Measured and simulated"
@@ -693,7 +687,6 @@ def _agreement(id: str, title: str, groups: Mapping[str, tuple[Any, Any]]) -> ev
 
 
 def _path(title: str, done: Compared, *names: str) -> ev.Panel:
-    step = max(1, len(done.trial.time_s) // MAX_SAMPLES)
-    x, y = ((done.pairs[n].measured[::step], done.pairs[n].simulated[::step]) for n in names)
-    labels = [numbers.column_title(name) for name in names]
-    return ev.Panel(x_label=labels[0], y_label=labels[1], traces=_pair(x, y), title=title, equal_aspect=True)
+    every = slice(None, None, max(1, len(done.trial.time_s) // MAX_SAMPLES))
+    pairs = [done.pairs[name] for name in names]
+    return ev.path(title, names, *((p.measured[every], p.simulated[every]) for p in pairs))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -20,10 +20,9 @@ from swimid.fitting.steps import Step, choose_step
 from swimid.logs import kinematics
 from swimid.notices import warn
 from swimid.simulation import compare_wave
+from swimid.simulation.cases import beat_frequency, drive_block
 from swimid.simulation.catalogue import Applied
-
-if TYPE_CHECKING:
-    from swimid.swimmer.planar.model import Body
+from swimid.swimmer.planar.model import Body
 
 
 class ChannelScore(yamlio.Document):
@@ -259,12 +258,8 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
     pairs = _logged_pairs(model, trial, simulated)
     frequency, body, drive = None, model.body, {}
     if trial.swim.beat is not None:
-        from swimid.simulation.cases import drive_block
-
         drive = drive_block(trial)
     if model.swimmer is not None and body is not None:
-        from swimid.simulation.cases import beat_frequency
-
         turning = (body.velocity[2], body.pose[2]) if body.free else ()
         series = [pairs[name].measured for name in turning if name in pairs]
         frequency = beat_frequency(model.swimmer, trial, values, series)

@@ -227,10 +227,7 @@ def figure(waves: Mapping[str, BodyWave]) -> ev.Figure:
             found = [getattr(station, name) for station in one.stations]
             bars = [0.5 * factor * (q.high - q.low) for q in found]
             measured, simulated = ([factor * getattr(q, side) for q in found] for side in SIDES)
-            traces = [
-                ev.Trace(x=behind, y=measured, y_error=bars, style="points", label="measured", group=0),
-                ev.Trace(x=behind, y=simulated, label="simulated", group=0),
-            ]
+            traces = ev.pair((behind, behind), (measured, simulated), y_error=bars)
             panels.append(ev.panel("distance behind the front end (m)", label, traces, title=title))
     caption = f"{_caption(waves)} Bars are 95 % intervals."
     return ev.panels("wave", "Body wave", caption, panels)

@@ -18,6 +18,7 @@ from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error, rivals
 from swimid.fitting.fit_common import Experiment
+from swimid.fitting.global_search import Start, agreeing, multistart
 from swimid.fitting.model import (
     Array,
     Model,
@@ -42,7 +43,6 @@ from swimid.swimmer import trials as swimmer
 from swimid.swimmer.options import FitGrayboxOptions
 
 if TYPE_CHECKING:
-    from swimid.fitting.global_search import Start
     from swimid.swimmer.front import FrontResult, Profiles
 
 #: Default number of starting points. It applies if the user states none and the fit from one starting point
@@ -147,7 +147,7 @@ def fit_graybox(
             fit_common.beat_check(experiment.facts["beats"]),
         ]
         if search.ends:
-            checks.append(_starts_check(search, asked=options.starts is not None))
+            checks.append(_starts_check(search.ends, asked=options.starts is not None))
         explanation: mistakes.Explanation | None = None
         before = {t.id: [s for s in result.series if s.trial == t.id] for t in result.trials}
         if options.method == "least-squares" and mistakes.is_suspect(checks, before):
@@ -163,7 +163,7 @@ def fit_graybox(
         tables=_tables(experiment, result, search.ends),
         figures=[*_track(experiment, result), *fit_common.figures(result)],
         notices=ev.notices(notices),
-        methods=_methods(experiment, result, search, options.method),
+        methods=_methods(experiment, result, search.ends, options.method),
         references=list(experiment.robot.sources),
         provenance=origin,
     )
@@ -270,13 +270,6 @@ class _Search:
     ends: list[Start] = field(default_factory=list)
     starts: int = 1
 
-    @property
-    def agreeing(self) -> int:
-        """Number of starting points from which the fit ends in the reported minimum."""
-        from swimid.fitting.global_search import agreeing
-
-        return agreeing(self.ends)
-
 
 def _search(
     posed: Posed, output: Path | None, origin: dict[str, Any], rebuilt: Rebuilt | None, progress: Progress
@@ -322,8 +315,6 @@ def _least_squares(
             return _Search(first)
         starts = DEFAULT_STARTS
     settings |= {"starts": starts, "seed": options.seed, "begins": begins, "first": first}
-    from swimid.fitting.global_search import multistart
-
     if rebuilt is not None:
         settings["elsewhere"] = partial(rebuilt.call, "end_of")
     result, ends = multistart(model, trials, progress=progress, **settings)
@@ -526,22 +517,18 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     panels = []
     for name, word in chosen.items():
         x, y = (paths[name][1][channel] for channel in (across, along))
-        step = max(len(x.measured) // MAX_PATH_POINTS, 1)
-        points = ev.Trace(
-            x=x.measured[::step], y=y.measured[::step], style="points", label="measured", group=0
-        )
-        line = ev.Trace(x=x.simulated, y=y.simulated, label="simulated", group=0)
-        labels = {"x_label": f"{across[:-2]} (m)", "y_label": f"{along[:-2]} (m)"}
-        panels.append(ev.Panel(**labels, title=f"{name} ({word})", traces=[points, line], equal_aspect=True))
+        every = slice(None, None, max(len(x.measured) // MAX_PATH_POINTS, 1))
+        sides = [(s.measured[every], s.simulated) for s in (x, y)]
+        panels.append(ev.path(f"{name} ({word})", (across, along), *sides))
     return panels
 
 
-def _starts_check(search: _Search, *, asked: bool) -> ev.Check:
+def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
     """Return the check that counts the starting points from which the fit ends in the reported minimum.
 
     The check can fail only if the user asked for several starting points.
     """
-    agree, count = search.agreeing, len(search.ends)
+    agree, count = agreeing(ends), len(ends)
     passed, text = None, ""
     if agree < count:
         text = "the other starts end higher; the lowest is reported"
@@ -603,7 +590,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
     return rows
 
 
-def _methods(experiment: Experiment, result: FitResult, search: _Search, method: str) -> list[str]:
+def _methods(experiment: Experiment, result: FitResult, ends: Sequence[Start], method: str) -> list[str]:
     """Describe the fit in sentences for a methods section."""
     fitted = sum(t.role == "fit" for t in result.trials)
     model = result.model.swimmer
@@ -620,9 +607,9 @@ def _methods(experiment: Experiment, result: FitResult, search: _Search, method:
         f"{result.step_error:.2g} standard deviations of its noise.",
         fit_common.COVARIANCE,
     ]
-    if search.ends:
+    if ends:
         drawn = {"hybrid": "on the front"}.get(method, "drawn evenly within the bounds")
-        said.append(f"{search.agreeing} of {len(search.ends)} starts, {drawn}, end in the reported minimum.")
+        said.append(f"{agreeing(ends)} of {len(ends)} starts, {drawn}, end in the reported minimum.")
     own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
     if own:
         said.append(

@@ -17,6 +17,7 @@ from scipy.interpolate import make_interp_spline
 
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Request, Trial, unless_broken
 from swimid.notices import Progress, silent
+from swimid.results.numbers import split_unit
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
 from swimid.swimmer.lanes import LANES, Kernels, Room
@@ -611,15 +612,8 @@ class Swimmer(Model, ABC):
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
 
-#: Units of channels by the ending of their name.
-UNITS = {"_N_m": "N m", "_N": "N", "_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_m": "m"}
 #: Typical scales of the start pose and velocity of a free base, by unit.
 SCALES = {"m": 0.01, "rad": 0.05, "m/s": 0.1, "rad/s": 0.5}
-
-
-def _unit(channel: str) -> str:
-    """Return the unit of a channel."""
-    return next(unit for ending, unit in UNITS.items() if channel.endswith(ending))
 
 
 def _trial_parameters(model: Swimmer) -> list[Parameter]:
@@ -630,16 +624,17 @@ def _trial_parameters(model: Swimmer) -> list[Parameter]:
     initial, view = [], []
     if model.free_base:
         for name, column in zip(model.rates, model.velocity, strict=True):
-            meaning = f"{name.replace('_', ' ')} at the first sample"
-            initial.append(trial_parameter(f"initial_{name}", _unit(column), SCALES[_unit(column)], meaning))
+            unit, meaning = split_unit(column)[1], f"{name.replace('_', ' ')} at the first sample"
+            initial.append(trial_parameter(f"initial_{name}", unit, SCALES[unit], meaning))
         for name, word, column in zip(model.starts, model.places, model.pose, strict=True):
-            meaning = f"{word} of the start against the first sample"
-            view.append(trial_parameter(name, _unit(column), SCALES[_unit(column)], meaning))
+            unit, meaning = split_unit(column)[1], f"{word} of the start against the first sample"
+            view.append(trial_parameter(name, unit, SCALES[unit], meaning))
     else:
         for name in model.reactions:
-            unit, channel = _unit(name), name.removesuffix("_N_m").removesuffix("_N").replace("_", " ")
-            view.append(trial_parameter(f"offset_{name}", unit, 0.1, f"offset of the {channel}"))
-            view.append(trial_parameter(f"drift_{name}", f"{unit}/s", 0.01, f"drift of the {channel}"))
+            bare, unit = split_unit(name)
+            words = bare.replace("_", " ")
+            view.append(trial_parameter(f"offset_{name}", unit, 0.1, f"offset of the {words}"))
+            view.append(trial_parameter(f"drift_{name}", f"{unit}/s", 0.01, f"drift of the {words}"))
     for axis in model.passive:
         for word, unit, scale in (("angle", "rad", 0.1), ("rate", "rad/s", 1.0)):
             meaning = f"{word} of {axis.name} at the first sample"
@@ -658,13 +653,12 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
     if model.free_base:
         names, words = (*model.pose, *model.velocity), (*model.places, *model.rates)
         for name, word in zip(names, words, strict=True):
-            meaning = word.replace("_", " ") + " speed" * (_unit(name) == "m/s")
-            found.append(Channel(name, _unit(name), meaning))
-
+            unit = split_unit(name)[1]
+            found.append(Channel(name, unit, word.replace("_", " ") + " speed" * (unit == "m/s")))
     else:
         for name in model.reactions:
-            label = name.removesuffix("_N_m").removesuffix("_N").replace("_", " along ")
-            found.append(Channel(name, _unit(name), f"{label} on the holder"))
+            bare, unit = split_unit(name)
+            found.append(Channel(name, unit, f"{bare.replace('_', ' along ')} on the holder"))
 
     def position(axis: Axis) -> tuple[int, str]:
         return len(axis.column), axis.column
