@@ -30,11 +30,6 @@ ACTS = {
 }
 
 
-def kernel_of(model: Any, engine: Any, values: np.ndarray) -> Kernel:
-    """Return the kernel of an assembly."""
-    return Kernel(engine, model.tables, len(values))
-
-
 def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, Any]) -> np.ndarray:
     """Return the rate of a state, computed from the traced operations."""
     inputs = {"state": state, "row": row.reshape(-1), "table": kernel.numbers(tables)}

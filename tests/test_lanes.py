@@ -145,7 +145,7 @@ def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.
     """The generated module, run as Python, moves every robot like the scalar engine."""
     form, make = CASES[name]
     tree = make()
-    kernel = Kernel(form.engine, tree.tables, len(tree.body.coefficients))
+    kernel = Kernel(tree)
     kernel.module = lanes_forms.uncompiled(kernel)
     runs = spread(form, tree, kernel, rng)[:3]
     runs = [(start, step, drive[:9], tables) for start, step, drive, tables in runs]
@@ -201,7 +201,7 @@ def test_a_run_that_breaks_down_does_not_change_the_others(
 @pytest.mark.kernels
 def test_a_batch_of_a_robot_in_space_agrees_with_the_engine(rng: np.random.Generator) -> None:
     tree = sea_lion()
-    kernel = Kernel(MultibodyModel.engine, tree.tables, len(tree.body.coefficients))
+    kernel = Kernel(tree)
     compare(MultibodyModel, kernel, spread(MultibodyModel, tree, kernel, rng))
 
 
@@ -347,8 +347,7 @@ def test_a_coefficient_of_zero_keeps_the_structure() -> None:
         {**body.model_dump(), "elements": [*body.model_dump()["elements"], drag]}
     )
     for tree in (PlanarAssembly(changed, robot.fluid), Lifted(changed, robot.fluid)):
-        form = MultibodyModel if isinstance(tree, Lifted) else MultilinkModel
-        kernel = Kernel(form.engine, tree.tables, len(tree.names))
+        kernel = Kernel(tree)
         for k in range(len(tree.names)):
             values = np.full(len(tree.names), 0.8)
             values[k] = 0.0
@@ -481,7 +480,7 @@ def test_the_compiler_vectorises_the_kernel(monkeypatch: pytest.MonkeyPatch) -> 
         "elements": [{"kind": "drag", "link": "tail", "normal_area_m2": 0.01, "normal_coefficient": 1.0}],
     }
     tree = PlanarAssembly(Multilink.model_validate(body), Fluid(density_kg_m3=1000.0))
-    kernel = Kernel(MultilinkModel.engine, tree.tables, 0)
+    kernel = Kernel(tree)
     packed, single = lanes_forms.arithmetic(kernel)
     assert packed > 10 * max(single, 1)
 
@@ -492,8 +491,7 @@ def test_changes_of_a_passive_joint_fit_the_kernel() -> None:
     body = robot.multilink
     assert body is not None
     for tree in (PlanarAssembly(body, robot.fluid), Lifted(body, robot.fluid)):
-        form = MultibodyModel if isinstance(tree, Lifted) else MultilinkModel
-        kernel = Kernel(form.engine, tree.tables, len(tree.names))
+        kernel = Kernel(tree)
         tables = {name: np.copy(t) for name, t in tree.tables(np.ones(len(tree.names))).items()}
         for column in range(5):
             tables["passive"][0, column] += 0.01

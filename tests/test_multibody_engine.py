@@ -16,7 +16,7 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody
-from swimid.swimmer import drive
+from swimid.swimmer import drive, lanes
 from swimid.swimmer.drive import joint_motion
 from swimid.swimmer.planar import engine as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
@@ -41,7 +41,7 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     tables = model.tables(np.zeros(0))
     scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n)
     engine.derivative(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
-    kernel = lanes_forms.kernel_of(model, MultibodyModel.engine, np.zeros(0))
+    kernel = lanes.Kernel(model)
     traced = lanes_forms.rate(kernel, state, row, tables)
     assert traced == pytest.approx(rate, rel=1e-9, abs=1e-11 * np.abs(rate).max())
     return rate

@@ -18,6 +18,7 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid, schema_of
 from swimid.robots.planar import Multilink
+from swimid.swimmer import lanes
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly, MultilinkModel
 from tests import lanes_forms
@@ -55,7 +56,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
     tables = model.tables(defaults(model))
     engine.derivative(state, row, tuple(tables.values()), None, 0.0, *scratch)
-    kernel = lanes_forms.kernel_of(model, MultilinkModel.engine, defaults(model))
+    kernel = lanes.Kernel(model)
     traced = lanes_forms.rate(kernel, state, row, tables)
     size = np.abs(scratch[-1]).max()
     assert traced == pytest.approx(scratch[-1], rel=1e-9, abs=1e-11 * size)

@@ -89,11 +89,6 @@ class Case:
             metadata["dt_s"] = model.swimmer.max_step
         return replace(self, applied=self.applied.at_step(model), metadata=metadata)
 
-    @property
-    def per_run(self) -> bool:
-        """Whether each sample is a separate test, such as a cruise. The log then has no time column."""
-        return self.applied.model.timed_runs
-
 
 def place(options: SimulateOptions) -> Path | None:
     """Return the path of the parameter file for messages and logs; None if the options name none."""

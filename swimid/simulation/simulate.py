@@ -92,7 +92,7 @@ def simulate_case(case: Case) -> Simulated:
                 quantities[name] = Quantity(value, unit, stderr)
     columns: dict[str, Any] = {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
     added = {k: v for k, v in case.extra.items() if k not in columns}
-    if case.per_run:
+    if model.timed_runs:
         return Simulated(case, added | columns, quantities, step)
     return Simulated(case, {log_format.TIME: case.trial.time_s} | columns | added, quantities, step)
 
@@ -104,7 +104,7 @@ def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
     lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
     whole = np.flatnonzero(~lost)
     where = "at its start"
-    if len(whole) and not case.per_run:
+    if len(whole) and not case.applied.model.timed_runs:
         where = f"at t = {case.trial.time_s[min(whole[-1] + 1, len(lost) - 1)]:.4g} s"
     raise NoTrustworthyResult(
         f"the simulation of '{case.id}' breaks down {where}, with every integration step that was tried",
@@ -459,7 +459,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         drive = first.case.metadata.get("drive", {})
         if drive:
             facts["Drive"] = ", ".join(cases.setting_text(*item) for item in drive.items() if item[1])
-        if not first.case.per_run:
+        if not first.case.applied.model.timed_runs:
             facts["Duration"] = numbers.number(float(np.ptp(first.case.trial.time_s)), unit="s")
         columns = ["quantity", "value"]
         rows: list[list[Any]] = [list(row) for row in _texts(first).items()]

@@ -137,7 +137,7 @@ class DrivenJoints:
 
     def __init__(self, tree: Tree, mounts_rad: Sequence[float]) -> None:
         self.actuators, self.mounts_rad = tree.actuators, mounts_rad
-        self._tree, self._names = tree, tree.names
+        self._tree = tree
         self.inputs: Mapping[str, Input] = tree.body.inputs
         self._servos = [_servo(axis) for axis in self.actuators]
         self._transmissions = [Transmission(axis.joint.driven) for axis in tree.driven]
@@ -204,7 +204,7 @@ class DrivenJoints:
         cached : bool
             Whether the motion is kept for later simulations.
         """
-        named = dict(zip(self._names, values, strict=False))
+        named = self._tree.named(values)
         servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
         laws: Laws = tuple(tuple(entry.at(named) for entry in law) for law in self._laws)
         ratios = self._ratios(named)
@@ -233,7 +233,7 @@ class DrivenJoints:
         values : ndarray
             Parameter vector that begins with the coefficients of the robot.
         """
-        ratios = self._ratios(dict(zip(self._names, values, strict=False)))
+        ratios = self._ratios(self._tree.named(values))
         return [law.slope(ratio) for law, ratio in zip(self._transmissions, ratios, strict=True)]
 
     def _with_inputs(

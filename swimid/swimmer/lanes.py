@@ -44,10 +44,10 @@ from swimid.files.kernels import numba
 from swimid.fitting.model import Force, Traceable
 from swimid.notices import Progress, silent
 from swimid.swimmer.planar.engine import BROKEN, integrate
+from swimid.swimmer.tree import Tree
 
 if TYPE_CHECKING:
     from swimid.swimmer.model import Run
-
 
 Array = NDArray[np.float64]
 #: Coefficients of ``(sin(x) - x) / x^3`` and ``(cos(x) - 1 + x^2 / 2) / x^4`` in powers of x^2, for angles x
@@ -646,30 +646,20 @@ class Kernel:
 
     Parameters
     ----------
-    engine : module
-        Compiled equations of motion: ``planar.engine`` or ``spatial.engine``.
-    tables : callable
-        Function of the coefficients. It returns the input arrays of the engine by name.
-    coefficients : int
-        Number of coefficients.
+    tree : Tree
+        Links of the robot, with their engine and its input arrays.
     room : Room, optional
         Elements, entries and forces of the effects.
     """
 
-    def __init__(
-        self,
-        engine: ModuleType,
-        tables: Callable[[Array], dict[str, Any]],
-        coefficients: int,
-        room: Room | None = None,
-    ) -> None:
-        self.engine, self.room = engine, room
+    def __init__(self, tree: Tree, room: Room | None = None) -> None:
+        self.engine, self.room, tables = tree.engine, room, tree.tables
         if room is not None:
             tables = self._roomy(room, tables)
-        self._example = tables(np.ones(coefficients))
-        self.size, self._scratch = engine.shapes(self._example)
-        self.fixed = _fixed(tables, coefficients)
-        for name, columns in engine.FILLED.items():
+        self._example = tables(np.ones(len(tree.names)))
+        self.size, self._scratch = self.engine.shapes(self._example)
+        self.fixed = _fixed(tables, len(tree.names))
+        for name, columns in self.engine.FILLED.items():
             self.fixed[name][:, columns] = np.nan
         entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
@@ -992,8 +982,8 @@ class Kernels:
 
     Parameters
     ----------
-    engine, tables, coefficients
-        See :class:`Kernel`.
+    tree : Tree
+        Links of the robot.
     room : callable
         Function that returns the :class:`Room` for effects, or None if there are none. The modules of all
         effects must have been imported when an effect first acts.
@@ -1004,27 +994,20 @@ class Kernels:
         Whether the kernels compute simulations.
     """
 
-    def __init__(
-        self,
-        engine: ModuleType,
-        tables: Callable[[Array], dict[str, Any]],
-        coefficients: int,
-        room: Callable[[], Room | None],
-    ) -> None:
-        self._made = engine, tables, coefficients
-        self._room = room
+    def __init__(self, tree: Tree, room: Callable[[], Room | None]) -> None:
+        self._tree, self._room = tree, room
         self.used = os.environ.get("SWIMID_LANES") != "never"
 
     @cached_property
     def own(self) -> Kernel:
         """Kernel for simulations without effects."""
-        return Kernel(*self._made)
+        return Kernel(self._tree)
 
     @cached_property
     def wide(self) -> Kernel | None:
         """Kernel for simulations with effects; None if they cannot act."""
         room = self._room()
-        return None if room is None else Kernel(*self._made, room)
+        return None if room is None else Kernel(self._tree, room)
 
     def prepare(self, name: str, progress: Progress = silent, *, effects: bool = False) -> None:
         """Compile the kernel of the robot with the given name, and with ``effects`` also the wide kernel."""

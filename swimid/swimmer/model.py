@@ -192,7 +192,7 @@ class Swimmer(Model, ABC):
             for names in (velocities, self.starts)
         )
         self.inputs = self.tree.body.inputs
-        self.kernels = Kernels(self.engine, self.tree.tables, len(self.coefficients), self._room)
+        self.kernels = Kernels(self.tree, self._room)
         self._checked: bytes | None = None
         self._clear_caches()
 
@@ -214,19 +214,11 @@ class Swimmer(Model, ABC):
         """Return the names of the start-pose offsets that do not affect the simulated motion."""
 
     @abstractmethod
-    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return start values of the velocities at the first sample, by parameter name.
+    def _velocities_of_pose(self, seen: Callable[[str, int], float | None]) -> Sequence[float | None]:
+        """Return the velocities at the first sample that follow from the pose; empty if none do.
 
-        Parameters
-        ----------
-        seen : callable
-            Function of a channel and a derivative order (0 or 1). It returns the value or the rate of the
-            channel at the first sample, or None if it is unknown.
+        See :meth:`start_velocities`.
         """
-
-    @abstractmethod
-    def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the names of the initial velocities, angles and rates that measured channels determine."""
 
     @abstractmethod
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
@@ -239,6 +231,29 @@ class Swimmer(Model, ABC):
     @abstractmethod
     def at_reference(self, wrench: Array) -> Array:
         """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
+
+    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Return start values of the velocities at the first sample, by parameter name.
+
+        Measured velocities are preferred to those that follow from the pose.
+
+        Parameters
+        ----------
+        seen : callable
+            Function of a channel and a derivative order (0 or 1). It returns the value or the rate of the
+            channel at the first sample, or None if it is unknown.
+        """
+        names = [f"initial_{name}" for name in self.rates]
+        found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
+        moved = zip(names, self._velocities_of_pose(seen), strict=False)
+        return found | {name: value for name, value in moved if found[name] is None}
+
+    def determined_starts(self, measured: Collection[str]) -> list[str]:
+        """Return the names of the initial velocities, angles and rates that measured channels determine.
+
+        For a robot in a plane, any measured channels determine all of them.
+        """
+        return [p.name for p in self.parameters if p.name.startswith("initial_")]
 
     def attitude(self) -> list[int]:
         """Return the indices, in a state vector, of base angles that affect the motion."""
@@ -524,7 +539,7 @@ class Swimmer(Model, ABC):
         """Return a force behind the holder. It is exact for a force that is linear between the steps."""
         from scipy.signal import cont2discrete, lfilter
 
-        named = dict(zip(self.tree.names, values, strict=False))
+        named = self.tree.named(values)
         holder = self.tree.body.holder
         omega = 2.0 * math.pi * Polynomial.of(holder.natural_frequency_hz).at(named)
         damping = Polynomial.of(holder.damping_ratio).at(named)

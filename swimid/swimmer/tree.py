@@ -474,6 +474,10 @@ class Tree(ABC):
         """
         return self._evaluated(np.asarray(values, dtype=float).tobytes())
 
+    def named(self, values: Array) -> dict[str, float]:
+        """Return the coefficients by name, from a parameter vector that begins with them."""
+        return dict(zip(self.names, values, strict=False))
+
     def _evaluate(self, key: bytes) -> dict[str, Any]:
         """Return the arguments of the engine at the coefficient values whose bytes are ``key``."""
         values = np.frombuffer(key)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -780,24 +780,12 @@ class MultilinkModel(Swimmer):
         """Return the pose of the robot at the first sample of a trial, by channel."""
         return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
 
-    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return start values of the initial velocities (see :meth:`Swimmer.start_velocities`)."""
-        names = [f"initial_{name}" for name in self.rates]
-        found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
+    def _velocities_of_pose(self, seen: Callable[[str, int], float | None]) -> Sequence[float | None]:
         heading = seen(self.pose[2], 0)
         along, across, turn = (seen(column, 1) for column in self.pose)
-        if heading is not None and along is not None and across is not None:
-            c, s = math.cos(heading), math.sin(heading)
-            moved = (c * along + s * across, c * across - s * along, turn)
-            found.update((n, v) for n, v in zip(names, moved, strict=True) if found[n] is None)
-        return found
-
-    def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the names of all initial velocities, angles and rates.
-
-        For a robot in a plane, any measured channels determine all of them.
-        """
-        return [p.name for p in self.parameters if p.name.startswith("initial_")]
+        if heading is None or along is None or across is None:
+            return ()
+        return *turned(along, across, -heading).tolist(), turn
 
     # -------------------------------------------------------- simulation
 

@@ -402,22 +402,15 @@ class MultibodyModel(Swimmer):
         # a simulation begins at x = y = 0 with its heading along x, so that these offsets do not affect it
         return ("start_x", "start_y", "start_yaw")
 
-    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return start values of the velocities at the first sample, by parameter name.
-
-        If the velocity along an axis is unknown while others are known, it is taken as 0.
-        """
-        names = [f"initial_{name}" for name in self.rates]
-        found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
-        turned = [seen(column, 0) or 0.0 for column in self.pose[3:]]
+    def _velocities_of_pose(self, seen: Callable[[str, int], float | None]) -> Sequence[float | None]:
         rates = [seen(column, 1) for column in self.pose]
-        if any(r is not None for r in rates[:3]):
-            body = from_angles(*([a] for a in turned))[0].inv().apply([r or 0.0 for r in rates[:3]])
-            # the rates of roll, pitch and yaw approximate those about the body axes, since the body is nearly
-            # level
-            moved = [*(float(v) for v in body), *rates[3:]]
-            found.update((n, v) for n, v in zip(names, moved, strict=True) if found[n] is None)
-        return found
+        if all(r is None for r in rates[:3]):
+            return ()
+        # if the velocity along an axis is unknown while others are known, it is taken as 0
+        attitude = from_angles(*([seen(column, 0) or 0.0] for column in self.pose[3:]))[0]
+        body = attitude.inv().apply([r or 0.0 for r in rates[:3]])
+        # the body is nearly level, so the rates of roll, pitch and yaw approximate those about its axes
+        return [*body.tolist(), *rates[3:]]
 
     def determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the names of the initial velocities, angles and rates that measured channels determine.
@@ -429,7 +422,7 @@ class MultibodyModel(Swimmer):
             for name, place, speed in zip(self.rates, self.pose, self.velocity, strict=True)
             if place not in measured and speed not in measured
         ]
-        return [p.name for p in self.parameters if p.name.startswith("initial_") and p.name not in blind]
+        return [name for name in super().determined_starts(measured) if name not in blind]
 
     def at_reference(self, wrench: Array) -> Array:
         """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
