@@ -538,7 +538,7 @@ def measured_and_simulated(
     unit of the figure.
     """
     drawn: list[Panel] = []
-    for name, s in _extremes(shown).items():
+    for name, s in extremes(shown, lambda s: rms(s.weighted)).items():
         known = apart(s.time_s, s.measured)
         x, y = thinned(s.time_s, factor * s.simulated, POINTS)
         traces = pair((s.time_s[known], x), (factor * s.measured[known], y))
@@ -564,12 +564,12 @@ def apart(x: Any, y: Any) -> Any:
     return marks[:: -(-len(marks) // POINTS)]
 
 
-def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
+def extremes(shown: Sequence[Series], error: Callable[[Series], float]) -> dict[str, Series]:
     """Select the fitted trials with the largest and the smallest error, and the worst held-out trial.
 
-    The error is the root mean square of the weighted residuals. The keys are titles of panels.
+    The keys are titles of panels.
     """
-    ranked = sorted(shown, key=lambda s: rms(s.weighted))
+    ranked = sorted(shown, key=error)
     fitted = [s for s in ranked if s.role == "fit"]
     held_out = [s for s in ranked if s.role != "fit"]
     if len(fitted) == 1:

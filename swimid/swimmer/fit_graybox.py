@@ -29,7 +29,7 @@ from swimid.fitting.model import (
     share,
     values_of,
 )
-from swimid.fitting.output_error import FitResult
+from swimid.fitting.output_error import FitResult, Series
 from swimid.fitting.rivals import Rival
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
@@ -504,22 +504,16 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     for trial in result.trials:
         series = {s.channel: s for s in result.series if s.trial == trial.id}
         if across in series and along in series:
-            error = np.nanmean(series[across].weighted ** 2) + np.nanmean(series[along].weighted ** 2)
-            paths[trial.id] = float(error), series
-    by_error = sorted(paths, key=lambda name: -paths[name][0])
-    fitted = [name for name in by_error if paths[name][1][across].role == "fit"]
-    held_out = [name for name in by_error if name not in fitted]
-    chosen = {
-        **dict.fromkeys(fitted[:1], "largest error"),
-        **dict.fromkeys(fitted[1:][-1:], "smallest error"),
-        **dict.fromkeys(held_out[:1], "held out"),
-    }
+            paths[trial.id] = series[across], series[along]
+
+    def error(series: Series) -> float:
+        return float(sum(np.nanmean(s.weighted**2) for s in paths[series.trial]))
+
     panels = []
-    for name, word in chosen.items():
-        x, y = (paths[name][1][channel] for channel in (across, along))
+    for title, x in ev.extremes([x for x, _ in paths.values()], error).items():
         every = slice(None, None, max(len(x.measured) // MAX_PATH_POINTS, 1))
-        sides = [(s.measured[every], s.simulated) for s in (x, y)]
-        panels.append(ev.path(f"{name} ({word})", (across, along), *sides))
+        sides = [(s.measured[every], s.simulated) for s in paths[x.trial]]
+        panels.append(ev.path(title, (across, along), *sides))
     return panels
 
 
