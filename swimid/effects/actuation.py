@@ -15,6 +15,7 @@ from swimid.effects.base import Parameters, Trials, parameter
 from swimid.files.kernels import numba
 from swimid.fitting.drives import eased
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Stroke, Trial, typical
+from swimid.swimmer.drive import apply_lag
 
 
 class AmplitudeLoss(base.Actuation):
@@ -281,35 +282,6 @@ class ServoLag(base.Actuation):
         """Return the joint amplitude of a steady beat after the first-order lag of the servo."""
         gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * value) ** 2)
         return np.asarray(stroke.amplitude_rad * gain)
-
-
-@numba.njit(cache=True, nogil=True)
-def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
-    """Apply a first-order lag to a signal. The result is exact for a signal that is linear between its
-    samples.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,), s
-        Increasing times.
-    signal : ndarray, shape (n,)
-        Input. The lag starts at rest at the first value of the signal.
-    tau : float, s
-        Time constant. With zero the output is the signal.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    output = signal.copy()
-    if tau <= 0.0:
-        return output
-    for i in range(1, len(signal)):
-        ratio = (time[i] - time[i - 1]) / tau
-        kept = math.exp(-ratio)
-        mean = -math.expm1(-ratio) / ratio
-        output[i] = kept * output[i - 1] + (mean - kept) * signal[i - 1] + (1.0 - mean) * signal[i]
-    return output
 
 
 #: Duration over which the loss of amplitude by a slip sets in: fraction of a beat (RAMP), or number of

@@ -29,11 +29,6 @@ from swimid.swimmer.transmission import Transmission
 from swimid.swimmer.tree import Actuated, Polynomial, Tree, given
 
 Value = TypeVar("Value")
-#: Natural frequency (Hz) and damping ratio of the servo of each actuator; None for an actuator without a
-#: servo.
-Servos = tuple[tuple[float, float] | None, ...]
-#: Power, dead band, factor for negative values, and time constant (s) of each input.
-Laws = tuple[tuple[float, ...], ...]
 #: Maximum remaining fraction of the initial transient of a servo when a simulation begins in steady swimming.
 SERVO_RTOL = 1e-10
 #: Maximum number of cached joint motions per trial. The finite differences of a Jacobian use the same few
@@ -58,6 +53,25 @@ class Grid(NamedTuple):
     def times(self, parts: int) -> Array:
         """Return the grid times, with each step divided into ``parts`` parts, shape (parts steps + 1,)."""
         return self.begin_s + self.step_s / parts * np.arange(parts * self.steps + 1.0)
+
+
+class Laws(NamedTuple):
+    """Laws of the actuators and inputs of a robot at values of its coefficients.
+
+    Attributes
+    ----------
+    servos : tuple
+        Natural frequency (Hz) and damping ratio of the servo of each actuator; None for an actuator without a
+        servo.
+    ratios : tuple of float
+        Ratio of the transmission of each driven joint.
+    inputs : tuple
+        Power, dead band, factor for negative values, and time constant (s) of each input.
+    """
+
+    servos: tuple[tuple[float, float] | None, ...]
+    ratios: tuple[float, ...]
+    inputs: tuple[tuple[float, ...], ...]
 
 
 class TrialCache(Generic[Value]):
@@ -142,7 +156,7 @@ class DrivenJoints:
         self._servos = [_servo(axis) for axis in self.actuators]
         self._transmissions = [Transmission(axis.joint.driven) for axis in tree.driven]
         self._beyond: set[str] = set()
-        self._laws = [
+        self._inputs = [
             [Polynomial.of(entry) for entry in (law.power, law.dead_band, law.reverse, law.lag_s)]
             for law in self.inputs.values()
         ]
@@ -204,26 +218,27 @@ class DrivenJoints:
         cached : bool
             Whether the motion is kept for later simulations.
         """
-        named = self._tree.named(values)
-        servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
-        laws: Laws = tuple(tuple(entry.at(named) for entry in law) for law in self._laws)
-        ratios = self._ratios(named)
-        key = (grid, phase_rad, servos, ratios, laws, hooks.command_key)
+        laws = self._laws_at(values)
+        key = (grid, phase_rad, laws, hooks.command_key)
         found = self._motions.get(trial.id, key)
         if found is None:
             of_joints = hooks
             if trial.swim.measured:
                 of_joints = NONE
-            found = self._moved(trial, grid, phase_rad, servos, ratios, of_joints)
-            if laws:
+            found = self._moved(trial, grid, phase_rad, laws, of_joints)
+            if laws.inputs:
                 found = self._with_inputs(found, trial, grid, laws, hooks)
             if cached:
                 self._motions.put(trial.id, key, found)
         return found
 
-    def _ratios(self, named: Mapping[str, float]) -> tuple[float, ...]:
-        """Return the ratio of the transmission of each driven joint."""
-        return tuple(transmission.ratio.at(named) for transmission in self._transmissions)
+    def _laws_at(self, values: Array) -> Laws:
+        named = self._tree.named(values)
+        return Laws(
+            tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos),
+            tuple(transmission.ratio.at(named) for transmission in self._transmissions),
+            tuple(tuple(entry.at(named) for entry in law) for law in self._inputs),
+        )
 
     def slopes(self, values: Array) -> list[float]:
         """Return the rate of each driven joint divided by that of its actuator at the actuator angle zero.
@@ -233,7 +248,7 @@ class DrivenJoints:
         values : ndarray
             Parameter vector that begins with the coefficients of the robot.
         """
-        ratios = self._ratios(self._tree.named(values))
+        ratios = self._laws_at(values).ratios
         return [law.slope(ratio) for law, ratio in zip(self._transmissions, ratios, strict=True)]
 
     def _with_inputs(
@@ -241,8 +256,8 @@ class DrivenJoints:
     ) -> DrivenMotion:
         """Return a motion of the driven joints with the values of the inputs."""
         half, given_inputs = grid.times(2), trial.swim.inputs
-        rows = np.zeros((len(half), len(laws), 5))
-        for k, ((name, law), own) in enumerate(zip(self.inputs.items(), laws, strict=True)):
+        rows = np.zeros((len(half), len(laws.inputs), 5))
+        for k, ((name, law), own) in enumerate(zip(self.inputs.items(), laws.inputs, strict=True)):
             if name not in given_inputs:
                 continue
             value = given_inputs[name](half)
@@ -251,23 +266,15 @@ class DrivenJoints:
             rows[:, k, 0] = act(value, 0.5 * grid.step_s, *own)
         return DrivenMotion(np.concatenate([found.table, rows], axis=1), found.joints)
 
-    def _moved(
-        self,
-        trial: Trial,
-        grid: Grid,
-        phase_rad: float,
-        servos: Servos,
-        ratios: tuple[float, ...],
-        hooks: Hooks,
-    ) -> DrivenMotion:
+    def _moved(self, trial: Trial, grid: Grid, phase_rad: float, laws: Laws, hooks: Hooks) -> DrivenMotion:
         # begin the motion earlier, so that the initial transients of servos and backlash have decayed at the
         # first step
-        before = math.ceil(_memory_s(trial.swim, servos, hooks) / grid.step_s)
+        before = math.ceil(_memory_s(trial.swim, laws, hooks) / grid.step_s)
         grid = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
         half, commands = self._commanded(trial, grid, phase_rad)
         motions: list[Motion] = []
         actual: list[Array] = []
-        for k, (motion, servo) in enumerate(zip(commands, servos, strict=True)):
+        for k, (motion, servo) in enumerate(zip(commands, laws.servos, strict=True)):
             if servo is not None:
                 command = np.ascontiguousarray(hooks.actuated(grid.times(4), motion[0], k))
                 answer = simulate_servo(command, 0.5 * grid.step_s, 2.0 * math.pi * servo[0], servo[1])
@@ -282,7 +289,7 @@ class DrivenJoints:
                     motions.append(deviated(motion, actual[-1], 0.5 * grid.step_s))
             else:
                 motions.append(motion)
-        joints = zip(self._transmissions, self._tree.actuator_of, ratios, strict=True)
+        joints = zip(self._transmissions, self._tree.actuator_of, laws.ratios, strict=True)
         moved = [law.motion(motions[k], ratio) for law, k, ratio in joints]
         return DrivenMotion(table(len(half), moved, self.mounts_rad)[2 * before :], len(moved))
 
@@ -357,7 +364,7 @@ def joint_motion(actuator: Actuated, number: int, swim: SwimInput, time_s: Array
     )
 
 
-def _memory_s(swim: SwimInput, servos: Servos, hooks: Hooks) -> float:
+def _memory_s(swim: SwimInput, laws: Laws, hooks: Hooks) -> float:
     """Return the time in which the initial transient of the actuators decays under a steady beat, s.
 
     The time is 0 for a simulation that does not begin in steady swimming. The transient of a servo decays
@@ -365,7 +372,9 @@ def _memory_s(swim: SwimInput, servos: Servos, hooks: Hooks) -> float:
     """
     if not swim.steady or swim.drive is None:
         return 0.0
-    rates = [2.0 * math.pi * s[0] * min(s[1], 1.0 / max(2.0 * s[1], 1e-9)) for s in servos if s is not None]
+    rates = [
+        2.0 * math.pi * s[0] * min(s[1], 1.0 / max(2.0 * s[1], 1e-9)) for s in laws.servos if s is not None
+    ]
     forgotten = max((-math.log(SERVO_RTOL) / max(rate, 1e-3) for rate in rates), default=0.0)
     if hooks.command:
         forgotten += 2.0 / swim.drive.frequency_hz
@@ -533,21 +542,43 @@ def act(value: Array, step_s: float, power: float, dead_band: float, reverse: fl
     step_s : float
         Step of the grid.
     power, dead_band, reverse, lag_s : float
-        The lag starts at rest at the first value. It is exact for a value that is linear between the samples.
+        Law of the actuator, with the time constant of its lag (see :func:`apply_lag`).
 
     >>> act(np.array([-3.0, 0.5, 3.0]), 0.1, 2.0, 1.0, 0.5, 0.0).tolist()
     [-2.0, 0.0, 4.0]
     """
     size = np.maximum(np.abs(value) - dead_band, 0.0) ** power
     found = np.where(value < 0.0, -reverse * size, size)
-    if lag_s <= 0.0:
-        return found
-    from scipy.signal import lfilter
+    return np.asarray(apply_lag(step_s * np.arange(len(found)), found, lag_s))
 
-    ratio = step_s / lag_s
-    kept, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
-    # the state of the filter makes the first value of the output that of the input
-    return np.asarray(lfilter([1.0 - mean, mean - kept], [1.0, -kept], found, zi=[mean * found[0]])[0])
+
+@numba.njit(cache=True, nogil=True)
+def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
+    """Apply a first-order lag to a signal. The result is exact for a signal that is linear between its
+    samples.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), s
+        Increasing times.
+    signal : ndarray, shape (n,)
+        Input. The lag starts at rest at the first value of the signal.
+    tau : float, s
+        Time constant. With zero the output is the signal.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    output = signal.copy()
+    if tau <= 0.0:
+        return output
+    for i in range(1, len(signal)):
+        ratio = (time[i] - time[i - 1]) / tau
+        kept = math.exp(-ratio)
+        mean = -math.expm1(-ratio) / ratio
+        output[i] = kept * output[i - 1] + (mean - kept) * signal[i - 1] + (1.0 - mean) * signal[i]
+    return output
 
 
 def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
