@@ -653,7 +653,8 @@ class Kernel:
     """
 
     def __init__(self, tree: Tree, room: Room | None = None) -> None:
-        self.engine, self.room, tables = tree.engine, room, tree.tables
+        self.engine, self.room = tree.engine, room
+        tables: Callable[[Array], dict[str, Any]] = tree.tables
         if room is not None:
             tables = self._roomy(room, tables)
         self._example = tables(np.ones(len(tree.names)))
