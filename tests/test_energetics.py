@@ -64,7 +64,7 @@ def test_torques_of_random_trees(base: str) -> None:
         mounts = np.radians([a.joint.mount_deg for a in tree.driven])
         row = np.column_stack([q[n:], qd[n:], told, np.cos(q[n:] + mounts), np.sin(q[n:] + mounts)])
         rate, scratch = np.empty(2 * n), tuple(np.zeros(shape) for shape in engine.shapes(tables)[1])
-        engine.derivative(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
+        engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
         torque, _ = engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
         found = torque[0, [a.link for a in tree.driven]]
@@ -97,7 +97,7 @@ def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
     row[:, 3], row[:, 4] = np.cos(row[:, 0]), np.sin(row[:, 0])
     rate = np.empty(size)
     scratch = tuple(np.zeros(shape) for shape in space_engine.shapes(tables)[1])
-    space_engine.derivative(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
+    space_engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
     torque, _ = space_engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
     (axis,) = model.passive
     expected = -2.0 * state[7] - 0.3 * state[-1]

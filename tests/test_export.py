@@ -218,7 +218,7 @@ def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
     n = source.assembly.unknowns
     rate = np.zeros(2 * n)
     work = np.zeros((len(source.links), 19))
-    engine.derivative(state, row, tuple(tables), None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
+    engine.derivative(state, row, *tables, None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
     return rate
 
 

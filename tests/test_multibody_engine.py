@@ -40,7 +40,7 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     rate = np.empty(len(state))
     tables = model.tables(np.zeros(0))
     scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n)
-    engine.derivative(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
+    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
     kernel = lanes.Kernel(model)
     traced = lanes_forms.rate(kernel, state, row, tables)
     assert traced == pytest.approx(rate, rel=1e-9, abs=1e-11 * np.abs(rate).max())

@@ -55,7 +55,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
     tables = model.tables(defaults(model))
-    engine.derivative(state, row, tuple(tables.values()), None, 0.0, *scratch)
+    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch)
     kernel = lanes.Kernel(model)
     traced = lanes_forms.rate(kernel, state, row, tables)
     size = np.abs(scratch[-1]).max()

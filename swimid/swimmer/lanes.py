@@ -730,7 +730,7 @@ class Kernel:
             acting = tables.pop(ACTING)
             forced, time = self._forced(self.room, acting), acting[0] + tracer.symbol("elapsed", 0)
         derivative = on_symbols(self.engine.derivative)
-        derivative(state, row, tuple(tables.values()), forced, time, *scratch, rate)
+        derivative(state, row, *tables.values(), forced, time, *scratch, rate)
         after = Tracer()
         settled = array(after, "state", (self.size,))
         on_symbols(self.engine.settled)(settled)

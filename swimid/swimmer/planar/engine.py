@@ -302,20 +302,6 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
         work[i, 10] -= wrench[2]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _push_all(time, state, row, tables, forced, work):  # type: ignore[no-untyped-def]
-    """Add the forces of all elements, inputs and effects on the links."""
-    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
-    load_link, load, load_input = tables[12:15]
-    _drag(drag_link, drag, work)
-    _foils(foil_link, foil, work)
-    _forces(force_link, force, work)
-    _wakes(wake_link, wake, work)
-    _loads(load_link, load_input, load, row, work)
-    if forced is not None:
-        _forced(time, state, work, forced)
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """Write the coupling of passive joint ``k`` with the base and other joints into the mass matrix.
@@ -410,7 +396,32 @@ def solve(matrix, right, first):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # type: ignore[no-untyped-def]
+def derivative(  # type: ignore[no-untyped-def]
+    state,
+    row,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    load_link,
+    load,
+    load_input,
+    free_base,
+    forced,
+    time,
+    work,
+    matrix,
+    right,
+    rate,
+):
     """Compute the time derivative of the state vector, and write it into ``rate``.
 
     Parameters
@@ -419,12 +430,16 @@ def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # 
     row : ndarray, shape (driven joints + inputs, 5)
         Angle, rate, acceleration, cosine and sine (mounting angle included) of each driven joint. The value
         of each input in the first column.
-    tables : tuple
-        Input arrays in the order of :meth:`swimid.swimmer.tree.Tree.tables`: ``topology`` (links, 3),
-        ``joint`` (links, 4), ``inertia`` (links, 6), ``passive`` (passive joints, 11), then the links and the
-        properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`
-        and :data:`LOAD`, the row of ``row`` with the input of each load, and whether the base moves. A base
-        that does not move keeps its pose.
+    topology : ndarray of int, shape (links, 3); joint : ndarray, shape (links, 4)
+    inertia : ndarray, shape (links, 6)
+    passive : ndarray, shape (passive joints, 11)
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake, load_link, load : ndarray
+        Links and properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE`,
+        :data:`WAKE` and :data:`LOAD`.
+    load_input : ndarray of int
+        Row of ``row`` with the input of each load.
+    free_base : bool
+        Whether the base moves; otherwise it keeps its pose.
     forced : tuple or None
         Forces of effects, as :func:`outside` packs them; None if there are none.
     time : float, s
@@ -433,12 +448,17 @@ def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # 
         Work arrays.
     """
     n = len(state) // 2
-    topology, joint, inertia, passive = tables[:4]
     _outwards(state, row, topology, joint, inertia, None, work)
-    _push_all(time, state, row, tables, forced, work)
+    _drag(drag_link, drag, work)
+    _foils(foil_link, foil, work)
+    _forces(force_link, force, work)
+    _wakes(wake_link, wake, work)
+    _loads(load_link, load_input, load, row, work)
+    if forced is not None:
+        _forced(time, state, work, forced)
     _inwards(state, topology, joint, passive, work, matrix, right)
     first = 3
-    if tables[15]:
+    if free_base:
         first = 0
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = work[0, 11], work[0, 14], work[0, 16]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = work[0, 12], work[0, 13], work[0, 15]
@@ -498,7 +518,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     table : ndarray, shape (2 steps + 1, driven joints + inputs, 5)
         Driven joints and inputs on the half-step grid; see :func:`derivative`.
     tables : tuple
-        Input arrays (see :func:`derivative`).
+        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
     forced : tuple or None
         Forces of effects (see :func:`derivative`).
     begin : float, s
@@ -509,9 +529,11 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     states, rates : ndarray, shape (steps + 1, 2 n)
         NaN from the step at which the simulation breaks down.
     """
+    topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
+    force_link, force, wake_link, wake, load_link, load, load_input, free_base = tables[8:]
     steps, size = (table.shape[0] - 1) // 2, len(start)
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
-    work, right = np.zeros((tables[0].shape[0], 19)), np.zeros(size // 2)
+    work, right = np.zeros((topology.shape[0], 19)), np.zeros(size // 2)
     matrix = np.zeros((size // 2, size // 2))
     slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
     states[0] = start
@@ -519,8 +541,11 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
         for stage in range(4):
             begin_stage(stage, step, states[i], slope, total, trial)
             half = (stage + 1) // 2
-            time = begin + step * (i + 0.5 * half)
-            derivative(trial, table[2 * i + half], tables, forced, time, work, matrix, right, slope)
+            derivative(
+                trial, table[2 * i + half], topology, joint, inertia, passive, drag_link, drag, foil_link,
+                foil, force_link, force, wake_link, wake, load_link, load, load_input, free_base, forced,
+                begin + step * (i + 0.5 * half), work, matrix, right, slope,
+            )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
                 if is_broken(states[i], slope):
@@ -548,7 +573,7 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
     table : ndarray, shape (m, driven joints + inputs, 5)
         Driven joints and inputs at the same instants.
     tables : tuple
-        Input arrays (see :func:`derivative`).
+        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
     forced : tuple, optional
         Forces of effects (see :func:`derivative`).
     begin, step : float, s
@@ -560,12 +585,20 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
     wrench : ndarray, shape (m, 3), N and N m
     """
     topology, joint, inertia = tables[:3]
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
+    load_link, load, load_input = tables[12:15]
     links = topology.shape[0]
     found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
     wrench = np.empty((states.shape[0], 3))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        _push_all(begin + step * t, states[t], table[t], tables, forced, work)
+        _drag(drag_link, drag, work)
+        _foils(foil_link, foil, work)
+        _forces(force_link, force, work)
+        _wakes(wake_link, wake, work)
+        _loads(load_link, load_input, load, table[t], work)
+        if forced is not None:
+            _forced(begin + step * t, states[t], work, forced)
         for i in range(links - 1, -1, -1):
             found[t, i] = work[i, 10]
             if i > 0:

@@ -317,18 +317,6 @@ def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-d
         _put(w, _M, _plus(_at(w, _M), _times(-size, _at(load[e], 6))))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
-def _push_all(row, tables, work):  # type: ignore[no-untyped-def]
-    """Add the forces of all elements and inputs on the links."""
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
-    load_link, load, load_input, surface = tables[12:16]
-    _drags(drag_link, drag, surface, work)
-    _dampings(damping_link, damping, work)
-    _foils(foil_link, foil, surface, work)
-    _forces(force_link, force, surface, work)
-    _loads(load_link, load_input, load, row, work)
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """Write the coupling of passive hinge ``k`` with the base and other hinges into the mass matrix.
@@ -423,7 +411,33 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
-def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # type: ignore[no-untyped-def]
+def derivative(  # type: ignore[no-untyped-def]
+    state,
+    row,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    damping_link,
+    damping,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    load_link,
+    load,
+    load_input,
+    surface,
+    free_base,
+    forced,
+    time,
+    work,
+    matrix,
+    right,
+    rate,
+):
     """Compute the time derivative of the state vector, and write it into ``rate``.
 
     Parameters
@@ -432,13 +446,18 @@ def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # 
     row : ndarray, shape (driven hinges + inputs, 5)
         Angle, rate, acceleration, cosine and sine of each driven hinge. The value of each input in the first
         column.
-    tables : tuple
-        Input arrays in the order of :meth:`swimid.swimmer.tree.Tree.tables`: ``topology`` (links, 4),
-        ``joint`` (links, 33), ``inertia`` (links, 21), ``passive`` (passive hinges, 11; columns of
-        ``swimid.swimmer.planar.engine.PASSIVE``), then the links and the properties of the elements, with
-        the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE` and :data:`LOAD`, the row of
-        ``row`` with the input of each load, the height of the water surface in the world (m), and whether
-        the base moves. A base that does not move keeps its pose.
+    topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
+    inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
+        Columns of ``swimid.swimmer.planar.engine.PASSIVE``
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, load_link, load : ndarray
+        Links and properties of the elements, with the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`,
+        :data:`FORCE` and :data:`LOAD`.
+    load_input : ndarray of int
+        Row of ``row`` with the input of each load.
+    surface : float, m
+        Height of the water surface in the world.
+    free_base : bool
+        Whether the base moves; otherwise it keeps its pose.
     forced : None
         No forces of effects act.
     time : float, s
@@ -447,15 +466,18 @@ def derivative(state, row, tables, forced, time, work, matrix, right, rate):  # 
     right : ndarray, shape (n,)
         Work arrays.
     """
-    topology, joint, inertia, passive = tables[:4]
     passives = passive.shape[0]
     n = 6 + passives
     _outwards(state, row, topology, joint, inertia, None, work)
-    _push_all(row, tables, work)
+    _drags(drag_link, drag, surface, work)
+    _dampings(damping_link, damping, work)
+    _foils(foil_link, foil, surface, work)
+    _forces(force_link, force, surface, work)
+    _loads(load_link, load_input, load, row, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
-    if tables[16]:
+    if free_base:
         first = 0
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = w[_A], w[_A + 3], w[_A + 5]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = w[_A + 1], w[_A + 2], w[_A + 4]
@@ -498,16 +520,21 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
 
     The quaternion is scaled to length 1 after each step.
     """
-    steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + tables[3].shape[0]
+    topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
+    foil, force_link, force, load_link, load, load_input, surface, free_base = tables[9:]
+    steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
-    work, matrix, right = np.zeros((tables[0].shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
+    work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
     slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
     states[0] = start
     for i in range(steps + 1):
         for stage in range(4):
             begin_stage(stage, step, states[i], slope, total, trial)
-            row = table[2 * i + (stage + 1) // 2]
-            derivative(trial, row, tables, forced, begin, work, matrix, right, slope)
+            derivative(
+                trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
+                damping_link, damping, foil_link, foil, force_link, force, load_link, load, load_input,
+                surface, free_base, forced, begin, work, matrix, right, slope,
+            )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
                 if is_broken(states[i], slope):
@@ -529,12 +556,18 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     base is zero.
     """
     topology, joint, inertia = tables[:3]
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
+    load_link, load, load_input, surface = tables[12:16]
     links = topology.shape[0]
     found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
     wrench = np.empty((states.shape[0], 6))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        _push_all(table[t], tables, work)
+        _drags(drag_link, drag, surface, work)
+        _dampings(damping_link, damping, work)
+        _foils(foil_link, foil, surface, work)
+        _forces(force_link, force, surface, work)
+        _loads(load_link, load_input, load, table[t], work)
         for i in range(links - 1, 0, -1):
             found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)
