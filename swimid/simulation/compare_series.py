@@ -24,6 +24,8 @@ from swimid.simulation.cases import beat_frequency, drive_block
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.planar.model import Body
 
+Start = Literal["file", "estimated", "neutral"]
+
 
 class ChannelScore(yamlio.Document):
     """Errors of one channel, measured minus simulated, in the unit of the channel."""
@@ -76,7 +78,7 @@ class TrialComparison(yamlio.Document):
     role: Literal["fit", "validate"]
     #: Source of the trial's start state: the parameter file, an estimate from the trial, or rest at the first
     #: pose.
-    start: Literal["file", "estimated", "neutral"]
+    start: Start
     start_values: dict[str, float] = {}
     frequency_hz: Number = None
     #: Drive of the trial, with the keys of a trials file.
@@ -148,7 +150,6 @@ class ComparisonFile(yamlio.ResultFile):
         return {t.id: t.wave for t in self.trials if t.wave is not None}
 
 
-Start = Literal["file", "estimated", "neutral"]
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
 SIDES = compare_wave.SIDES

@@ -289,6 +289,11 @@ class Swimmer(Model, ABC):
         """Return the values of the coefficients in the robot file."""
         return {name: c.value for name, c in self.tree.body.coefficients.items()}
 
+    @property
+    def start_coefficients(self) -> Array:
+        """Start values of the coefficients of the robot file."""
+        return np.array([p.start for p in self.parameters[: len(self.coefficients)]])
+
     def given(self, trial: Trial) -> list[str]:
         """Return the channels of measured joint angles that drive the simulation.
 

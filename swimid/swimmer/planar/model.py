@@ -393,7 +393,7 @@ class Body:
         self.density_kg_m3 = model.robot.fluid.density_kg_m3
         self.step_s = model.max_step
         self.driven, self.passive, self.actuators = model.driven, model.passive, model.actuators
-        rigid = model.tree.rigid(np.array([p.start for p in model.parameters[: len(model.tree.names)]]))
+        rigid = model.tree.rigid(model.start_coefficients)
         self.masses_kg = [float(row[0]) for row in rigid]
         self._centres = [_centre(row) for row in rigid]
 
@@ -418,8 +418,7 @@ class Body:
 
     def tables(self) -> dict[str, Any]:
         """Return the input arrays at the start values of the parameters."""
-        tree = self._model.tree
-        return tree.tables(np.array([p.start for p in self._model.parameters[: len(tree.names)]]))
+        return self._model.tree.tables(self._model.start_coefficients)
 
     # -------------------------------------------------------- positions of the links
 
@@ -575,7 +574,7 @@ class Body:
         drag is that in still water, in N m s2/rad2.
         """
         topology = tables["topology"]
-        start = np.array([p.start for p in self._model.parameters])
+        start = self._model.start_coefficients
         x, y, heading = (part[:, 0] for part in self.frames(start, self.at_rest()))
         # compute velocities and turn rates of the links at an actuator rate of 1 rad/s
         vx, vy, turn = np.zeros((3, len(x)))

@@ -372,7 +372,7 @@ class MultibodyModel(Swimmer):
         stated = self.robot.body.length_m
         if stated:
             return stated
-        tables = self.tree.tables(np.array([p.start for p in self.parameters[: len(self.tree.names)]]))
+        tables = self.tree.tables(self.start_coefficients)
         points = np.vstack([tables[name][:, :3] for name in ("drag", "force", "load", "joint")])
         return float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
 
@@ -381,8 +381,7 @@ class MultibodyModel(Swimmer):
 
         The inertia about the centre of mass is unchanged.
         """
-        start = np.array([p.start for p in self.parameters[: len(self.tree.names)]])
-        rigid = self.tree.rigid(start)
+        rigid = self.tree.rigid(self.start_coefficients)
         link = int(np.argmax(rigid[:, 0]))
         mass, centre = rigid[link, 0], centre_of_mass(rigid[link])
         inertia = tables["inertia"].copy()
