@@ -1,7 +1,5 @@
 """``fit``: identification of the model of any experiment, from its trials file or from trials in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -362,6 +362,7 @@ class Problem:
         secant : bool
             Whether to update the Jacobian from step to step by the secant method, for each trial separately.
         """
+        settings["undamped"] = len(self.prior[1]) > 0
         return minimise(self.residuals, self.blocks, theta, self.box, secant=secant, **settings)
 
     def sample_weights(self, k: int) -> Array:
@@ -545,6 +546,7 @@ def minimise(
     max_iterations: int = 200,
     watch: Watch | None = None,
     secant: bool = False,
+    undamped: bool = False,
 ) -> Solution:
     """Minimise a sum of squares within bounds.
 
@@ -564,6 +566,9 @@ def minimise(
         Whether the Jacobian is updated after a step by the secant method. A new Jacobian is then computed
         only if a step falls short of its prediction [1]_ [2]_, and such a step is also corrected for
         curvature. Use it if derivatives are expensive.
+    undamped : bool
+        Whether the search ends only where an undamped step gains nothing. Use it if a prior determines what
+        the data leave open: damping hides such directions.
 
     Notes
     -----
@@ -606,11 +611,9 @@ def minimise(
             tried = attempt(x, taken)
             short = cost - tried.cost < MIN_AGREEMENT * predicted and np.isfinite(tried.cost)
             if secant and short:
-                # Correct the step for curvature if the correction is short and lowers the cost.
                 bend = rows.gradient(tried.residuals - r - rows.along(taken))
                 bent = solve(bend, low=low - taken, high=high - taken)
-                if np.linalg.norm(bent * size) <= MAX_CORRECTION * np.linalg.norm(taken * size):
-                    tried = min(tried, attempt(x, taken + bent), key=lambda t: t.cost)
+                tried = _corrected(attempt, x, tried, bent, size)
             small = bool(np.all(np.abs(tried.step) <= tolerance * (np.abs(x / scale) + tolerance)))
             if tried.cost < cost:
                 lowered, off = cost - tried.cost, tried.residuals - r - rows.along(tried.step)
@@ -620,18 +623,18 @@ def minimise(
                 still = small or (lowered <= tolerance * cost and predicted <= 10 * tolerance * cost)
                 x, r, cost = tried.x, tried.residuals, tried.cost
                 reason = tell(x, cost, iteration)
-                done = reason is not None
                 # End only with new derivatives, because a secant update may be the reason for a small step.
-                # Damping may be one as well, in a direction that the data hardly determine and a prior does.
                 if still and not age:
+                    reason = STILL
+                if reason is STILL and undamped:
                     solve = partial(_step, normal, damping=1e-12 * size**2, blocked=blocked)
                     rest = attempt(
                         x, solve(rows.gradient(r), low=(lower - x) / scale, high=(upper - x) / scale)
                     )
-                    done, reason = done or cost - rest.cost <= MIN_REST, STILL
+                    reason = [None, STILL][cost - rest.cost <= MIN_REST]
                     x, r, cost = min((x, r, cost), (rest.x, rest.residuals, rest.cost), key=lambda t: t[-1])
-                if done:
-                    return Solution(x, cost, True, reason or STILL, iteration)
+                if reason is not None:
+                    return Solution(x, cost, True, reason, iteration)
                 if secant and gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still:
                     rows, age, renew = rows.updated(off, tried.step, size**2), age + 1, False
                 break
@@ -652,6 +655,15 @@ def _attempt(residuals: Callable[[Array], Array], box: Box, x: Array, step: Arra
     there = np.clip(x + step * box.scale, box.lower, box.upper)
     r = residuals(there)
     return _Tried(step, there, r, float(np.nan_to_num(r @ r, nan=math.inf, posinf=math.inf)))
+
+
+def _corrected(
+    attempt: Callable[[Array, Array], _Tried], x: Array, tried: _Tried, bent: Array, size: Array
+) -> _Tried:
+    """Return a step corrected for curvature if the correction is short and lowers the cost."""
+    if np.linalg.norm(bent * size) > MAX_CORRECTION * np.linalg.norm(tried.step * size):
+        return tried
+    return min(tried, attempt(x, tried.step + bent), key=lambda t: t.cost)
 
 
 def _step(
