@@ -25,6 +25,8 @@ class Lifted(Assembly):
 
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
         super().__init__(body, fluid)
+        #: The engine that takes the tables.
+        self.engine = engine
         #: The second axis of the plane, the axis across it, and the turn of the planar angle.
         self.second, self.across = (1, 2) if body.plane == "horizontal" else (2, 1)
         self.normal = np.array([0.0, 0.0, 1.0] if body.plane == "horizontal" else [0.0, -1.0, 0.0])
