@@ -136,6 +136,12 @@ def test_a_share_of_the_gap_without_an_interval_has_none() -> None:
     assert "88 % of the gap closes. A refit alone closes 70 %" in said("partial")
 
 
+def test_a_changed_parameter_is_not_compared_with_the_refit_that_changes_it_as_well() -> None:
+    text = cases.evidence(cases.CHANGED.model_copy(update={"closed": cases.EXPLAINED.closed})).verdict.text
+    assert "A refit of all coefficients closes 70 %" in text
+    assert "of what it leaves" not in text
+
+
 def test_a_cause_without_a_held_out_gap_is_no_good_answer() -> None:
     known = cases.facts("servo-backlash", held_out=cases.held_out(90.0, 91.0, 92.0, before=100.0))
     closed = Closed(before=1.0, after=0.9, share=None)

@@ -22,6 +22,7 @@ from swimid.diagnosis.gap_file import (
     Step,
     Value,
 )
+from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.verdict import interval_text, otherwise_text
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
@@ -427,11 +428,12 @@ def _closed_text(file: GapFile) -> str:
     if closed.share > 0.0:
         parts += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
     if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit > 0.0:
+        by_refit, rest = percent(closed.by_refit, 2), percent(max(closed.by_causes, 0.0), 2)
         causes = plural("the cause closes", "the causes close", file.causes)
-        rest = percent(max(closed.by_causes, 0.0), 2)
-        parts += (
-            f". A refit alone closes {percent(closed.by_refit, 2)}, and {causes} {rest} of what it leaves"
-        )
+        said = f"A refit alone closes {by_refit}, and {causes} {rest} of what it leaves"
+        if all(c.effect.startswith(PREFIX) for c in file.causes):
+            said = f"A refit of all coefficients closes {by_refit}"
+        parts += f". {said}"
     return f"{where[0].upper()}{where[1:]} the squared error {parts}."
 
 
