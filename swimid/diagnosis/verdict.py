@@ -93,7 +93,8 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
         verdicts.append("explained")
     found = max(verdicts, key=ORDER.index)
     is_doubtful = facts.proposed and any(row.question == "gap" for row in failed)
-    if is_doubtful and not (facts.diverged or facts.unreproduced):
+    within = sum(t.before - t.limit for t in facts.held_out.values()) <= 0.0
+    if is_doubtful and within and not (facts.diverged or facts.unreproduced):
         # A gap that may not be there leaves nothing unexplained.
         found = "ambiguous"
     elif found == "partial" and not causes:
