@@ -218,15 +218,20 @@ def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
     return noise + known.form * max(gap, 0.0)
 
 
-def price(candidate: Candidate, record: Record, known: Calibration = CALIBRATED) -> float:
+def price(candidate: Candidate, null: Candidate, record: Record, known: Calibration = CALIBRATED) -> float:
     """Return the log-evidence that a hypothesis loses by its parameters, and by their distance from priors.
 
     Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
     by all of them. Each parameter therefore costs as much as in the BIC. The prior is one more part of the
-    data. No share of the gap excuses a parameter that is far from it.
+    data: a true effect may leave a share of the distance that the model without effects needs.
+
+    Parameters
+    ----------
+    null : Candidate
+        The model without effects.
     """
     directions = known.directions * record.parts
-    far = 0.5 * directions * math.log1p(candidate.strain / directions)
+    far = 0.5 * directions * math.log1p(candidate.strain / (directions + known.form * null.strain))
     return 0.5 * math.log(record.samples) * candidate.numbers + far
 
 
@@ -276,7 +281,7 @@ def posterior(
     same = [max(sum(are_twins(c, other) for other in better), 1) for c in candidates]
     known = np.array([0.0, *(prior(len(c.names), record.effects) for c in candidates)])
     known[1:] -= np.log(same)
-    known -= [price(c, record, calibration) for c in every]
+    known -= [price(c, null, record, calibration) for c in every]
     closes = known[:, None] + 0.5 * calibration.directions * record.parts * (size[0] - size)
     _further(every, known, closes, small, calibration.directions)
     evidence = np.vstack((closes, closes + calibration.outside + 0.5 * calibration.directions * size))

@@ -540,7 +540,9 @@ class Search:
         differing = noise.possible(study, h, self.every)
         known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
         strain = crossval.strain(crossval.normal_equations(study.with_noise(known), h))
-        price = posterior.price(replace(self._candidate(h), strain=strain), self.record)
+        price = posterior.price(
+            replace(self._candidate(h), strain=strain), self._candidate(self.null), self.record
+        )
         return known.log_likelihood - price + posterior.prior(len(h.names), self.count) * bool(h.names)
 
     def learn(self, leading: Hypothesis) -> None:
