@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis.gap_file import ChangedValue, GapFile
+from tests.blind import swimmers
 from tests.conftest import Ran
 from tests.generators.rig import click_log, fall, write_falls
 
@@ -123,3 +124,18 @@ def test_a_drag_that_differs_between_repeats_is_chance(swimid: Run, tmp_path: Pa
     file, said = diagnosed(swimid, repeated(tmp_path, (10.0, 20.0, 30.0, 40.0), "abc", log))
     assert (file.verdict, file.causes) == ("none", [])
     assert "relative_drag_deviation" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "change"), [("c_ma", -0.15), ("c_d4", 0.15)])
+def test_a_changed_parameter_of_a_fish_is_named_beside_what_differs_between_trials(
+    name: str, change: float, swimid: Run, tmp_path: Path
+) -> None:
+    """Amplitude, trim, thrust and clock differ between the trials. An effect fits that better at first."""
+    label = swimmers.make_case(
+        tmp_path, robot="tfish", effect=f"parameter:{name}", size=change, rng=np.random.default_rng(41)
+    )
+    file, _ = diagnosed(swimid, tmp_path / "trials.yaml", "--params", tmp_path / "params_prior.yaml")
+    assert file.causes[0].effect == f"parameter:{name}"
+    found = file.causes[0].parameters[name]
+    assert found.value == pytest.approx(label["truth"][name] * (1.0 + change), abs=3 * found.stderr)

@@ -607,10 +607,23 @@ class Search:
         def one(h: Hypothesis) -> tuple[Array, Array, float]:
             return h.deviance_parts
 
-        moved = [self._moved(h, study, fit) for h in kept]
-        for h, found in zip(moved, map_in_processes(one, moved, study.jobs), strict=True):
-            vars(h).update(deviance_parts=found)
-            self._put(h)
+        def put(moved: Sequence[Hypothesis]) -> None:
+            for h, found in zip(moved, map_in_processes(one, moved, study.jobs), strict=True):
+                vars(h).update(deviance_parts=found)
+                known = self.pool.get(h.key)
+                if known is None or h.deviance < known.deviance:
+                    self._put(h)
+
+        put([self._moved(h, study, fit) for h in kept])
+        # An effect cannot increase the deviance, because its null value gives the model without it. Where it
+        # does, the parameters are far from their optimum with the other noise. A step from the null value
+        # finds it again if the effect is smooth.
+        worse = [
+            h
+            for h in self.pool.values()
+            if h.effects and h.deviance > fit.deviance and all(e.smooth for e in h.effects)
+        ]
+        put([self._moved(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
         self.finish()
 
     def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
