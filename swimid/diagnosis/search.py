@@ -59,6 +59,8 @@ PROBABLE, CONTENDERS = 1e-4, 6
 SAME_COSINE = 0.95
 #: Maximum number of effects in one hypothesis.
 COMBINED = 3
+#: Probability of a hypothesis with which the noise is estimated from its residuals.
+SURE = 0.8
 #: Maximum number of times that the noise is learnt before sets of effects are tried.
 LEARNT = 3
 
@@ -520,10 +522,13 @@ class Search:
     def leading(self) -> Hypothesis:
         """Return the hypothesis from whose residuals the noise is estimated.
 
-        Random effects of the trials change which hypothesis is probable. The most probable effects and the
-        model without effects are therefore compared by :meth:`likelihood`.
+        It is the one with the probability :data:`SURE`. Otherwise random effects of the trials may change
+        which hypothesis is probable. The most probable effects and the model without effects are then
+        compared by :meth:`likelihood`. Its linear step is too optimistic far from an optimum.
         """
         known = self.posterior.known
+        if self.posterior.sets.get(self.posterior.best, 0.0) > SURE:
+            return self.base
         likeliest = sorted(self.best(1), key=lambda h: -known[h.names])
         scores = {h.key: self.likelihood(h) for h in (self.null, *likeliest[:CONTENDERS])}
         if not all(math.isfinite(score) for score in scores.values()):
