@@ -30,6 +30,7 @@ from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
 from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.remainder import Left
 from swimid.diagnosis.study import FEW, FINE, HEAT, ROUGH, Hypothesis, Study
+from swimid.diagnosis.verdict import SURE
 from swimid.effects.base import Effect
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.fit_common import step_check
@@ -59,8 +60,6 @@ PROBABLE, CONTENDERS = 1e-4, 6
 SAME_COSINE = 0.95
 #: Maximum number of effects in one hypothesis.
 COMBINED = 3
-#: Probability of a hypothesis with which the noise is estimated from its residuals.
-SURE = 0.8
 #: Maximum number of times that the noise is learnt before sets of effects are tried.
 LEARNT = 3
 
@@ -260,8 +259,6 @@ class Search:
     dropouts: Dropouts = field(init=False)
     left: Left = field(init=False)
     odd_trials: dict[str, str] = field(init=False, default_factory=dict)
-    #: Maximum standard deviation of a random effect, in typical scales.
-    largest_sd: float = field(init=False, default=noise.BESIDE_GAP)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
     # ------------------------------------------------------------ fits
@@ -522,9 +519,10 @@ class Search:
     def leading(self) -> Hypothesis:
         """Return the hypothesis from whose residuals the noise is estimated.
 
-        It is the one with the probability :data:`SURE`. Otherwise random effects of the trials may change
-        which hypothesis is probable. The most probable effects and the model without effects are then
-        compared by :meth:`likelihood`. Its linear step is too optimistic far from an optimum.
+        It is the one whose probability exceeds that of a sure answer (:data:`SURE`). Otherwise the trials'
+        random effects may change which hypothesis is probable. The most probable effects and the model
+        without effects are then compared by :meth:`likelihood`. That comparison is not used for a sure
+        answer, because its linear step is too optimistic far from an optimum.
         """
         known = self.posterior.known
         if self.posterior.sets.get(self.posterior.best, 0.0) > SURE:
@@ -548,13 +546,20 @@ class Search:
         price = posterior.price(
             replace(self._candidate(h), strain=strain), self._candidate(self.null), self.record
         )
-        return known.log_likelihood - price + posterior.prior(len(h.names), self.count) * bool(h.names)
+        if h.names:
+            price -= posterior.prior(len(h.names), self.count)
+        return known.log_likelihood - price
 
-    def learn(self, leading: Hypothesis) -> None:
+    def learn(self, leading: Hypothesis) -> float:
         """Estimate the noise from the residuals of the leading hypothesis, and refit the contenders.
 
         Structure that a generic description finds in these residuals (:mod:`swimid.diagnosis.remainder`) does
         not count as noise.
+
+        Returns
+        -------
+        float
+            Largest standard deviation that a random effect could have, in typical scales.
         """
         study, fit = self.study, leading
         self.prepare([fit.effects])
@@ -569,22 +574,22 @@ class Search:
             known = noise.learn(study, fit, [], differing, brief=bool(fit.effects))
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
-        self.largest_sd = largest
         self.change(study.with_noise(known))
+        return largest
 
     def settle(self) -> None:
-        """Learn the noise until its random effects are those of the leading hypothesis that it leads to.
+        """Learn the noise again until the leading hypothesis and its random effects do not change.
 
         The first leading hypothesis was fitted without random effects, and may have absorbed them.
         """
         leading = self.leading()
         for _ in range(LEARNT):
-            self.learn(leading)
+            largest = self.learn(leading)
             self.compare()
             before, leading = leading, self.leading()
             study = self.study
             differing = noise.possible(study, leading, self.every)
-            known = noise.with_random_effects(study, leading, study.noise, differing, largest=self.largest_sd)
+            known = noise.with_random_effects(study, leading, study.noise, differing, largest=largest)
             names = [{e.name for e in of.random_effects} for of in (known, study.noise)]
             if leading.key == before.key and names[0] == names[1]:
                 return

@@ -18,6 +18,7 @@ from scipy import special
 from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Verdict
 from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import CALIBRATED, UNSURE
+from swimid.fitting.rivals import STRONG
 from swimid.results import numbers
 from swimid.results.numbers import listed, number, percent, probability_text
 
@@ -30,9 +31,6 @@ SURE = 0.8
 MOST = 0.5
 #: Minimum probability that the causes reduce the errors on held-out data.
 CLEAR = 0.95
-#: Minimum decrease of the deviance of the other held-out parts with which their decrease is clear: strong
-#: evidence (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90, 1995, 773-795).
-LEAST_DECREASE = 6.0
 #: Number of random weights of the held-out parts.
 WEIGHTINGS = 1000
 #: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
@@ -244,10 +242,11 @@ def probability_of_decrease(facts: Facts, *, as_given: bool = False) -> float:
     """Return the probability that the causes reduce the error of held-out data.
 
     The part whose deviance decreases most is left out, so that no part carries the decrease alone. The
-    others get random weights (Bayesian bootstrap). The probability is at most one half if they decrease by
-    less than :data:`LEAST_DECREASE` together, or if there is one part only, because nothing shows how much
-    parts differ. It is zero if the sum of the deviances does not fall, or that of the squared errors, unless
-    noise explains them. The squared errors must also be below those of the parameters as given.
+    others get random weights (Bayesian bootstrap). The probability is at most one half in two cases: they
+    decrease by less than :data:`swimid.fitting.rivals.STRONG` together, or there is one part only, which does
+    not show how much parts differ. It is zero if the sum of the deviances does not fall, or that of the
+    squared errors, unless noise explains them. The squared errors must also be below those of the parameters
+    as given.
 
     Parameters
     ----------
@@ -270,7 +269,7 @@ def probability_of_decrease(facts: Facts, *, as_given: bool = False) -> float:
         return 0.5
     weights = np.random.default_rng(0).dirichlet(np.ones(len(rest)), WEIGHTINGS)
     falls = float(np.mean(weights @ rest > 0.0))
-    return falls if rest.sum() >= LEAST_DECREASE else min(falls, 0.5)
+    return falls if rest.sum() >= STRONG else min(falls, 0.5)
 
 
 def _gains(facts: Facts, as_given: bool) -> np.ndarray:

@@ -631,7 +631,7 @@ def minimise(
                     rest = attempt(
                         x, solve(rows.gradient(r), low=(lower - x) / scale, high=(upper - x) / scale)
                     )
-                    reason = [None, STILL][cost - rest.cost <= MIN_REST]
+                    reason = STILL if cost - rest.cost <= MIN_REST else None
                     x, r, cost = min((x, r, cost), (rest.x, rest.residuals, rest.cost), key=lambda t: t[-1])
                 if reason is not None:
                     return Solution(x, cost, True, reason, iteration)
