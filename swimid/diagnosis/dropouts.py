@@ -147,11 +147,14 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     if size <= 0:
         return kinds
     for rows in _runs(np.concatenate(([False], np.diff(x) == 0.0))):
-        if len(rows) + 1 < FROZEN or np.ptp(simulated[there][rows[0] - 1 : rows[-1] + 1]) <= MOVED * size:
+        moved = np.ptp(simulated[there][rows[0] - 1 : rows[-1] + 1])
+        if len(rows) + 1 < FROZEN or moved <= MOVED * size:
             continue
-        # Rounded values also repeat while a robot rests. A frozen marker jumps when it is tracked again.
+        # Rounded values also repeat while a robot rests and its model drifts. A frozen marker jumps when it
+        # is tracked again, or the robot moves by far more than the error of its model.
         after = x[rows[-1] + 1 : rows[-1] + 2]
-        if rounded is None or (np.abs(after - x[rows[-1]]) > JUMP * size).any():
+        jumps = (np.abs(after - x[rows[-1]]) > JUMP * size).any()
+        if rounded is None or jumps or moved > MOVED * _robust(r):
             kinds[there[rows]] = "frozen"
     smooth = median_filter(r, size=5, mode="nearest")
     spikes = there[np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))]
