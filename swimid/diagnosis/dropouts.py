@@ -151,10 +151,10 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
         if len(rows) + 1 < FROZEN or moved <= MOVED * size:
             continue
         # Rounded values also repeat while a robot rests and its model drifts. A frozen marker jumps when it
-        # is tracked again, or the robot moves by far more than the error of its model.
+        # is tracked again. At the end of a trial, the robot moves by far more than the error of its model.
         after = x[rows[-1] + 1 : rows[-1] + 2]
-        jumps = (np.abs(after - x[rows[-1]]) > JUMP * size).any()
-        if rounded is None or jumps or moved > MOVED * _robust(r):
+        failed = np.abs(after - x[rows[-1]]) > JUMP * size if len(after) else moved > MOVED * _robust(r)
+        if rounded is None or np.any(failed):
             kinds[there[rows]] = "frozen"
     smooth = median_filter(r, size=5, mode="nearest")
     spikes = there[np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))]
