@@ -28,6 +28,8 @@ _STAGES = {
 }
 #: Prefix of the names of truths that a parameter of the parameter file has changed.
 PARAMETER = "parameter:"
+#: Prefix of the names of truths that concern a single trial.
+ODD = "odd:"
 #: Stage of every effect whose name the gap file's format pins.
 STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names.split()}
 
@@ -35,7 +37,7 @@ STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names.sp
 def stages_of(names: Iterable[str], outside: Iterable[str] = ()) -> list[str]:
     """Return the stage of each truth; a changed parameter is the stage ``parameter``."""
     stages = dict.fromkeys(outside, "outside") | STAGE_OF
-    return [stages.get(name, "parameter") for name in names]
+    return ["odd" if name.startswith(ODD) else stages.get(name, "parameter") for name in names]
 
 
 def write_parameters(

@@ -77,13 +77,15 @@ def is_sized(row: Row) -> bool:
 def figures(rows: Sequence[Row]) -> list[Figure]:
     """Return all figures of one run, in the order of the table."""
     kinds = {
-        k: [r for r in rows if r["kind"] == k] for k in ("clean", "single", "pair", "outside", "changed")
+        k: [r for r in rows if r["kind"] == k]
+        for k in ("clean", "single", "pair", "outside", "changed", "odd")
     }
     singles, changed = kinds["single"], kinds["changed"]
     shown = [r for r in changed if (r["singles"] or 0.0) >= SHOWN]
     large = [r for r in singles if (r["gap"] or 1.0) >= LARGE]
     sizes = [len(r["set"]) for r in large if is_named(r)]
     foreign = [r for r in kinds["outside"] if (r["gap"] or 1.0) >= VISIBLE]
+    plain = [r for r in rows if r["kind"] != "odd"]
     right = [r for r in singles if is_within(r)]
     excluded = [r for r in kinds["pair"] if (r["singles"] or 0.0) >= EXCLUDED]
     closed = [r for r in rows if is_named(r) and None not in (r["closed"], r["claimed"])]
@@ -112,6 +114,12 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
             "two effects, of which the noise-free data exclude each single one: both named",
             _of(excluded, lambda r: is_named(r) and r["both"]),
         ),
+        Figure("an odd trial: named", _of(kinds["odd"], lambda r: bool(r["odd"]))),
+        Figure(
+            "the same beside an effect: the effect in a set of at most three",
+            _of([r for r in kinds["odd"] if r["truth"]], is_within),
+        ),
+        Figure("a trial said to be odd that is not", _of(plain, lambda r: bool(r["odd"]))),
         Figure(
             "closed share within 5 points", _of(closed, lambda r: abs(r["claimed"] - r["closed"]) <= CLOSE)
         ),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tests.blind.common import PARAMETER, Catalogue
+from tests.blind.common import ODD, PARAMETER, Catalogue
 
 GRAVITY = 980.0
 MASS, PULLEY, AREA, DENSITY, LENGTH, VISCOSITY = 1196.0, 20.0, 69.8, 0.997, 26.4, 0.0100
@@ -32,6 +32,7 @@ class Rig:
     clicks: bool
     rng: np.random.Generator
     order: float = 0.0
+    is_odd: bool = False
     speed: float = 0.0
     late: float = 0.0
     string: float | None = None
@@ -351,4 +352,23 @@ def _changed(attribute: str) -> Callable[[float, np.random.Generator], Act]:
 
 CHANGES: Catalogue = {
     f"{PARAMETER}{name}": (_changed(attribute), []) for name, attribute in PARAMETERS.items()
+}
+
+
+def _of_odd_trial(attribute: str, factor: float, more: float = 0.0) -> Callable[..., Act]:
+    """Return the maker of an act that changes an attribute of the rig in the odd trial only."""
+
+    def act(rig: Rig) -> None:
+        if rig.is_odd:
+            setattr(rig, attribute, getattr(rig, attribute) * factor + more)
+
+    return lambda _, __: act
+
+
+#: What one trial has of its own: a pulling mass other than the one in the trials file, 10 mN more friction,
+#: and a tenth more drag.
+ODD_TRIALS: Catalogue = {
+    f"{ODD}entry": (_of_odd_trial("weight", 1.25), []),
+    f"{ODD}friction": (_of_odd_trial("friction", 1.0, 1000.0), []),
+    f"{ODD}drag": (_of_odd_trial("drag", 1.1), []),
 }

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.blind import common, decays, rig_effects
-from tests.blind.common import PARAMETER, Catalogue, left_by_refit, stages_of, write_parameters
+from tests.blind.common import ODD, PARAMETER, Catalogue, left_by_refit, stages_of, write_parameters
 from tests.blind.rig_effects import AREA, DENSITY, GRAVITY, MASS, PULLEY, TRAVEL, Act, Rig
 
 CLICK = 0.785
@@ -33,6 +33,8 @@ CONFOUNDED = (
 
 CATALOGUE: dict[str, Catalogue] = {"falling-weight": rig_effects.EFFECTS, "free-decay": decays.EFFECTS}
 OUTSIDE: dict[str, Catalogue] = {"falling-weight": rig_effects.OUTSIDE, "free-decay": decays.OUTSIDE}
+#: What one trial of a robot may have of its own.
+ODD_TRIALS = {"falling-weight": tuple(rig_effects.ODD_TRIALS)}
 #: Parameters that may change between the fit of the parameter file and the trials.
 CHANGED = {"falling-weight": tuple(rig_effects.PARAMETERS), "free-decay": tuple(decays.PARAMETERS)}
 #: Unit of each parameter of a falling weight, and its factor from centimetres, grams and dynes to SI.
@@ -83,9 +85,10 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
     weights = np.sort(rng.choice(np.arange(10.0, 46.0, 2.5), rng.integers(7, 11), replace=False))
     weights[0] = min(weights[0], 12.5)
     clicks = bool(rng.random() < 0.5) and "marker-dropout" not in names
-    known = {**rig_effects.EFFECTS, **rig_effects.OUTSIDE, **rig_effects.CHANGES}
+    known = {**rig_effects.EFFECTS, **rig_effects.OUTSIDE, **rig_effects.CHANGES, **rig_effects.ODD_TRIALS}
     acts = [known[name][0](size, rng) for name in names]
     is_changed = any(name.startswith(PARAMETER) for name in names)
+    odd = -1
     order = rng.permutation(len(weights)) / max(len(weights) - 1, 1)
     spread, clock = rng.uniform(0.02, 0.03), rng.uniform(0.003, 0.008)
     seeds = rng.integers(0, 2**31, (len(weights), 3))
@@ -94,7 +97,7 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
 
     def rig(k: int, *, effects: Sequence[Act], scatter: bool) -> Rig:
         own, chance = Rig(weights[k], drag, added, friction, clicks, np.random.default_rng(seeds[k, 0])), None
-        own.order = float(order[k])
+        own.order, own.is_odd = float(order[k]), k == odd
         if scatter:
             chance = np.random.default_rng(seeds[k, 1])
             own.friction *= chance.normal(1.0, spread)
@@ -117,6 +120,7 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
     grids, changes, noise_free = [], [], {}
     lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
     held = rng.choice(len(weights), rng.integers(1, 3), replace=False) if rng.random() < 0.4 else []
+    odd = _odd_trial(names, np.setdiff1d(np.arange(len(weights)), held), rng)
     for k, weight in enumerate(weights):
         t, x = rig(k, effects=acts, scatter=True).fall()
         chance = np.random.default_rng(seeds[k, 2])
@@ -167,7 +171,7 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         return found
 
     candidates = {}
-    if len(names) == 2:
+    if len(names) == 2 and odd < 0:
         candidates = common.candidates(rig_effects.EFFECTS, dict(zip(names, acts, strict=True)), change_of)
     shared, own = _columns(weights, grids, truth, scatter)
     if is_changed:
@@ -183,6 +187,7 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         "size": size,
         "prior": prior,
         "clicks": clicks,
+        "odd": f"run{odd + 1:02d}" if odd >= 0 else None,
         "truth": {name: value * UNITS[name][1] for name, value in zip(UNITS, truth, strict=True)},
         "factors": {name.removeprefix(PARAMETER): 1.0 + size for name in names if name.startswith(PARAMETER)},
         "noise_sd": {"x_m": size_of["noise"] / 100},
@@ -195,6 +200,11 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         "arrays": arrays,
         "noise_free": noise_free,
     }
+
+
+def _odd_trial(names: Sequence[str], fitted: np.ndarray, rng: np.random.Generator) -> int:
+    """Return the number of the trial that has something of its own, or -1."""
+    return int(rng.choice(fitted)) if any(name.startswith(ODD) for name in names) else -1
 
 
 def _clicks(

@@ -23,17 +23,20 @@ from typing import Any
 import numpy as np
 
 from tests.blind import noise_free
-from tests.blind.common import PARAMETER
+from tests.blind.common import ODD, PARAMETER
 
 #: Modules of generators, each with CATALOGUE, OUTSIDE and make_case.
 GENERATORS = ("rigs", "cruises", "swimmers")
 #: Share of the cases; a family's robots divide its share evenly unless they have their own.
 SHARES = {"falling-weight": 0.21, "free-decay": 0.04, "cruise": 0.15, "tfish": 0.35, "dolphin": 0.25}
-#: Kinds of cases. A plan numbers its cases of a changed parameter from `CHANGED_FROM` on.
+#: Kinds of cases. A plan numbers its cases of a changed parameter from `CHANGED_FROM` on, and those with an
+#: odd trial from `ODD_FROM` on.
 KINDS = {"clean": 0.12, "single": 0.60, "pair": 0.13, "outside": 0.15}
-CHANGED_FROM = 5000
+CHANGED_FROM, ODD_FROM = 5000, 7000
 #: Share of the cases of a changed parameter.
 CHANGED_SHARES = {"falling-weight": 0.2, "free-decay": 0.1, "tfish": 0.4, "dolphin": 0.3}
+#: Share of the cases with an odd trial.
+ODD_SHARES = {"falling-weight": 0.5, "tfish": 0.3, "dolphin": 0.2}
 #: Smallest and largest relative change of a parameter.
 CHANGE = (0.08, 0.25)
 #: A cause that makes a swim unstable is drawn so much smaller, so often at most.
@@ -136,6 +139,23 @@ def plan_changed(total: int, seed: int, *, robots: Sequence[str] = ()) -> list[d
     return [{"number": CHANGED_FROM + i, **cases[int(k)]} for i, k in enumerate(order)]
 
 
+def plan_odd(total: int, seed: int, *, robots: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Return the plan of cases in which one trial has something of its own, half of them beside an effect."""
+    shares = {name: share for name, share in ODD_SHARES.items() if not robots or name in robots}
+    rng = np.random.default_rng([seed, 3])
+    cases = []
+    for robot, number in counts(total, shares).items():
+        module = generators()[robot]
+        alone = itertools.cycle(rng.permutation(module.ODD_TRIALS[robot]).tolist())
+        causes = itertools.cycle(rng.permutation(list(module.CATALOGUE[robot])).tolist())
+        for i in range(number):
+            truth = [next(alone)] if i % 2 else [next(causes), next(alone)]
+            size = round(float(np.exp(rng.uniform(0.0, np.log(3.0)))), 4)
+            cases.append({"robot": robot, "kind": "odd", "effects": truth, "size": size})
+    order = rng.permutation(len(cases))
+    return [{"number": ODD_FROM + i, **cases[int(k)]} for i, k in enumerate(order)]
+
+
 def separated(label: dict[str, Any], place: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What of a label JSON can hold, and its arrays by the place where they were."""
     arrays: dict[str, np.ndarray] = {}
@@ -158,6 +178,7 @@ def separated(label: dict[str, Any], place: str = "") -> tuple[dict[str, Any], d
 def label_of(path: Path) -> dict[str, Any]:
     """A case's label, with the reading that would be the answer as its effect."""
     label: dict[str, Any] = json.loads(path.read_text())
+    label["effects"] = [name for name in label["effects"] if not name.startswith(ODD)]
     if set(label["effects"]) & READINGS.keys():
         label["effects"] = [READINGS.get(name, name) for name in label["effects"]]
         label["kind"] = "single" if len(label["effects"]) == 1 else "pair"
@@ -232,7 +253,9 @@ def commands(folder: Path) -> list[list[str]]:
         if experiment == "cruise":
             steps[-1] += ["--drag", "drag.yaml"]
     params = prior.name if prior.exists() else "params.yaml"
-    steps.append(["diagnose", "trials.yaml", "--params", params, "-o", "gap.yaml", "--no-progress"])
+    # The runner has a thread for each core.
+    more = ["--jobs", "1", "--no-progress"]
+    steps.append(["diagnose", "trials.yaml", "--params", params, "-o", "gap.yaml", *more])
     return steps
 
 
@@ -346,6 +369,7 @@ def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
     parser.add_argument("--cases", type=int, default=160, help="how many")
     parser.add_argument("--changed", type=int, default=0, help="how many more with a changed parameter")
+    parser.add_argument("--odd", type=int, default=0, help="how many more with an odd trial")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--robots", nargs="+", default=[], help="only these")
     parser.add_argument("--effects", nargs="+", default=[], help="only single cases of these")
@@ -374,6 +398,7 @@ def main(argv: Sequence[str] | None = None, *, program: Sequence[str] = PROGRAM)
     if not chosen.score:
         cases = plan(chosen.cases, chosen.seed, robots=chosen.robots, effects=chosen.effects)
         cases += plan_changed(chosen.changed, chosen.seed, robots=chosen.robots)
+        cases += plan_odd(chosen.odd, chosen.seed, robots=chosen.robots)
         text = json.dumps({"seed": chosen.seed, "cases": cases}, indent=1) + "\n"
         if chosen.plan:
             print(text, end="")

@@ -42,7 +42,9 @@ def read(out: Path) -> list[Row]:
         row = scored(label, gap, record)
         true = noise_free.closed_share(place.parent, label.get("floor") or {})
         stated = (gap or {}).get("closed") or {}
-        if true is not None and stated.get("share") is not None:
+        if label["kind"] == "odd":
+            row["closed"] = None  # the noise-free motions contain the odd trial
+        elif true is not None and stated.get("share") is not None:
             row |= {"claimed": stated["share"], "closed": true, "interval": _interval(stated.get("ci95"))}
         rows.append(row)
     return rows
@@ -84,6 +86,7 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
         "gap": _largest(label.get("gap_refit")),
         "singles": min((label.get("singles") or {}).values(), default=None),
         "both": False,
+        "odd": None,
         "from": None,
         "value": None,
         "stated": None,
@@ -94,6 +97,8 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
         row["value"] = row["from"] * factor
     if gap is None:
         return row
+    told = list(gap.get("odd_trials") or {})
+    row["odd"] = told == [label["odd"]] if label.get("odd") else bool(told)
     ratios = [c["nrmse"] / c["floor"] for c in gap["where"]["channels"] if c.get("floor") and c.get("nrmse")]
     row["tool_ratio"] = max(ratios, default=None)
     sets, causes = sets_of(gap), gap.get("causes") or []

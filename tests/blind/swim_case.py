@@ -20,7 +20,7 @@ class Trial:
 
     ``start`` is the pose at rest (m, m, rad). The rest scatters between trials: the share by which
     amplitude and the fin's force are larger, the trim of the whole tail (rad) and by how much the log's
-    clock is late (s).
+    clock is late (s). An odd trial has something that the others have not.
     """
 
     id: str
@@ -36,6 +36,7 @@ class Trial:
     thrust: float = 0.0
     trim: float = 0.0
     late: float = 0.0
+    is_odd: bool = False
 
     def rng(self, name: str) -> np.random.Generator:
         """Random numbers of one cause in this trial, the same at every call."""

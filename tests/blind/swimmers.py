@@ -15,10 +15,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tests.blind import common, swim_body, swim_files
+from tests.blind import odd_swims as odd
 from tests.blind import swim_actuation as actuation
 from tests.blind import swim_effects as effects
 from tests.blind import swim_sensing as sensing
-from tests.blind.common import PARAMETER
+from tests.blind.common import ODD, PARAMETER
 from tests.blind.swim_case import Act, Channels, Entry, Trial, held_out
 from tests.blind.swim_sensing import UP
 from tests.blind.swim_tables import Water
@@ -110,6 +111,11 @@ CHANGED = {
     "tfish": ("c_ma", "c_d0", "c_d4", "d_p"),
     "dolphin": ("c_m0", "c_d1", "c_d2", "K_s"),
 }
+
+
+#: What one trial of a robot may have of its own.
+_ODD = {f"{ODD}{maker.__name__}": Entry(maker, (), "odd") for maker in (odd.mirrored, odd.entry, odd.thrust)}
+ODD_TRIALS = {robot: tuple(_ODD) for robot in CATALOGUE}
 
 
 @dataclass(frozen=True)
@@ -280,9 +286,11 @@ def make_case(
     """
     names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
     sizes = (size,) * len(names) if isinstance(size, int | float) else tuple(size)
-    known = {**CATALOGUE[robot], **OUTSIDE[robot], **_changes(robot)}
+    known = {**CATALOGUE[robot], **OUTSIDE[robot], **_changes(robot), **_ODD}
     acts = [known[name].make(rng, s, robot) for name, s in zip(names, sizes, strict=True)]
     trials, noise, coefficients = plan(robot, rng), _noise(robot, rng), truth(robot, rng)
+    if set(names) & set(_ODD):
+        rng.choice([trial for trial in trials if trial.role == "fit"]).is_odd = True
     factors, upper = _factors(acts), _bounds(robot)
     if factors:
         coefficients[SPRING[robot][0]] = SPRING[robot][1]
@@ -331,6 +339,7 @@ def make_case(
         "truth": coefficients,
         "factors": factors,
         "known": covariance,
+        "odd": next((t.id for t in trials if t.is_odd), None),
         "columns": columns,
         "channels": channels,
         "noise_sd": sd,
