@@ -33,7 +33,7 @@ from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.proposals import Limits
 from swimid.diagnosis.search import Round, Search
-from swimid.diagnosis.study import FINE, Hypothesis, Study, rms
+from swimid.diagnosis.study import Hypothesis, Study, rms
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -181,31 +181,12 @@ def answer(
 
 
 def _predictions(search: Search, validation: Sequence[Trial], progress: Progress) -> list[list[Prediction]]:
-    """Return the held-out predictions by the model as given, refitted, and with the causes in turn.
-
-    The memory of the noise and random effects make a fit more precise if the model is right, and may mislead
-    it otherwise. The models are therefore also fitted with independent noise, and the fits whose causes
-    predict held-out data better are those of the search from then on.
-    """
-    study, noise = search.study, search.study.noise
-    given = held_out.as_given(study)
-    white = study.with_noise(noise.white)
-    smaller = [] if search.base is search.null else [search.null, *search.between]
-    with progress("held-out trials", total=3 + len(smaller)) as step:
-
-        def predict(one: Study, fit: Hypothesis) -> list[Prediction]:
-            (found,) = held_out.predictions(one, [fit], validation, noise, step=lambda: step(1))
-            return found
-
-        variants = [(study, search.base), (white, white.refit(search.base, tolerance=FINE))]
-        last = [predict(*variant) for variant in variants]
-        best = int(np.argmin([sum(p.squared for p in each) for each in last]))
-        search.study, search.base = variants[best]
-        if search.study is white:
-            smaller = [white.refit(fit, tolerance=FINE) for fit in smaller]
-        search.null, *search.between = smaller or [search.base]
-        first = [predict(search.study, fit) for fit in (given, *smaller)]
-    return [*first, last[best]]
+    """Return the held-out predictions by the model as given, refitted, and with the causes in turn."""
+    fits = [held_out.as_given(search.study), search.null, *search.between]
+    if search.base is not search.null:
+        fits.append(search.base)
+    with progress("held-out trials", total=len(fits)) as step:
+        return held_out.predictions(fits, validation, search.study.noise, step=lambda: step(1))
 
 
 def _unreproduced(study: Study, fit: Hypothesis) -> dict[str, float | None]:
@@ -248,8 +229,6 @@ def _floor_text(noise: NoiseModel) -> str:
     slow = [f"{c} ({f.time_s:.2g} s)" for c, f in noise.forms.items() if f.time_s > 0.0]
     if slow:
         said += f", with a memory in {listed(slow)}"
-    if noise.random_effects:
-        said += "; and what differs by chance between trials"
     return said
 
 
@@ -257,7 +236,7 @@ def _reasons(noise: NoiseModel) -> list[str]:
     differing = [f"{kind.name} ({kind.sd:.2g} of its typical size)" for kind in noise.random_effects]
     if not differing:
         return []
-    return [f"trials differ in {listed(differing)}, which is part of the noise"]
+    return [f"trials differ by chance in {listed(differing)}, of which each trial has its own value"]
 
 
 def _held_out(study: Study, validation: Sequence[Trial]) -> HeldOut:

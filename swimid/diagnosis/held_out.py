@@ -17,7 +17,7 @@ from scipy import special
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.gap_file import HeldOutTrial, Shrinkage, Step
-from swimid.diagnosis.noise import NoiseModel, determined
+from swimid.diagnosis.noise import BETWEEN, NoiseModel, determined
 from swimid.diagnosis.posterior import TENTH
 from swimid.diagnosis.study import FINE, Hypothesis, Study
 from swimid.fitting.model import Array, Trial
@@ -50,10 +50,6 @@ class Prediction:
         Number of held-out samples of channels whose noise is known.
     deviance : float
         Minus twice the log predictive density of the samples, up to a constant.
-    by_chance : float
-        Part of the mean that comes from random effects.
-    trials : int
-        Number of trials from which the random effects were estimated.
     """
 
     trial: Trial
@@ -64,8 +60,6 @@ class Prediction:
     variance: float
     samples: int
     deviance: float
-    by_chance: float = 0.0
-    trials: int = 0
 
     @property
     def squared(self) -> float:
@@ -75,15 +69,11 @@ class Prediction:
     def limit(self, count: int) -> float:
         """Largest squared error that noise explains, if ``count`` parts are held out.
 
-        The squared error is approximated by a scaled chi-squared variable (Satterthwaite), and so is its
-        expectation, because the variance of a random effect is known from a few trials only. Their ratio has
-        an F distribution. A model error of a tenth of the noise is allowed.
+        The squared error is approximated by a scaled chi-squared variable (Satterthwaite). A model error of a
+        tenth of the noise is allowed.
         """
         degrees = 2.0 * self.expected**2 / max(self.variance, 1e-300)
-        # With more than 10⁶ degrees of freedom F is chi-squared, and the quantile would be inaccurate.
-        share = max(self.by_chance / self.expected, 1e-3)
-        known = max(self.trials - 1, 1) / share**2
-        largest = self.expected * float(special.fdtri(degrees, known, 1.0 - CHANCE / max(count, 1)))
+        largest = self.expected / degrees * float(special.chdtri(degrees, CHANCE / max(count, 1)))
         return largest + TENTH**2 * self.samples
 
 
@@ -94,7 +84,9 @@ class Rows:
     Attributes
     ----------
     residual : ndarray, shape (n,)
-        Weighted residual.
+        Weighted residual with the values of the random effects that the trial has.
+    typical : ndarray, shape (n,)
+        Weighted residual with the means of the random effects, linearised.
     shared : ndarray, shape (n, p)
         Weighted derivatives with respect to the shared parameters.
     covariance : ndarray, shape (p, p)
@@ -106,6 +98,7 @@ class Rows:
     """
 
     residual: Array
+    typical: Array
     shared: Array
     covariance: Array
     own: Array
@@ -128,9 +121,8 @@ class Rows:
         left = np.clip(free(standard(self.residual)), -math.sqrt(WORST), math.sqrt(WORST))
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        random = free(standard(self.chance))
-        moved = np.column_stack((free(standard(self.shared @ root)), random))
-        gram, by_chance = moved.T @ moved, float(np.sum(random**2))
+        moved = free(standard(self.shared @ root))
+        gram = moved.T @ moved
         expected, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
         residuals, squares, samples = {}, {}, 0
         whole, place = np.full((len(chosen), basis.shape[1] + 1), np.nan), np.flatnonzero(chosen)
@@ -151,17 +143,15 @@ class Rows:
             expected += max(single * count - absorbed, MIN_FREE * count)
             variance += 2.0 * _squared_covariance(noise, channel, time_s) / floor**4
         deviance = self._deviance(noise, problem, k, chosen)
-        return Prediction(
-            trial, part, residuals, squares, expected, variance, samples, deviance, by_chance, len(noise.sd)
-        )
+        return Prediction(trial, part, residuals, squares, expected, variance, samples, deviance)
 
     def _deviance(self, noise: NoiseModel, problem: Problem, k: int, chosen: NDArray[np.bool_]) -> float:
         """Return minus twice the log predictive density of the samples that a mask chooses."""
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        columns = np.column_stack((self.residual, self.shared @ root, self.own))
+        columns = np.column_stack((self.typical, self.shared @ root, self.chance, self.own))
         seen = noise.whiten(problem, k, columns)[chosen]
-        count = self.shared.shape[1] + 1
+        count = self.shared.shape[1] + self.chance.shape[1] + 1
         basis = determined(seen[:, count:])
         free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
         r, moved = np.clip(free[:, 0], -math.sqrt(WORST), math.sqrt(WORST)), free[:, 1:]
@@ -194,7 +184,6 @@ def as_given(study: Study) -> Hypothesis:
 
 
 def predictions(
-    study: Study,
     fits: Sequence[Hypothesis],
     validation: Sequence[Trial],
     noise: NoiseModel,
@@ -206,35 +195,41 @@ def predictions(
 
     Parameters
     ----------
-    study : Study
-        Study with the noise model of the fits.
     fits : sequence of Hypothesis
-        Models, fitted to all trials of the study.
+        Models, fitted to all trials. The values that random effects have in each trial are those of the last
+        one.
     noise : NoiseModel
         Noise and random effects that the held-out parts are expected to have.
     """
+    values = dict(zip(fits[-1].labels, fits[-1].theta.tolist(), strict=True))
+    for trial in validation:
+        problem, point = _own_fit(fits[-1], trial, noise)
+        values |= zip(problem.labels, point.tolist(), strict=True)
+    scatter = {label: value for label, value in values.items() if label.startswith(BETWEEN)}
     found = []
     for fit in fits:
-        each = (_of_validation(study, fit, trial, noise) for trial in validation)
-        found.append([*_of_folds(study, fit, noise), *each])
+        each = (_of_validation(fit, trial, noise, scatter) for trial in validation)
+        found.append([*_of_folds(fit, noise, scatter), *each])
         step()
     return found
 
 
-def _of_folds(study: Study, fit: Hypothesis, noise: NoiseModel) -> list[Prediction]:
-    folds, problem = study.folds, fit.problem
+def _of_folds(fit: Hypothesis, noise: NoiseModel, scatter: Mapping[str, float]) -> list[Prediction]:
+    study, folds, problem = fit.study, fit.study.folds, fit.problem
     shared = study.shared(fit)
     _, each = crossval.covariances(crossval.normal_equations(study, fit))
     found = []
     for f, theta in enumerate(study.without_each(fit) if len(shared) else [fit.theta] * folds.count):
+        point = np.array([scatter.get(label, v) for label, v in zip(fit.labels, theta, strict=True)])
         for k, trial in enumerate(study.trials):
             chosen = folds.owner[k] == f
             if not chosen.any():
                 continue
-            own = fit.columns(k, study.apart(fit, k))
-            chance = noise.changes[k] if noise.changes else np.empty((len(own), 0))
-            residual = problem.trial_residuals(theta, k)
-            rows = Rows(residual, fit.columns(k, shared), each[f], own, chance)
+            random = study.random(problem, k)
+            own = fit.columns(k, np.setdiff1d(study.apart(fit, k), random))
+            typical = problem.trial_residuals(theta, k) + fit.columns(k, random) @ theta[random]
+            residual = problem.trial_residuals(point, k)
+            rows = Rows(residual, typical, fit.columns(k, shared), each[f], own, study.chance(fit, k))
             part = (
                 trial.id
                 if folds.whole
@@ -244,14 +239,16 @@ def _of_folds(study: Study, fit: Hypothesis, noise: NoiseModel) -> list[Predicti
     return found
 
 
-def _of_validation(study: Study, fit: Hypothesis, trial: Trial, noise: NoiseModel) -> Prediction:
-    shared = study.shared(fit)
+def _own_fit(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem, Array]:
+    """Return the problem of a further trial, and its parameters with fitted values of this trial."""
+    study = fit.study
     known = {
         fit.labels[j]: float(fit.theta[j]) for j, (_, owner) in enumerate(fit.problem.slots) if owner is None
     }
     known |= {p.name: p.start for p in fit.problem.parameters if not p.per_trial and not p.free}
     problem = study.problem(fit.effects, trials=[trial], known=known, jobs=1)
     noise.of_new_trials(problem)
+    problem.prior = study.expected(problem)[0], study.root(problem)
     theta = problem.start
     if len(theta):
         theta = problem.solve(theta, tolerance=FINE, max_iterations=30, secant=True).x
@@ -259,22 +256,25 @@ def _of_validation(study: Study, fit: Hypothesis, trial: Trial, noise: NoiseMode
     whole.sd = problem.sd
     here = dict(zip(problem.labels, theta, strict=True)) | known
     point = np.array([here.get(label, start) for label, start in zip(whole.labels, whole.start, strict=True)])
-    columns = -whole.trial_jacobians(point)[0]
+    return whole, point
+
+
+def _of_validation(
+    fit: Hypothesis, trial: Trial, noise: NoiseModel, scatter: Mapping[str, float]
+) -> Prediction:
+    study, shared = fit.study, fit.study.shared(fit)
+    whole, theta = _own_fit(fit, trial, noise)
+    point = np.array([scatter.get(label, v) for label, v in zip(whole.labels, theta, strict=True)])
+    columns = -whole.trial_jacobians(theta)[0]
     at = [whole.labels.index(fit.labels[j]) if fit.labels[j] in whole.labels else -1 for j in shared]
     wide = np.column_stack((columns, np.zeros(len(columns))))
     covariance = crossval.covariances(crossval.normal_equations(study, fit))[0]
-    own = columns[:, whole.own(0)]
-    random = np.empty((len(columns), 0))
-    rows = Rows(whole.trial_residuals(point, 0), wide[:, at], covariance, own, random)
-    chosen = np.ones(len(columns), dtype=bool)
-    found = rows.prediction(replace(noise, changes=()), whole, 0, trial.id, chosen)
-    if not noise.changes:
-        return found
-    # The random effects change a new trial as much as a fitted one.
-    each = [float(np.sum(noise.standardise(fit.problem, k, c) ** 2)) for k, c in enumerate(noise.changes)]
-    extra = sum(each) / max(sum(fit.problem.counts), 1) * found.samples
-    expected, variance = found.expected + extra, found.variance + 2.0 * extra**2
-    return replace(found, expected=expected, variance=variance, by_chance=extra)
+    random = study.random(whole, 0)
+    own = columns[:, np.setdiff1d(whole.own(0), random)]
+    typical = whole.trial_residuals(theta, 0) + columns[:, random] @ theta[random]
+    chance = columns[:, random] / study.expected(whole)[1][random]
+    rows = Rows(whole.trial_residuals(point, 0), typical, wide[:, at], covariance, own, chance)
+    return rows.prediction(noise, whole, 0, trial.id, np.ones(len(columns), dtype=bool))
 
 
 # ---------------------------------------------------------------- tables of the answer

@@ -5,8 +5,9 @@ well. It is estimated from the residuals of a fit with own values of all paramet
 terms, for each trial, so that neither a gap nor differences between trials count as noise.
 
 A random effect is a quantity that differs by chance between trials, for example the trim, the clock or the
-pulley friction. Its change of a trial is linearised, and its standard deviation is that of the largest
-restricted likelihood.
+pulley friction. Each trial has a value of its own, which is fitted with a normal prior. The standard
+deviation of the prior is that of the largest restricted likelihood, with changes that are linearised about
+these values (Lindstrom and Bates 1990).
 """
 
 from __future__ import annotations
@@ -16,16 +17,16 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.diagnosis.nominal import MIN_TRIALS, OF_REPEATS, OWN, ParameterChange
 from swimid.diagnosis.settings import repeated
-from swimid.effects.base import Effect
+from swimid.effects.base import Effect, parameter
 from swimid.fitting import uncertainty
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
 from swimid.fitting.noise import NoiseForm, Rows, compute_posterior
 from swimid.fitting.problem import Problem
 
@@ -54,6 +55,52 @@ MIN_FLOOR = 1e-4
 WEIGHTINGS = 2
 
 
+#: Prefix of the names of effects that are random effects.
+BETWEEN = "between:"
+
+
+class Scatter(Effect):
+    """Own value, in each trial, of a quantity that differs by chance between trials.
+
+    It is added to one parameter of an effect, which may act on its own as well.
+
+    Parameters
+    ----------
+    of : Effect
+    null : ndarray
+        Values of its parameters at which it has no influence.
+    index : int
+        Index of the parameter that differs.
+    label : str
+        Name of the random effect.
+    scale : float
+        Typical size, in the unit of the parameter.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[None] = None  # type: ignore[assignment]
+    meaning: ClassVar[str] = "differs by chance between trials"
+
+    def __init__(self, of: Effect, null: Array, index: int, label: str, scale: float) -> None:
+        vars(self).update(name=f"{BETWEEN}{label}", adds_to=of.adds_to)
+        self.of, self.null, self.index, self.label, self.scale = of, null, index, label, scale
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Return the deviation of each trial as a parameter, in the unit of the effect's parameter."""
+        p = self.of.parameters(model, trials)[self.index]
+        return (parameter("deviation", p.unit, self.scale, self.meaning, per_trial=True),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return the hooks of the effect with the deviation of this trial."""
+        point = self.null.copy()
+        point[self.index] += values[0]
+        return self.of.hooks(point, trial, model)
+
+    def in_place_of(self, model: Model) -> Model:
+        """Return the model on which the effect acts."""
+        return self.of.in_place_of(model)
+
+
 @dataclass(frozen=True)
 class RandomEffect:
     """Random effect: a quantity that differs by chance between trials.
@@ -64,10 +111,18 @@ class RandomEffect:
         Name of the effect or of the parameter that differs.
     sd : float
         Between-trial standard deviation, in typical scales.
+    effect : Scatter
+        Effect that gives each trial its own value.
     """
 
     name: str
     sd: float
+    effect: Scatter = field(repr=False)
+
+    @property
+    def parameter(self) -> str:
+        """Return the name of the parameter of each trial."""
+        return f"{self.effect.name}/deviation"
 
 
 @dataclass(frozen=True)
@@ -83,15 +138,14 @@ class NoiseModel:
     variance : mapping of channel to float
         Variance of the weighted residuals of a channel that is noise. Its default is 1.
     random_effects : tuple of RandomEffect
-    changes : tuple of ndarray, each shape (n_k, q)
-        Weighted change of each trial by one standard deviation of each random effect; empty without them.
+        Quantities of which each trial has its own value. They are unknowns of each trial in all fits, with
+        these standard deviations as priors.
     """
 
     sd: list[list[Array]]
     forms: Mapping[str, NoiseForm] = field(default_factory=dict)
     variance: Mapping[str, float] = field(default_factory=dict)
     random_effects: tuple[RandomEffect, ...] = ()
-    changes: tuple[Array, ...] = ()
     #: Restricted log-likelihood of the residuals with the random effects, up to a constant.
     log_likelihood: float = math.nan
     #: Noise floor of each channel in the fitted trials, in units of its weights (:func:`with_floors`).
@@ -102,18 +156,7 @@ class NoiseModel:
     @property
     def plain(self) -> NoiseModel:
         """Noise model without random effects."""
-        return replace(self, random_effects=(), changes=())
-
-    @property
-    def white(self) -> NoiseModel:
-        """Independent noise at the noise floor of each channel."""
-        variance = {channel: floor**2 for channel, floor in self.floors.items()}
-        return replace(self.plain, forms={}, variance=variance)
-
-    @cached_property
-    def _projections(self) -> dict[int, tuple[Array, Array]]:
-        """Orthonormal basis of the whitened random effects of each trial, and factors that whiten them."""
-        return {}
+        return replace(self, random_effects=())
 
     def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
         """Return the whitened residuals, or columns of derivatives, of trial ``k``.
@@ -123,22 +166,6 @@ class NoiseModel:
         rows : ndarray, shape (n_k,) or (n_k, m)
             Weighted residuals or derivatives.
         """
-        seen = self._filter(problem, k, rows)
-        if self.changes and len(seen):
-            if k not in self._projections:
-                basis, size, _ = np.linalg.svd(self._filter(problem, k, self.changes[k]), full_matrices=False)
-                self._projections[k] = basis, 1.0 - 1.0 / np.sqrt(1.0 + size**2)
-            basis, factor = self._projections[k]
-            seen = seen - (basis * factor) @ (basis.T @ seen)
-        return seen
-
-    @cached_property
-    def _filters(self) -> dict[tuple[str, bytes, bytes], Callable[[Array], tuple[Array, float]]]:
-        """Filter of each series that was whitened, by channel, sample times and mask."""
-        return {}
-
-    def _filter(self, problem: Problem, k: int, rows: Array) -> Array:
-        """Return rows in which the measurement noise is independent and has unit variance."""
         whole = rows.reshape(len(rows), -1)
         time_s, first = problem.trials[k].time_s, 0
         out = np.empty_like(whole)
@@ -154,8 +181,13 @@ class NoiseModel:
             first = last
         return out.reshape(rows.shape)
 
+    @cached_property
+    def _filters(self) -> dict[tuple[str, bytes, bytes], Callable[[Array], tuple[Array, float]]]:
+        """Filter of each series that was whitened, by channel, sample times and mask."""
+        return {}
+
     def floor(self, channel: str) -> float:
-        """Return the standard deviation of noise and random effects of a channel, in units of its weights."""
+        """Return the standard deviation of the noise of a channel, in units of its weights."""
         return self.floors.get(channel, 1.0)
 
     def covariance(self, channel: str, time_s: Array, columns: Array) -> Array:
@@ -209,7 +241,7 @@ def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
 class Differing(NamedTuple):
     """Possible random effect, with the weighted change of each trial by one typical scale."""
 
-    name: str
+    effect: Scatter
     changes: list[Array]
 
 
@@ -222,28 +254,36 @@ def possible(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> list[D
     model, trials = study.model, study.trials
     value = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
     is_repeated = len({repeated(t) for t in trials}) < len(trials)
-    tried: list[tuple[str, Effect, Array, float]] = []
+    tried: list[tuple[str, Effect, int, float, float]] = []
     for effect in (e for e in effects if e.scatters):
-        own = effect.parameters(model, trials)
-        for j, p in enumerate(own):
+        for j, p in enumerate(effect.parameters(model, trials)):
             if not p.per_trial:
-                point = np.array([one.start for one in own])
                 sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
-                point[j] += 0.5 * sign * p.scale
-                tried.append((f"{effect.name}/{p.name}", effect, point, 2.0 * sign))
+                tried.append((f"{effect.name}/{p.name}", effect, j, p.scale, sign))
     for p in study.parameters:
         if p.per_trial and not p.free and p.name in OWN and (is_repeated or p.name not in OF_REPEATS):
             share = OWN[p.name]
             size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
-            tried.append((p.name, ParameterChange(p), np.array([0.5 * (size or p.scale)]), 2.0))
+            tried.append((p.name, ParameterChange(p), 0, size or p.scale, 1.0))
     found = []
-    forms = Counter(effect.name for _, effect, _, _ in tried)
-    for label, effect, point, factor in tried:
+    forms = Counter(effect.name for _, effect, *_ in tried)
+    acting = {one.name: one for one in study.noise.random_effects}
+    for label, effect, j, scale, sign in tried:
         # The name of the effect is enough unless it has several forms or parameters.
         name = label if forms[effect.name] > 1 else label.partition("/")[0]
-        changes = study.changes(fit, effect, [point])[0]
+        if name in acting:
+            one = acting[name]
+            columns = [
+                fit.columns(k, [fit.labels.index(f"{one.parameter}[{trial.id}]")])[:, 0]
+                for k, trial in enumerate(trials)
+            ]
+            found.append(Differing(one.effect, [one.effect.scale * c for c in columns]))
+            continue
+        null = np.array([p.start for p in effect.parameters(model, trials)])
+        scatter = Scatter(effect, null, j, name, scale)
+        changes = study.changes(fit, scatter, [np.array([0.5 * sign * scale])])[0]
         if all(np.isfinite(c).all() for c in changes) and any(c.any() for c in changes):
-            found.append(Differing(name, [factor * c for c in changes]))
+            found.append(Differing(scatter, [2.0 * sign * c for c in changes]))
     return found
 
 
@@ -474,11 +514,12 @@ def with_random_effects(
         return noise
     noise = noise.plain
     series = []
-    for k, residual in enumerate(fit.residuals):
+    for k in range(len(study.trials)):
         random = [d.changes[k] for d in differing]
+        own = np.setdiff1d(study.apart(fit, k), study.random(fit.problem, k))
         # The mean of a quantity over the trials is no random effect, so that it is a fixed effect as well.
-        block = np.column_stack([*random, *random, fit.columns(k, study.shared(fit)), residual])
-        series.append(study.project_out(fit, k, block, noise=noise))
+        block = np.column_stack([*random, *random, fit.columns(k, study.shared(fit)), fit.typical(k)])
+        series.append(study.project_out(fit, k, block, to=own, noise=noise))
     pure = _differences(fit.problem, series, len(differing))
     if pure:
         series, largest = pure, LARGEST_SD
@@ -500,31 +541,25 @@ def with_random_effects(
     noise = replace(noise, log_likelihood=likelihood)
     if not kept:
         return noise
-    effects = tuple(RandomEffect(differing[i].name, float(sd[i])) for i in kept)
-    changes = tuple(
-        np.column_stack([sd[i] * differing[i].changes[k] for i in kept]) for k in range(len(study.trials))
-    )
-    return replace(noise, random_effects=effects, changes=changes)
+    chosen = [(differing[i].effect, float(sd[i])) for i in kept]
+    return replace(noise, random_effects=tuple(RandomEffect(e.label, size, e) for e, size in chosen))
 
 
 def with_floors(study: Study, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with the noise floor of each channel.
 
-    It is the root mean square that noise and random effects leave in the fitted trials, after a fit of the
-    initial state of each trial.
+    It is the root mean square that noise leaves in the fitted trials, after a fit of the initial state of
+    each trial and of its random effects.
     """
     noise, problem = study.noise, fit.problem
     squares: dict[str, list[tuple[float, int]]] = {}
     for k, trial in enumerate(study.trials):
-        changes = noise.changes[k] if noise.changes else np.empty((len(fit.residuals[k]), 0))
         own = np.linalg.qr(determined(fit.columns(k, problem.own(k))))[0]
-        left = changes - own @ (own.T @ changes)
-        parts = zip(problem.by_channel(k, own), problem.by_channel(k, left), strict=True)
-        for (channel, mask, basis), (_, _, chance) in parts:
+        for channel, mask, basis in problem.by_channel(k, own):
             time_s = trial.time_s[mask]
             total = float(noise.covariance(channel, time_s[:1], np.ones((1, 1)))[0, 0]) * len(time_s)
             total -= float(np.sum(basis * noise.covariance(channel, time_s, basis)))
-            squares.setdefault(channel, []).append((total + float(np.sum(chance**2)), len(time_s)))
+            squares.setdefault(channel, []).append((total, len(time_s)))
     floors = {}
     for channel, each in squares.items():
         total, count = (sum(part) for part in zip(*each, strict=True))

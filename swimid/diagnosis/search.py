@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import candidates, crossval, noise, odd, posterior, remainder
+from swimid.diagnosis import candidates, noise, odd, posterior, remainder
 from swimid.diagnosis.candidates import Tried
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
@@ -542,7 +542,7 @@ class Search:
         self.prepare([h.effects])
         differing = noise.possible(study, h, self.every)
         known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
-        strain = crossval.strain(crossval.normal_equations(study.with_noise(known), h))
+        strain = self._moved(h, study.with_noise(known), h).strain
         price = posterior.price(
             replace(self._candidate(h), strain=strain), self._candidate(self.null), self.record
         )
@@ -639,12 +639,14 @@ class Search:
     def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the same parameters in another study.
 
-        Its derivatives are those that are known, or else those of ``null`` and of its own effects.
+        Its derivatives are those that are known, or else those of ``null`` and of its own effects. Further
+        random effects have the values of ``null``.
         """
-        found = study.at(h.effects, h.theta, h.cost, hold=null)
+        known = dict(zip(null.labels, null.theta, strict=True))
+        own = {label: value for label, value in known.items() if label not in h.labels}
+        near = [null, *([h] if "derivatives" in vars(h) else [])]
+        found = study.at(h.effects, study.start(h.effects, h, own), h.cost, hold=near)
         found.tried, found.rough = h.tried, True
-        if "derivatives" in vars(h):
-            vars(found).update(derivatives=h.derivatives)
         return found
 
     def refine(self) -> bool:

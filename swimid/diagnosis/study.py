@@ -184,6 +184,16 @@ class Hypothesis:
         """
         return [-rows for rows in self.problem.own_jacobians(self.theta)]
 
+    def typical(self, k: int) -> Array:
+        """Return the residuals of trial ``k`` if random effects had their means, shape (n_k,).
+
+        They are linearised about the own values of the trial.
+        """
+        random = self.study.random(self.problem, k)
+        if not len(random):
+            return self.residuals[k]
+        return np.asarray(self.residuals[k] + self.columns(k, random) @ self.theta[random])
+
     def columns(self, k: int, unknowns: Sequence[int] | NDArray[np.intp]) -> Array:
         """Return the derivatives of trial ``k`` with respect to some unknowns, shape (n_k, unknowns).
 
@@ -338,12 +348,27 @@ class Study:
         return other
 
     def affected(self, effects: Sequence[Effect]) -> Model:
-        """Return the model with the given effects added."""
+        """Return the model with the random effects and the given effects added."""
         # Cache the model with effects, because the typical scales of effects are computed from the trials.
-        key = tuple(id(e) for e in effects)
+        acting = [*(one.effect for one in self.noise.random_effects), *effects]
+        key = tuple(id(e) for e in acting)
         if key not in self._known:
-            self._known[key] = self.model.with_effects(effects, self.trials)
+            self._known[key] = self.model.with_effects(acting, self.trials)
         return self._known[key]
+
+    def random(self, problem: Problem, k: int) -> NDArray[np.intp]:
+        """Return the indices of the random effects of trial ``k`` among the unknowns of a problem."""
+        names = {one.parameter for one in self.noise.random_effects}
+        own = [j for j in problem.own(k) if problem.parameters[problem.slots[j][0]].name in names]
+        return np.array(own, dtype=np.intp)
+
+    def chance(self, fit: Hypothesis, k: int) -> Array:
+        """Return the weighted change of trial ``k`` by one standard deviation of each random effect.
+
+        The shape is (n_k, q).
+        """
+        random = self.random(fit.problem, k)
+        return fit.columns(k, random) / self.expected(fit.problem)[1][random]
 
     def problem(
         self,
@@ -417,6 +442,7 @@ class Study:
         The inverse standard deviation of a parameter without a prior is 0.
         """
         mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
+        random = {one.parameter: one.sd for one in self.noise.random_effects}
         known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
@@ -424,6 +450,8 @@ class Study:
                 mean[j], sd = known[p.name]
                 if sd > 0:
                     weight[j] = 1.0 / sd
+            elif p.name in random:
+                weight[j] = 1.0 / (random[p.name] * p.scale)
             elif "/" in p.name:
                 wide = EFFECT_PRIOR * (CHANGE_WIDTH if p.name.startswith(PREFIX) else 1.0)
                 mean[j], weight[j] = p.start, 1.0 / (wide * p.scale)
@@ -544,8 +572,15 @@ class Study:
         return Hypothesis(self, tuple(effects), best.x, best.cost, problem)
 
     def refit(self, fit: Hypothesis, *, tolerance: float) -> Hypothesis:
-        """Continue a fit to its optimum. Its derivatives are used as long as they are accurate enough."""
-        return self.fit(fit.effects, [fit.theta], tolerance=tolerance, iterations=STEPS, reuse=fit)
+        """Continue a fit to its optimum.
+
+        Its derivatives are used as long as they are accurate enough, if it has the same random effects.
+        """
+        is_same = fit.labels == self.problem(fit.effects).labels
+        start = self.start(fit.effects, fit)
+        return self.fit(
+            fit.effects, [start], tolerance=tolerance, iterations=STEPS, reuse=fit if is_same else None
+        )
 
     def without_each(self, fit: Hypothesis) -> list[Array]:
         """Return the estimates of refits that leave out one fold each, one array of shape (p,) for each fold.
@@ -571,18 +606,19 @@ class Study:
         effects: Sequence[Effect],
         theta: Array,
         cost: float = math.nan,
-        hold: Hypothesis | None = None,
+        hold: Sequence[Hypothesis] = (),
     ) -> Hypothesis:
         """Return a hypothesis at the given parameter values, without a search for the optimum.
 
         Parameters
         ----------
-        hold : Hypothesis, optional
-            Nearby fit, whose derivatives replace those with respect to the parameters that both fits have.
+        hold : sequence of Hypothesis, optional
+            Nearby fits, whose derivatives replace those with respect to the parameters that they have as
+            well. Those of the last fit are preferred.
         """
         problem = self.problem(effects)
-        if hold is not None:
-            problem.hold_derivatives(hold.problem, hold.derivatives)
+        for near in hold:
+            problem.hold_derivatives(near.problem, near.derivatives)
         return Hypothesis(self, tuple(effects), theta, cost, problem)
 
     def start(

@@ -338,7 +338,7 @@ class Problem:
         self._slopes = None
         for k, numbers in enumerate(other.taken):
             columns = np.ascontiguousarray((derivatives[k] / self.sample_weights(k)[:, None]).T)
-            self._held[k] = {other.labels[j]: column for j, column in zip(numbers, columns, strict=True)}
+            self._held[k] |= {other.labels[j]: column for j, column in zip(numbers, columns, strict=True)}
 
     def reuse_derivatives(self, theta: Array, derivatives: Sequence[Array]) -> None:
         """Use known derivatives at a point as long as :attr:`near` allows it.
