@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from swimid.diagnosis.noise import NoiseModel
+from swimid.diagnosis.noise import NoiseModel, RandomEffect, Scatter
 from swimid.diagnosis.study import Study
 from swimid.effects.base import Effect
 from swimid.fitting.model import Hooks, Model, Parameter, RigInput, Trial
@@ -87,6 +87,11 @@ class Tilt(Seen):
 
     def __init__(self) -> None:
         super().__init__("tilt", lambda t: t)
+
+
+def differing(effect: Effect, sd: float) -> RandomEffect:
+    """Return an effect of one parameter, of scale 1, as a random effect."""
+    return RandomEffect(effect.name, sd, Scatter(effect, np.zeros(1), 0, effect.name, 1.0))
 
 
 def trial(k: int, time: np.ndarray, y: np.ndarray) -> Trial:

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from swimid.diagnosis import crossval, noise
-from swimid.diagnosis.noise import NoiseModel, RandomEffect
+from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.study import START_PRIOR, Hypothesis, Study
 from swimid.fitting.model import Parameter, Trial
 from swimid.fitting.noise import Autoregression, NoiseForm
@@ -19,6 +19,7 @@ from tests.diagnosis_models import (
     Hooked,
     Seen,
     Tilt,
+    differing,
     line_study,
     noise_of,
     nothing,
@@ -104,25 +105,17 @@ def test_whitened_white_and_slow_noise_is_independent_and_has_unit_variance(
 
 
 def test_whitened_products_are_those_with_the_covariance_of_the_noise(rng: np.random.Generator) -> None:
-    """The noise is white, slow, and has two random effects that all channels of the trial share."""
+    """The noise is white in one channel, and slow in the other one."""
     study = line_study(rng)
     problem, n = study.shape, len(study.trials[0].time_s)
     columns = rng.normal(size=(2 * n, 3))
-    form, changes = NoiseForm(3.0, 0.7), rng.normal(size=(2 * n, 2))
-    known = replace(
-        noise_of(problem, 1.0),
-        forms={"v": form},
-        variance={"v": 0.25, "y": 2.0},
-        random_effects=(RandomEffect("first", 1.0), RandomEffect("second", 1.0)),
-        changes=(changes, *(np.zeros((count, 2)) for count in problem.counts[1:])),
-    )
+    known = replace(noise_of(problem, 1.0), forms={"v": NoiseForm(3.0, 0.7)}, variance={"v": 0.25, "y": 2.0})
     seen = known.whiten(problem, 0, columns)
     time = study.trials[0].time_s
     lag = np.abs(np.subtract.outer(time, time))
     whole = np.zeros((2 * n, 2 * n))
     whole[:n, :n] = 2.0 * np.eye(n)
     whole[n:, n:] = 0.25 * (np.eye(n) + 3.0 * np.exp(-lag / 0.7))
-    whole += changes @ changes.T
     np.testing.assert_allclose(seen.T @ seen, columns.T @ np.linalg.solve(whole, columns), rtol=1e-8)
 
 
@@ -330,8 +323,12 @@ def test_a_random_effect_is_found_with_its_standard_deviation(sd: float, rng: np
     assert found.name == "tilt"
     # 40 tilts determine a standard deviation to 11 %, and the steps of its values are a factor of 2
     assert sd / 1.9 < found.sd < 1.9 * sd
-    for change, one in zip(known.changes, study.trials, strict=True):
-        np.testing.assert_allclose(change[:, 0], found.sd * one.time_s / 0.05, rtol=1e-6, atol=1e-9)
+    random = study.with_noise(known)
+    fit = random.fit((), [random.problem(()).start])
+    for k, one in enumerate(study.trials):
+        np.testing.assert_allclose(
+            random.chance(fit, k)[:, 0], found.sd * one.time_s / 0.05, rtol=1e-6, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -407,15 +404,13 @@ def test_only_effects_that_scatter_are_random(rng: np.random.Generator) -> None:
     assert scattering(study, [Seen("tilt", lambda t: t)]).random_effects == ()
 
 
-def test_random_effects_are_part_of_the_noise_floor(rng: np.random.Generator) -> None:
+def test_random_effects_are_no_part_of_the_noise_floor(rng: np.random.Generator) -> None:
+    """The value of each trial takes up one sample of a hundred."""
     study = tilted(rng, 0.4 * rng.normal(size=200))
-    fit = study.at((), np.empty(0))
-    known = scattering(study, [Tilt()])
-    (found,) = known.random_effects
-    between = found.sd**2 * np.mean(study.trials[0].time_s ** 2) / 0.05**2
-    floor = noise.with_floors(study.with_noise(known), fit).floor("y")
-    assert floor == pytest.approx(np.sqrt(1.0 + between), rel=1e-6)
-    assert noise.with_floors(study, fit).floor("y") == pytest.approx(1.0)
+    assert noise.with_floors(study, study.at((), np.empty(0))).floor("y") == pytest.approx(1.0)
+    study = study.with_noise(scattering(study, [Tilt()]))
+    fit = study.at((), study.problem(()).start)
+    assert noise.with_floors(study, fit).floor("y") == pytest.approx(np.sqrt(0.99), rel=1e-6)
 
 
 def test_the_noise_floor_is_what_a_fit_of_the_initial_state_leaves(rng: np.random.Generator) -> None:
@@ -461,7 +456,7 @@ def test_fixed_parameters_of_trials_may_differ_at_random(repeats: bool, rng: np.
         trials[1] = replace(trials[1], rig=trials[0].rig)
     study = with_sd(Study(Hooked(total, parameters, ("y",)), parameters, trials, {}), 1.0)
     fit = study.at((), study.problem(()).start)
-    found = {d.name: d.changes for d in noise.possible(study, fit, [])}
+    found = {d.effect.label: d.changes for d in noise.possible(study, fit, [])}
     expected = {"friction_deviation": 0.003, "start_offset": 0.01}
     if repeats:
         expected["relative_drag_deviation"] = 0.05
@@ -476,8 +471,7 @@ def test_a_fit_with_random_effects_is_that_of_their_marginal_covariance(rng: np.
     sd, slopes = 0.3, [np.r_[t.time_s, np.zeros(len(t.time_s))] for t in given.trials]
     known = replace(
         noise_of(given.shape, 0.5),
-        random_effects=(RandomEffect("tilt", sd),),
-        changes=tuple(sd * slope[:, None] / 0.5 for slope in slopes),
+        random_effects=(differing(Tilt(), sd),),
     )
     study = given.with_noise(known)
     fit = study.fit((), [study.problem(()).start])

@@ -125,8 +125,9 @@ class Rows:
         gram = moved.T @ moved
         expected, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
         residuals, squares, samples = {}, {}, 0
-        whole, place = np.full((len(chosen), basis.shape[1] + 1), np.nan), np.flatnonzero(chosen)
-        whole[place] = np.column_stack((left, basis))
+        taken = determined(standard(np.column_stack((self.own, self.chance))))
+        whole, place = np.full((len(chosen), taken.shape[1] + 1), np.nan), np.flatnonzero(chosen)
+        whole[place] = np.column_stack((left, taken))
         parts = zip(problem.by_channel(k, whole), problem.by_channel(k, weights), strict=True)
         for (channel, mask, series), (_, _, weight) in parts:
             there = np.isfinite(series[:, 0]) & (weight > 0.0)
@@ -226,7 +227,7 @@ def _of_folds(fit: Hypothesis, noise: NoiseModel, scatter: Mapping[str, float]) 
             if not chosen.any():
                 continue
             random = study.random(problem, k)
-            own = fit.columns(k, np.setdiff1d(study.apart(fit, k), random))
+            own = fit.columns(k, study.settled(problem, k, study.apart(fit, k)))
             typical = problem.trial_residuals(theta, k) + fit.columns(k, random) @ theta[random]
             residual = problem.trial_residuals(point, k)
             rows = Rows(residual, typical, fit.columns(k, shared), each[f], own, study.chance(fit, k))
@@ -270,7 +271,7 @@ def _of_validation(
     wide = np.column_stack((columns, np.zeros(len(columns))))
     covariance = crossval.covariances(crossval.normal_equations(study, fit))[0]
     random = study.random(whole, 0)
-    own = columns[:, np.setdiff1d(whole.own(0), random)]
+    own = columns[:, study.settled(whole, 0, whole.own(0))]
     typical = whole.trial_residuals(theta, 0) + columns[:, random] @ theta[random]
     chance = columns[:, random] / study.expected(whole)[1][random]
     rows = Rows(whole.trial_residuals(point, 0), typical, wide[:, at], covariance, own, chance)

@@ -516,7 +516,7 @@ def with_random_effects(
     series = []
     for k in range(len(study.trials)):
         random = [d.changes[k] for d in differing]
-        own = np.setdiff1d(study.apart(fit, k), study.random(fit.problem, k))
+        own = study.settled(fit.problem, k, study.apart(fit, k))
         # The mean of a quantity over the trials is no random effect, so that it is a fixed effect as well.
         block = np.column_stack([*random, *random, fit.columns(k, study.shared(fit)), fit.typical(k)])
         series.append(study.project_out(fit, k, block, to=own, noise=noise))

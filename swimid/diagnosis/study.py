@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -361,6 +361,11 @@ class Study:
         names = {one.parameter for one in self.noise.random_effects}
         own = [j for j in problem.own(k) if problem.parameters[problem.slots[j][0]].name in names]
         return np.array(own, dtype=np.intp)
+
+    def settled(self, problem: Problem, k: int, own: Iterable[int]) -> NDArray[np.intp]:
+        """Return those of the unknowns ``own`` of trial ``k`` that are no random effects."""
+        random = self.random(problem, k).tolist()
+        return np.array([j for j in own if j not in random], dtype=np.intp)
 
     def chance(self, fit: Hypothesis, k: int) -> Array:
         """Return the weighted change of trial ``k`` by one standard deviation of each random effect.
