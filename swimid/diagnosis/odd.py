@@ -4,42 +4,51 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval, posterior
 from swimid.diagnosis.crossval import NormalEquations, solved
-from swimid.diagnosis.nominal import MIN_TRIALS
-from swimid.diagnosis.posterior import Candidate, Posterior, Record
+from swimid.diagnosis.noise import BETWEEN, Differing, RandomEffect
+from swimid.diagnosis.nominal import MIN_TRIALS, OWN_PRIOR
+from swimid.diagnosis.posterior import CALIBRATED, Candidate, Posterior, Record
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import Hypothesis, Study
+from swimid.diagnosis.study import EFFECT_PRIOR, FEW, Hypothesis, Study
+from swimid.fitting import mistakes
 from swimid.fitting.model import Array, Trial
+from swimid.fitting.problem import Problem
 from swimid.results import numbers
 
 #: Minimum ratio of the posterior probabilities of the best hypotheses with and without an odd trial.
 ODDS = 3.0
-#: Maximum share of the excess of the other trials, if a trial is odd.
-MAX_REST = 0.2
-#: Minimum share of the squared gap that is due to an odd trial.
-MIN_SHARE = 0.1
 #: Maximum number of parameters that are named as differing in an odd trial.
 MAX_NAMED = 2
 
 
 class Odd(NamedTuple):
-    """Trial with parameters of its own, and the fit of all trials that it was compared with."""
+    """Trial with parameters of its own, or with a recording mistake.
+
+    The fit is that of all trials with which it was compared, and the mistake is described by its correction.
+    """
 
     trial: str
     fit: Hypothesis
+    mistake: str = ""
 
 
 def find(
-    study: Study, fits: Sequence[Hypothesis], found: Posterior, record: Record, log_determinant: Array
+    study: Study,
+    fits: Sequence[Hypothesis],
+    found: Posterior,
+    record: Record,
+    log_determinant: Array,
+    differing: Sequence[Differing] = (),
 ) -> Odd | None:
-    """Return the trial that most probably has parameters of its own, or None.
+    """Return the trial that most probably has parameters of its own or a recording mistake, or None.
 
     The hypothesis of an odd trial is compared with all other hypotheses by the same posterior probability.
 
@@ -51,31 +60,57 @@ def find(
         Probabilities of the hypotheses without an odd trial.
     log_determinant : ndarray, shape (folds,)
         Log-determinant that is subtracted from all deviances.
+    differing : sequence of Differing
+        Quantities that are not parameters of the model, of which an odd trial has values of its own as well.
     """
     if not study.folds.whole or len(study.trials) <= MIN_TRIALS:
         return None
     candidates: dict[frozenset[str], tuple[Candidate, Odd]] = {}
     for fit in fits:
-        for k, trial in enumerate(study.trials):
-            names = frozenset({*(e.name for e in fit.effects), f"trial:{trial.id}"})
-            deviances, strain = _deviances(study, fit, k)
-            one = Candidate(names, deviances - log_determinant, strain, _numbers(fit))
-            candidates[names] = one, Odd(trial.id, fit)
+        tried = [
+            (Odd(trial.id, fit), *_deviances(study, fit, k, differing))
+            for k, trial in enumerate(study.trials)
+        ]
+        for odd, deviances, strain in [*tried, *_mistaken(study, fit)]:
+            names = frozenset({*fit.names, f"trial:{odd.trial}{odd.mistake}"})
+            candidates[names] = Candidate(names, deviances - log_determinant, strain, _numbers(fit)), odd
     null, *known = found.candidates
     every = posterior.posterior(null, [*known, *(c for c, _ in candidates.values())], record=record)
     best = max(candidates, key=lambda names: every.known[names])
     others = [p for names, p in every.known.items() if names not in candidates]
     if every.known[best] < ODDS * max([every.none, *others]):
         return None
-    # A form error of the other hypothesis is a small share of the gap, and is spread over the trials.
-    gap = found.excess[frozenset()]
-    without = every.excess[frozenset(name for name in best if not name.startswith("trial:"))]
-    if every.excess[best] > MAX_REST * without or without < MIN_SHARE * gap:
-        return None
-    # An effect that closes nearly all of the gap needs no odd trial. It may act in one trial only.
-    if min(found.excess.values()) < MIN_SHARE * gap:
+    # An effect may leave a share of the gap because of its form. An odd trial explains nearly all of that.
+    rest = min(every.excess[c.names] for c in found.candidates)
+    if every.excess[best] > CALIBRATED.form * rest:
         return None
     return candidates[best][1]
+
+
+def _mistaken(study: Study, fit: Hypothesis) -> list[tuple[Odd, Array, float]]:
+    """Return deviances and strain with each recording mistake undone in the trial with the largest error."""
+    f = int(np.argmax(fit.deviances))
+    (k,) = [i for i, owner in enumerate(study.folds.owner) if len(owner) and owner[0] == f][:1]
+    trial, before = study.trials[k], study.noise.whiten(fit.problem, k, fit.residuals[k])
+    shared = {fit.labels[j]: float(fit.theta[j]) for j in study.shared(fit)}
+    found = []
+    for mistake in mistakes.catalogue(study.model, [trial]):
+        undone = mistake.undo(trial)
+        if undone is None:
+            continue
+        undone = replace(undone, id=f"{trial.id} ({mistake.says})")
+        problem = study.problem(fit.effects, trials=[undone], known=shared, jobs=1)
+        problem.sd = [list(study.noise.sd[k])]
+        values = problem.start
+        if len(values):
+            values = problem.solve(values, max_iterations=FEW, secant=True).x
+        after = problem.trial_residuals(values, 0)
+        if len(after) != len(before):
+            continue
+        deviances = fit.deviances.copy()
+        deviances[f] -= float(np.sum(before**2) - np.sum(study.noise.whiten(fit.problem, k, after) ** 2))
+        found.append((Odd(trial.id, fit, mistake.says), deviances, fit.strain))
+    return found
 
 
 def _numbers(fit: Hypothesis) -> int:
@@ -83,8 +118,8 @@ def _numbers(fit: Hypothesis) -> int:
     return sum("/" in label and "[" not in label for label in fit.labels)
 
 
-def _deviances(study: Study, fit: Hypothesis, k: int) -> tuple[Array, float]:
-    """Return deviances and strain if trial ``k`` has own values of all shared parameters."""
+def _deviances(study: Study, fit: Hypothesis, k: int, differing: Sequence[Differing]) -> tuple[Array, float]:
+    """Return deviances and strain if trial ``k`` has own values of all shared parameters and quantities."""
     alone = copy.copy(study)
     others = copy.copy(study)
     count = study.folds.count
@@ -96,68 +131,126 @@ def _deviances(study: Study, fit: Hypothesis, k: int) -> tuple[Array, float]:
     parts = {name: getattr(found, name)[:-1] for name in ("products", "samples", "own")}
     equations = replace(found, **parts)
     distance, log = crossval.deviances(equations)
-    own = crossval.normal_equations(alone, fit)
+    own = crossval.normal_equations(alone, fit, [d.changes for d in differing])
     f = int(owner[k][0])
-    distance[f] += _evidence(own, f)
+    mean, weight = _wide(study, fit.problem)
+    shared = study.shared(fit)
+    distance[f] += _evidence(own, f, (mean - fit.theta)[shared], weight[shared])
     return np.asarray(distance + log), crossval.strain(equations)
 
 
-def _evidence(equations: NormalEquations, f: int) -> float:
-    """Return minus twice the log evidence of one fold with own values of the shared parameters."""
-    shared = equations.shared
-    inner = equations.products[f]
-    normal = inner[:shared, :shared] + equations.prior
-    pulled = equations.prior @ equations.pull
-    right = inner[:shared, -1] + pulled
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(equations.prior), 1e-300))
+def _wide(study: Study, problem: Problem) -> tuple[Array, Array]:
+    """Return prior means and inverse standard deviations of the parameters of an odd trial.
+
+    Errors of the parameter file say nothing about a trial that differs from all others.
+    """
+    mean, weight = study.expected(problem)
+    for j, (index, owner) in enumerate(problem.slots):
+        p = problem.parameters[index]
+        if owner is None and "/" not in p.name:
+            weight[j] = 1.0 / (OWN_PRIOR * max(abs(p.start), p.scale))
+    return mean, weight
+
+
+def _evidence(equations: NormalEquations, f: int, pull: Array, weight: Array) -> float:
+    """Return minus twice the log evidence of one fold with own values of the shared parameters.
+
+    Parameters
+    ----------
+    pull, weight : ndarray, shape (shared,)
+        Prior means minus estimates, and inverse prior standard deviations. Further columns have the prior
+        standard deviation of the size of an effect.
+    """
+    inner, more = equations.products[f], equations.products.shape[1] - 1 - equations.shared
+    prior = block_diag(np.diag(weight**2), np.eye(more) / EFFECT_PRIOR**2)
+    off = np.concatenate((pull, np.zeros(more)))
+    normal, pulled = inner[:-1, :-1] + prior, prior @ off
+    right = inner[:-1, -1] + pulled
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(prior), 1e-300))
     log = float(np.linalg.slogdet(scale[:, None] * normal * scale)[1])
     taken = float(right @ solved(normal, right[:, None])[:, 0])
-    return float(inner[-1, -1]) + float(equations.pull @ pulled) - taken + log
+    return float(inner[-1, -1]) + float(off @ pulled) - taken + log
 
 
-def describe(study: Study, odd: Odd) -> str | None:
-    """Return the parameters that differ most in the odd trial, as text; None if no parameters explain it.
+def describe(study: Study, odd: Odd, differing: Sequence[Differing] = ()) -> str | None:
+    """Return what differs in the odd trial, as text; None if nothing explains it.
 
-    They are fitted to this trial alone and to the other trials, beginning at the fit to all trials.
+    The parameters are fitted to the other trials. Those that explain the odd trial best are then fitted to it
+    alone, one by one, and at most :data:`MAX_NAMED` together.
     """
+    if odd.mistake:
+        return f"it agrees with the other trials with {odd.mistake}"
     fit = odd.fit
-    k = next(i for i, trial in enumerate(study.trials) if trial.id == odd.trial)
-    rest = [t for i, t in enumerate(study.trials) if i != k]
-    before = study.noise.whiten(fit.problem, k, fit.residuals[k])
-    one, other = (_fitted(study, fit, trials) for trials in ([study.trials[k]], rest))
-    excess, left = float(before @ before) - len(before), one.squares - len(before)
-    if left > MAX_REST * excess:
-        return None
-    changes = []
-    for p in (p for p in study.parameters if p.name in one.values and p.name in other.values):
-        (value, sd), (usual, other_sd) = one.values[p.name], other.values[p.name]
-        size = abs(value - usual) / max(math.hypot(sd, other_sd), 1e-300)
-        text = f"{p.name} {numbers.measured(value, sd, p.unit)} in place of {numbers.number(usual, 3)}"
-        changes.append((size, text))
-    changes.sort(key=lambda change: -change[0])
-    return " and ".join(text for size, text in changes[:MAX_NAMED] if size > 2.0) or None
+    (trial,) = (t for t in study.trials if t.id == odd.trial)
+    others = _fitted(study, fit, [t for t in study.trials if t is not trial], {})
+    usual = {label: value for label, (value, _) in others.values.items() if "[" not in label}
+    free = {f"{one.parameter}[{trial.id}]": one for one in _free(differing)}
+
+    def tried(chosen: Sequence[str]) -> _Own:
+        known = {name: value for name, value in usual.items() if name not in chosen}
+        random = tuple(free[label] for label in chosen if label in free)
+        return _fitted(study.with_noise(replace(study.noise, random_effects=random)), fit, [trial], known)
+
+    chosen: list[str] = []
+    excess = tried(chosen).excess
+    while len(chosen) < min(MAX_NAMED, len(usual) + len(free)):
+        found = {label: tried([*chosen, label]) for label in (*usual, *free) if label not in chosen}
+        chosen.append(min(found, key=lambda label: found[label].excess))
+        one = found[chosen[-1]]
+        if one.excess > CALIBRATED.form * excess:
+            continue
+        texts = []
+        for label in chosen:
+            (value, sd), (before, other_sd) = one.values[label], others.values.get(label, (0.0, 0.0))
+            if not abs(value - before) > 2.0 * math.hypot(sd, other_sd):
+                return None
+            name = label.split("[")[0]
+            unit = next(p.unit for p in one.problem.parameters if p.name == name)
+            shown = name.removeprefix(BETWEEN).removesuffix("/deviation")
+            texts.append(
+                f"{shown} {numbers.measured(value, sd, unit)} in place of {numbers.number(before, 3)}"
+            )
+        return " and ".join(texts)
+    return None
+
+
+def _free(differing: Sequence[Differing]) -> list[RandomEffect]:
+    """Return quantities that may differ between trials, with the prior of the size of an effect."""
+    return [RandomEffect(d.effect.label, EFFECT_PRIOR, d.effect) for d in differing]
 
 
 class _Own(NamedTuple):
-    """Fit of some trials: estimates and standard errors by label, and sum of whitened squared residuals."""
+    """Fit of some trials: its problem, estimates and standard errors by label, and excess of the squares."""
 
+    problem: Problem
     values: dict[str, tuple[float, float]]
-    squares: float
+    excess: float
 
 
-def _fitted(study: Study, fit: Hypothesis, trials: Sequence[Trial]) -> _Own:
-    """Return a fit of the model of another fit to some of its trials."""
-    problem = study.problem(fit.effects, trials=trials, jobs=1)
+def _fitted(study: Study, fit: Hypothesis, trials: Sequence[Trial], known: Mapping[str, float]) -> _Own:
+    """Return a fit of the model of another fit to some of its trials, with wide priors.
+
+    Parameters
+    ----------
+    known : mapping of label to float
+        Shared parameters that are held at these values.
+    """
+    problem = study.problem(fit.effects, trials=trials, known=known, jobs=1)
     study.noise.of_new_trials(problem)
-    noise = study.noise.plain
-    problem.whiten = lambda i, rows: noise.whiten(problem, i, rows)
-    known = dict(zip(fit.labels, fit.theta, strict=True))
-    start = np.array([known.get(n, s) for n, s in zip(problem.labels, problem.start, strict=True)])
-    found = problem.solve(start, tolerance=1e-3, max_iterations=15, secant=True)
-    parts = [problem.trial_jacobians(found.x)[i] for i in range(len(trials))]
-    rows = np.concatenate([noise.whiten(problem, i, part) for i, part in enumerate(parts)])
-    variance = max(found.cost / max(len(rows) - len(found.x), 1), 1.0)
-    covariance = variance * np.linalg.pinv(rows.T @ rows, hermitian=True)
+    problem.whiten = lambda i, rows: study.noise.whiten(problem, i, rows)
+    mean, weight = _wide(study, problem)
+    problem.prior = mean, np.diag(weight)[weight > 0.0]
+    begin = dict(zip(fit.labels, fit.theta, strict=True))
+    theta = np.array([begin.get(n, s) for n, s in zip(problem.labels, problem.start, strict=True)])
+    if len(theta):
+        theta = problem.solve(theta, tolerance=1e-3, max_iterations=15, secant=True).x
+    jacobian = np.concatenate(
+        [problem.whiten(i, rows) for i, rows in enumerate(problem.trial_jacobians(theta))]
+    )
+    residuals = [problem.whiten(i, problem.trial_residuals(theta, i)) for i in range(len(trials))]
+    excess = float(sum(np.sum(r**2) for r in residuals)) - len(jacobian)
+    variance = max(excess / max(len(jacobian) - len(theta), 1) + 1.0, 1.0)
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian + np.diag(weight**2), hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    values = zip(found.x.tolist(), sd.tolist(), strict=True)
-    return _Own(dict(zip(problem.labels, values, strict=True)), found.cost)
+    values = zip(theta.tolist(), sd.tolist(), strict=True)
+    return _Own(problem, dict(zip(problem.labels, values, strict=True)), excess)

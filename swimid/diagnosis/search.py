@@ -775,8 +775,9 @@ def run(
                 search.compare()
                 found, null = search.posterior, search.null
                 known = [null, *search.best(1)[:PARENTS]]
-                trial = odd.find(study, known, found, search.record, null.log_determinant)
-                said = None if trial is None else odd.describe(study, trial)
+                differing = noise.possible(study, null, effects)
+                trial = odd.find(study, known, found, search.record, null.log_determinant, differing)
+                said = None if trial is None else odd.describe(study, trial, differing)
                 if trial is not None and said is not None:
                     odd_trials[trial.trial] = said
                     given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])

@@ -119,6 +119,9 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
         changes["yaw + 180 degrees"] = {"yaw_rad": (1.0, math.pi)}
         changes["yaw mirrored"] = {"yaw_rad": (-1.0, 0.0)}
         changes["y mirrored"] = {"y_m": (-1.0, 0.0)}
+        changes["the film mirrored"] = {"y_m": (-1.0, 0.0), "yaw_rad": (-1.0, 0.0)}
+    elif {"x_m", "z_m", "pitch_rad"} <= set(pose):
+        changes["the film mirrored"] = {"z_m": (-1.0, 0.0), "pitch_rad": (-1.0, 0.0)}
     changes |= {f"the sign of {name} changed": {name: (-1.0, 0.0)} for name in known if name not in pose}
     for name in (n for n in known if units[n] == "rad"):
         changes[f"{name} taken as degrees"] = {name: (DEGREE, 0.0)}
