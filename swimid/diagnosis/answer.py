@@ -117,7 +117,7 @@ def answer(
     floor = held_out.floors(study, search.base)
     raw = [trial for trial in raw if trial.id not in search.odd_trials]
     failed = dropouts.misfit(search, raw, floor)
-    found = _predictions(search, validation, progress)
+    fits, found = _predictions(search, validation, progress)
     study, nominal = search.study, search.null
     given, before, after = found[0], found[1], found[-1]
     causes = {r.name: proposed(search, r) for r in search.rounds if search.posterior.none <= 0.5}
@@ -154,11 +154,15 @@ def answer(
     labels = ["as given", "refitted"]
     if shown:
         labels += [f"+ {r.name}" for r in search.rounds]
+    closed = None
+    if shown:
+        models = (fits[0], nominal, search.base)
+        closed = held_out.closing(*models, validation, study.noise, (given, before, after))
     file = GapFile(
         verdict=decided.verdict,
         where=where,
         waterfall=held_out.waterfall(dict(zip(labels, found, strict=False)), floor),
-        closed=verdict.closed_gap(facts.held_out) if shown else None,
+        closed=closed,
         causes=result,
         remaining=_remaining(search, facts, named=bool(shown)),
         facts=facts,
@@ -180,13 +184,15 @@ def answer(
     return file, held_out.worst(before, after)
 
 
-def _predictions(search: Search, validation: Sequence[Trial], progress: Progress) -> list[list[Prediction]]:
-    """Return the held-out predictions by the model as given, refitted, and with the causes in turn."""
+def _predictions(
+    search: Search, validation: Sequence[Trial], progress: Progress
+) -> tuple[list[Hypothesis], list[list[Prediction]]]:
+    """Return the models as given, refitted, and with the causes in turn, and their held-out predictions."""
     fits = [held_out.as_given(search.study), search.null, *search.between]
     if search.base is not search.null:
         fits.append(search.base)
     with progress("held-out trials", total=len(fits)) as step:
-        return held_out.predictions(fits, validation, search.study.noise, step=lambda: step(1))
+        return fits, held_out.predictions(fits, validation, search.study.noise, step=lambda: step(1))
 
 
 def _unreproduced(study: Study, fit: Hypothesis) -> dict[str, float | None]:

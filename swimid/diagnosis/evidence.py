@@ -67,6 +67,12 @@ BOX = (
 #: Name of the parameter file with the causes, in the folder of the gap file.
 REPAIRED = "repaired.yaml"
 
+#: Definition of the squared error of a held-out part.
+SQUARED = (
+    "The squared error is the squared Mahalanobis distance from the prediction, whose covariance has the "
+    "noise, what differs by chance between trials, and the uncertainty of the parameters."
+)
+
 
 def evidence(
     file: GapFile,
@@ -201,13 +207,12 @@ def _waterfall(file: GapFile) -> ev.Table:
     rows: Rows = []
     for step in file.waterfall:
         errors = [number(step.rmse.get(c), 3, numbers.split_unit(c)[1]) for c in channels]
-        ratio = None if not step.expected or step.squared is None else step.squared / step.expected
-        rows.append([step.label, step.squared, step.expected, ratio, *errors])
-    columns = " | ".join(["model", "squared error over noise", "expected", "ratio", *channels])
+        rows.append([step.label, step.squared, *errors])
+    columns = " | ".join(["model", "squared error over expected", *channels])
     caption = (
-        f"Errors {HELD_OUT[file.held_out]}: mean squared error over all channels in units of the noise "
-        "variance, its expectation if the model is correct (from noise, random effects and uncertain "
-        "parameters), their ratio, and root-mean-square error of each channel."
+        f"Errors {HELD_OUT[file.held_out]}: squared error over its expectation for a correct model, and "
+        "root-mean-square error of each channel, with the initial state and what differs by chance between "
+        f"trials fitted to each trial. {SQUARED}"
     )
     return _table("waterfall", "The gap on held-out data", columns, rows, caption, folded=False)
 
@@ -216,12 +221,12 @@ def _parts_held_out(file: GapFile) -> ev.Table:
     """Return the table of the held-out parts, from which the verdict follows."""
     rows: Rows = []
     for name, t in file.facts.held_out.items():
-        errors = [v / t.samples for v in (t.as_given, t.before, t.after, t.expected, t.limit)]
+        errors = [v / t.expected for v in (t.as_given, t.before, t.after, t.limit)]
         rows.append([name, t.samples, *errors, t.after <= t.limit])
-    columns = "part | samples | as given | refitted | with causes | expected | limit | within noise"
+    columns = "part | samples | as given | refitted | with causes | limit | within noise"
     caption = (
-        "Mean squared error of each held-out part over all channels, in units of the noise variance. "
-        "Expected: if the model in the column before is correct. Limit: the largest one that noise explains."
+        f"Squared error of each held-out part over its expectation. {SQUARED} Limit: the largest one that "
+        "noise explains."
     )
     return _table("held-out", "Held-out parts", columns, rows, caption)
 
@@ -423,8 +428,9 @@ def _closed_text(file: GapFile) -> str:
     closed, where = file.closed, HELD_OUT[file.held_out]
     if closed is None or closed.share is None:
         return ""
-    errors = f"from {number(closed.before, 3)} as given to {number(closed.after, 3)} times the noise"
-    parts = f"goes {errors} ({number(closed.expected, 3)} expected)"
+    parts = (
+        f"goes from {number(closed.before, 3)} as given to {number(closed.after, 3)} times its expectation"
+    )
     if closed.share > 0.0:
         parts += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
     if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit > 0.0:

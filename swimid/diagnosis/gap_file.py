@@ -113,9 +113,10 @@ class Shrinkage(yamlio.Document):
 class Closed(yamlio.Document):
     """Squared error over all channels on held-out data, and the shares of the squared gap that close.
 
-    The squared errors are means in units of the noise variance: with the parameters as given (``before``),
-    refitted without causes (``refitted``), with the causes (``after``), and of a correct model
-    (``expected``). The gap of an error is its excess over ``expected``.
+    The squared errors are those of the held-out parts (:class:`HeldOutTrial`) over their expectation: with
+    the parameters as given (``before``), refitted without causes (``refitted``), with the causes (``after``),
+    and of a correct model (``expected``). The gap of a model is its squared difference from the true motion,
+    without noise and without what differs by chance between trials.
     """
 
     before: Number
@@ -135,18 +136,20 @@ class Step(yamlio.Document):
     """Errors on held-out data of one model: as given, refitted, with the first causes, or the noise alone."""
 
     label: str
-    #: Mean squared error over all channels, in units of the noise variance, and its expectation for a correct
-    #: model.
+    #: Squared error of all held-out parts (:class:`HeldOutTrial`) over its expectation for a correct model.
     squared: Number
-    expected: Number = None
     #: Root-mean-square error of each channel, in the unit of the channel.
     rmse: dict[str, Number]
 
 
 class HeldOutTrial(yamlio.Document):
-    """Squared errors of one held-out part, summed over its samples, in units of the noise variance."""
+    """Squared error of one held-out part: its squared Mahalanobis distance from the prediction.
 
-    #: Number of samples in channels with a known noise.
+    The covariance of the prediction has the noise, what differs by chance between trials, and the uncertainty
+    of the parameters. For a correct model the squared distance has a chi-squared distribution.
+    """
+
+    #: Number of held-out samples.
     samples: int
     #: Squared errors of the model with the parameters as given, without the causes, and with them.
     as_given: float

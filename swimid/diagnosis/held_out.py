@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.gap_file import HeldOutTrial, Shrinkage, Step
+from swimid.diagnosis.gap_file import Closed, HeldOutTrial, Shrinkage, Step
 from swimid.diagnosis.noise import BETWEEN, NoiseModel, determined
-from swimid.diagnosis.posterior import TENTH
+from swimid.diagnosis.posterior import CALIBRATED, TENTH
 from swimid.diagnosis.study import FINE, Hypothesis, Study
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.noise import NoiseForm
 from swimid.fitting.problem import Problem
 
 #: Probability that a correct model has at least one held-out trial above its limit.
@@ -34,20 +33,22 @@ WORST = 1e12
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of the held-out samples of one trial by one model.
+    """Prediction of the held-out samples of one part by a model that was fitted to the other parts.
 
     Attributes
     ----------
     part : str
         Name of the trial, and of its part if only a part is held out.
     residuals : dict of channel to ndarray, shape (n,)
-        Measured minus predicted values, in the unit of the channel; NaN at samples that are not held out.
-    squares : dict of channel to float
-        Sum of squared residuals of each channel, in units of the noise variance.
-    expected, variance : float
-        Mean and variance of the sum over channels if the model is correct.
+        Measured minus predicted values, in the unit of the channel; NaN at samples that are not held out. The
+        initial state and the random effects have the values of the part.
+    squared : float
+        Squared Mahalanobis distance of the samples from their prediction. The covariance has the noise, the
+        random effects, and the uncertainty of the parameters.
+    expected : int
+        Mean of the squared distance for a correct model.
     samples : int
-        Number of held-out samples of channels whose noise is known.
+        Number of held-out samples.
     deviance : float
         Minus twice the log predictive density of the samples, up to a constant.
     """
@@ -55,26 +56,19 @@ class Prediction:
     trial: Trial
     part: str
     residuals: dict[str, Array]
-    squares: dict[str, float]
-    expected: float
-    variance: float
+    squared: float
+    expected: int
     samples: int
     deviance: float
 
-    @property
-    def squared(self) -> float:
-        """Sum of squared residuals of all channels, in units of the noise variance."""
-        return sum(self.squares.values())
-
     def limit(self, count: int) -> float:
-        """Largest squared error that noise explains, if ``count`` parts are held out.
+        """Largest squared distance that noise explains, if ``count`` parts are held out.
 
-        The squared error is approximated by a scaled chi-squared variable (Satterthwaite). A model error of a
-        tenth of the noise is allowed.
+        That of a correct model has a chi-squared distribution. A model error of a tenth of the noise is
+        allowed, and a discrepancy as large as the noise (:func:`swimid.diagnosis.posterior.unit`).
         """
-        degrees = 2.0 * self.expected**2 / max(self.variance, 1e-300)
-        largest = self.expected / degrees * float(special.chdtri(degrees, CHANCE / max(count, 1)))
-        return largest + TENTH**2 * self.samples
+        largest = float(special.chdtri(self.expected, CHANCE / max(count, 1)))
+        return largest + TENTH**2 * self.samples + CALIBRATED.directions
 
 
 @dataclass(frozen=True)
@@ -84,9 +78,7 @@ class Rows:
     Attributes
     ----------
     residual : ndarray, shape (n,)
-        Weighted residual with the values of the random effects that the trial has.
-    typical : ndarray, shape (n,)
-        Weighted residual with the means of the random effects, linearised.
+        Weighted residual with the means of the random effects, linearised about their values.
     shared : ndarray, shape (n, p)
         Weighted derivatives with respect to the shared parameters.
     covariance : ndarray, shape (p, p)
@@ -98,7 +90,6 @@ class Rows:
     """
 
     residual: Array
-    typical: Array
     shared: Array
     covariance: Array
     own: Array
@@ -108,73 +99,39 @@ class Rows:
         self, noise: NoiseModel, problem: Problem, k: int, part: str, chosen: NDArray[np.bool_]
     ) -> Prediction:
         """Return the prediction of the samples that a mask chooses."""
-        trial, weights = problem.trials[k], problem.sample_weights(k)
-
-        def standard(rows: Array) -> Array:
-            return noise.standardise(problem, k, rows)[chosen]
-
-        basis = determined(standard(self.own))
-
-        def free(rows: Array) -> Array:
-            return rows - basis @ (basis.T @ rows)
-
-        left = np.clip(free(standard(self.residual)), -math.sqrt(WORST), math.sqrt(WORST))
-        values, vectors = np.linalg.eigh(self.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        moved = free(standard(self.shared @ root))
-        gram = moved.T @ moved
-        expected, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
-        residuals, squares, samples = {}, {}, 0
-        taken = determined(standard(np.column_stack((self.own, self.chance))))
-        whole, place = np.full((len(chosen), taken.shape[1] + 1), np.nan), np.flatnonzero(chosen)
-        whole[place] = np.column_stack((left, taken))
-        parts = zip(problem.by_channel(k, whole), problem.by_channel(k, weights), strict=True)
-        for (channel, mask, series), (_, _, weight) in parts:
-            there = np.isfinite(series[:, 0]) & (weight > 0.0)
-            if not there.any():
-                continue
-            floor, own = noise.floor(channel), series[there, 1:]
-            unit = np.full(len(mask), np.nan)
-            unit[np.flatnonzero(mask)[there]] = series[there, 0] * floor / weight[there]
-            residuals[channel], squares[channel] = unit, float(np.sum(series[there, 0] ** 2))
-            count, time_s = int(there.sum()), trial.time_s[mask][there]
-            samples += count
-            single = float(noise.covariance(channel, time_s[:1], np.ones((1, 1)))[0, 0]) / floor**2
-            absorbed = float(np.sum(own * noise.covariance(channel, time_s, own))) / floor**2
-            expected += max(single * count - absorbed, MIN_FREE * count)
-            variance += 2.0 * _squared_covariance(noise, channel, time_s) / floor**4
-        deviance = self._deviance(noise, problem, k, chosen)
-        return Prediction(trial, part, residuals, squares, expected, variance, samples, deviance)
-
-    def _deviance(self, noise: NoiseModel, problem: Problem, k: int, chosen: NDArray[np.bool_]) -> float:
-        """Return minus twice the log predictive density of the samples that a mask chooses."""
-        values, vectors = np.linalg.eigh(self.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        columns = np.column_stack((self.typical, self.shared @ root, self.chance, self.own))
+        moved = self.shared @ root_of(self.covariance)
+        residual = np.clip(self.residual, -math.sqrt(WORST), math.sqrt(WORST))
+        columns = np.column_stack((residual, moved, self.chance, self.own))
         seen = noise.whiten(problem, k, columns)[chosen]
-        count = self.shared.shape[1] + self.chance.shape[1] + 1
+        count = 1 + moved.shape[1] + self.chance.shape[1]
         basis = determined(seen[:, count:])
         free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
-        r, moved = np.clip(free[:, 0], -math.sqrt(WORST), math.sqrt(WORST)), free[:, 1:]
-        inner = np.eye(count - 1) + moved.T @ moved
-        along = moved.T @ r
+        r, uncertain = free[:, 0], free[:, 1:]
+        inner = np.eye(count - 1) + uncertain.T @ uncertain
+        along = uncertain.T @ r
         squared = float(r @ r) - float(along @ np.linalg.solve(inner, along))
-        return squared + float(np.linalg.slogdet(inner)[1])
+        expected = len(r) - basis.shape[1]
+        deviance = squared + float(np.linalg.slogdet(inner)[1])
+        # The initial state and the random effects are fitted, these with their priors.
+        own = seen[:, 1 + moved.shape[1] :]
+        ridge = np.diag(np.arange(own.shape[1]) < self.chance.shape[1]).astype(float)
+        values = crossval.solved(own.T @ own + ridge, own.T @ seen[:, :1])[:, 0]
+        left = np.full(len(chosen), np.nan)
+        left[chosen] = (residual - columns[:, 1 + moved.shape[1] :] @ values)[chosen]
+        weighted = np.column_stack((left, problem.sample_weights(k)))
+        residuals = {}
+        for channel, mask, rows in problem.by_channel(k, weighted):
+            there = np.isfinite(rows[:, 0]) & (rows[:, 1] > 0.0)
+            if there.any():
+                residuals[channel] = np.full(len(mask), np.nan)
+                residuals[channel][np.flatnonzero(mask)[there]] = rows[there, 0] / rows[there, 1]
+        return Prediction(problem.trials[k], part, residuals, squared, max(expected, 1), len(r), deviance)
 
 
-def _squared_covariance(noise: NoiseModel, channel: str, time_s: Array) -> float:
-    """Return the sum of the squared elements of the covariance matrix of the weighted noise of a series."""
-    form = noise.forms.get(channel, NoiseForm())
-    squared = replace(form, time_s=0.5 * form.time_s)
-    if form.autoregression is None:
-        # The square of 1 + ratio * r on the diagonal and of ratio * r beside it, with the correlation r.
-        total = (1.0 + 2.0 * form.ratio) * len(time_s)
-        if form.ratio > 0.0:
-            rows = replace(squared, ratio=1.0).correlate(time_s, np.ones((len(time_s), 1)))
-            total += form.ratio**2 * (float(rows.sum()) - len(time_s))
-    else:
-        total = float(squared.correlate(time_s, np.ones((len(time_s), 1))).sum())
-    return noise.variance.get(channel, 1.0) ** 2 * total
+def root_of(covariance: Array) -> Array:
+    """Return a square root of a covariance matrix, without negative eigenvalues by rounding."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def as_given(study: Study) -> Hypothesis:
@@ -197,40 +154,32 @@ def predictions(
     Parameters
     ----------
     fits : sequence of Hypothesis
-        Models, fitted to all trials. The values that random effects have in each trial are those of the last
-        one.
+        Models, fitted to all trials.
     noise : NoiseModel
         Noise and random effects that the held-out parts are expected to have.
     """
-    values = dict(zip(fits[-1].labels, fits[-1].theta.tolist(), strict=True))
-    for trial in validation:
-        problem, point = _own_fit(fits[-1], trial, noise)
-        values |= zip(problem.labels, point.tolist(), strict=True)
-    scatter = {label: value for label, value in values.items() if label.startswith(BETWEEN)}
     found = []
     for fit in fits:
-        each = (_of_validation(fit, trial, noise, scatter) for trial in validation)
-        found.append([*_of_folds(fit, noise, scatter), *each])
+        each = (_of_validation(fit, trial, noise) for trial in validation)
+        found.append([*_of_folds(fit, noise), *each])
         step()
     return found
 
 
-def _of_folds(fit: Hypothesis, noise: NoiseModel, scatter: Mapping[str, float]) -> list[Prediction]:
+def _of_folds(fit: Hypothesis, noise: NoiseModel) -> list[Prediction]:
     study, folds, problem = fit.study, fit.study.folds, fit.problem
     shared = study.shared(fit)
     _, each = crossval.covariances(crossval.normal_equations(study, fit))
     found = []
     for f, theta in enumerate(study.without_each(fit) if len(shared) else [fit.theta] * folds.count):
-        point = np.array([scatter.get(label, v) for label, v in zip(fit.labels, theta, strict=True)])
         for k, trial in enumerate(study.trials):
             chosen = folds.owner[k] == f
             if not chosen.any():
                 continue
             random = study.random(problem, k)
             own = fit.columns(k, study.settled(problem, k, study.apart(fit, k)))
-            typical = problem.trial_residuals(theta, k) + fit.columns(k, random) @ theta[random]
-            residual = problem.trial_residuals(point, k)
-            rows = Rows(residual, typical, fit.columns(k, shared), each[f], own, study.chance(fit, k))
+            residual = problem.trial_residuals(theta, k) + fit.columns(k, random) @ theta[random]
+            rows = Rows(residual, fit.columns(k, shared), each[f], own, study.chance(fit, k))
             part = (
                 trial.id
                 if folds.whole
@@ -260,22 +209,95 @@ def _own_fit(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem,
     return whole, point
 
 
-def _of_validation(
-    fit: Hypothesis, trial: Trial, noise: NoiseModel, scatter: Mapping[str, float]
-) -> Prediction:
-    study, shared = fit.study, fit.study.shared(fit)
+def _of_validation(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> Prediction:
+    study = fit.study
     whole, theta = _own_fit(fit, trial, noise)
-    point = np.array([scatter.get(label, v) for label, v in zip(whole.labels, theta, strict=True)])
     columns = -whole.trial_jacobians(theta)[0]
-    at = [whole.labels.index(fit.labels[j]) if fit.labels[j] in whole.labels else -1 for j in shared]
-    wide = np.column_stack((columns, np.zeros(len(columns))))
     covariance = crossval.covariances(crossval.normal_equations(study, fit))[0]
     random = study.random(whole, 0)
     own = columns[:, study.settled(whole, 0, whole.own(0))]
-    typical = whole.trial_residuals(theta, 0) + columns[:, random] @ theta[random]
+    residual = whole.trial_residuals(theta, 0) + columns[:, random] @ theta[random]
     chance = columns[:, random] / study.expected(whole)[1][random]
-    rows = Rows(whole.trial_residuals(point, 0), typical, wide[:, at], covariance, own, chance)
+    rows = Rows(residual, _shared(fit, whole, columns), covariance, own, chance)
     return rows.prediction(noise, whole, 0, trial.id, np.ones(len(columns), dtype=bool))
+
+
+def _shared(fit: Hypothesis, problem: Problem, columns: Array) -> Array:
+    """Return the columns of another problem for the shared parameters of a fit; zero where it has none."""
+    names = [fit.labels[j] for j in fit.study.shared(fit)]
+    wide = np.column_stack((columns, np.zeros(len(columns))))
+    return wide[:, [problem.labels.index(name) if name in problem.labels else -1 for name in names]]
+
+
+def closing(
+    given: Hypothesis,
+    refitted: Hypothesis,
+    best: Hypothesis,
+    validation: Sequence[Trial],
+    noise: NoiseModel,
+    parts: Sequence[Sequence[Prediction]],
+) -> Closed:
+    """Return the errors of three models on held-out data, and the shares of the gap that close.
+
+    The gap of a model is its squared difference from the true motion without noise and without what differs
+    by chance between trials. The model with the causes is the best estimate of this motion. Its own gap has
+    the uncertainty of its parameters, and what it leaves unexplained on held-out data.
+
+    Parameters
+    ----------
+    parts : sequence of sequence of Prediction
+        Predictions by the three models.
+    """
+    study, shared = best.study, best.study.shared(best)
+    root = root_of(crossval.covariance(study, best)[np.ix_(shared, shared)])
+    problems: list[tuple[Problem, int, Array, Array]] = [
+        (best.problem, k, best.theta, best.columns(k, shared)) for k in range(len(study.trials))
+    ]
+    for trial in validation:
+        problem, theta = _own_fit(best, trial, noise)
+        columns = -problem.trial_jacobians(theta)[0]
+        problems.append((problem, 0, theta, _shared(best, problem, columns)))
+    off, gram = [0.0, 0.0], np.zeros((len(shared), len(shared)))
+    for problem, k, theta, columns in problems:
+        typical = {n: 0.0 if n.startswith(BETWEEN) else v for n, v in zip(problem.labels, theta, strict=True)}
+        moved = noise.standardise(problem, k, columns @ root)
+        gram += moved.T @ moved
+        here = _motion(best, problem.trials[k], problem, k, typical)
+        for i, fit in enumerate((given, refitted)):
+            known = typical | {
+                fit.labels[j]: float(fit.theta[j]) for j, (_, o) in enumerate(fit.problem.slots) if o is None
+            }
+            known |= {p.name: p.start for p in fit.problem.parameters if not p.per_trial and not p.free}
+            other = _motion(fit, problem.trials[k], problem, k, known)
+            off[i] += float(np.sum(np.minimum(noise.standardise(problem, k, other - here) ** 2, WORST)))
+    after = parts[-1]
+    left = max(sum(p.squared - p.expected for p in after), 0.0)
+    mean, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
+    degrees = max(2.0 * mean**2 / max(variance, 1e-300), 1e-3)
+    ends = [left + mean / degrees * float(special.chdtri(degrees, p)) for p in (0.025, 0.975)]
+    gaps = [off[0] + left + mean, off[1] + left + mean]
+    errors = [sum(p.squared for p in each) / sum(p.expected for p in each) for each in parts]
+    found = Closed(
+        before=errors[0],
+        refitted=errors[1],
+        after=errors[2],
+        expected=1.0,
+        share=off[0] / max(gaps[0], 1e-300),
+        by_refit=(gaps[0] - gaps[1]) / max(gaps[0], 1e-300),
+        by_causes=off[1] / max(gaps[1], 1e-300),
+    )
+    found.ci95 = (off[0] / max(off[0] + ends[0], 1e-300), off[0] / max(off[0] + ends[1], 1e-300))
+    return found
+
+
+def _motion(fit: Hypothesis, trial: Trial, problem: Problem, k: int, known: Mapping[str, float]) -> Array:
+    """Return the weighted samples of a trial that a model simulates with known parameters."""
+    model = fit.problem.model
+    values = np.array(
+        [known.get(f"{p.name}[{trial.id}]", known.get(p.name, p.start)) for p in model.parameters]
+    )
+    simulated = model.run(values, trial)
+    return problem.stacked(k, simulated) * problem.sample_weights(k)
 
 
 # ---------------------------------------------------------------- tables of the answer
@@ -284,7 +306,7 @@ def _of_validation(
 def table(
     given: Sequence[Prediction], before: Sequence[Prediction], after: Sequence[Prediction]
 ) -> dict[str, HeldOutTrial]:
-    """Return the squared errors of each held-out part by the models as given, refitted, and with causes."""
+    """Return the squared distances of each held-out part from the models as given, refitted, with causes."""
     return {
         last.part: HeldOutTrial(
             samples=last.samples,
@@ -301,7 +323,7 @@ def table(
 
 
 def waterfall(steps: Mapping[str, Sequence[Prediction]], floors: Mapping[str, float]) -> list[Step]:
-    """Return the held-out errors of each model, and those that its noise and uncertainty explain.
+    """Return the held-out errors of each model over their expectation.
 
     Parameters
     ----------
@@ -312,18 +334,12 @@ def waterfall(steps: Mapping[str, Sequence[Prediction]], floors: Mapping[str, fl
     """
     found = []
     for label, parts in steps.items():
-        count = max(sum(p.samples for p in parts), 1)
-        found.append(
-            Step(
-                label=label,
-                squared=sum(p.squared for p in parts) / count,
-                expected=sum(p.expected for p in parts) / count,
-                rmse=rms_errors(parts),
-            )
-        )
+        count = max(sum(p.expected for p in parts), 1)
+        squared = sum(p.squared for p in parts) / count
+        found.append(Step(label=label, squared=squared, rmse=rms_errors(parts)))
     channels = found[0].rmse if found else {}
     noise = {channel: floors.get(channel) for channel in channels}
-    return [*found, Step(label="noise alone", squared=1.0, expected=1.0, rmse=noise)]
+    return [*found, Step(label="noise alone", squared=1.0, rmse=noise)]
 
 
 def rms_errors(parts: Sequence[Prediction]) -> dict[str, float | None]:

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from swimid.diagnosis import crossval, posterior
+from swimid.diagnosis import crossval, noise, posterior
 from swimid.diagnosis.crossval import NormalEquations, solved
-from swimid.diagnosis.noise import BETWEEN, Differing, RandomEffect
+from swimid.diagnosis.noise import BETWEEN, Differing, RandomEffect, Scatter
 from swimid.diagnosis.nominal import MIN_TRIALS, OWN_PRIOR
-from swimid.diagnosis.posterior import CALIBRATED, Candidate, Posterior, Record
+from swimid.diagnosis.posterior import CALIBRATED, Candidate, Record
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import EFFECT_PRIOR, FEW, Hypothesis, Study
+from swimid.diagnosis.study import EFFECT_PRIOR, Hypothesis, Study
 from swimid.fitting import mistakes
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
@@ -40,14 +40,7 @@ class Odd(NamedTuple):
     mistake: str = ""
 
 
-def find(
-    study: Study,
-    fits: Sequence[Hypothesis],
-    found: Posterior,
-    record: Record,
-    log_determinant: Array,
-    differing: Sequence[Differing] = (),
-) -> Odd | None:
+def find(fits: Sequence[Hypothesis], record: Record, differing: Sequence[Differing] = ()) -> Odd | None:
     """Return the trial that most probably has parameters of its own or a recording mistake, or None.
 
     The hypothesis of an odd trial is compared with all other hypotheses by the same posterior probability.
@@ -55,60 +48,64 @@ def find(
     Parameters
     ----------
     fits : sequence of Hypothesis
-        Fits of all trials, to which the hypothesis of an odd trial is added.
-    found : Posterior
-        Probabilities of the hypotheses without an odd trial.
-    log_determinant : ndarray, shape (folds,)
-        Log-determinant that is subtracted from all deviances.
+        Fits of all trials, to which the hypothesis of an odd trial is added. The model without effects is
+        the first one. What may differ by chance between trials has random values in them (:func:`usual`).
     differing : sequence of Differing
-        Quantities that are not parameters of the model, of which an odd trial has values of its own as well.
+        Quantities that may differ by chance, of which an odd trial may have any value.
     """
+    study = fits[0].study
     if not study.folds.whole or len(study.trials) <= MIN_TRIALS:
         return None
+    log_determinant = fits[0].log_determinant
+    known = [Candidate(h.names, h.deviances - log_determinant, h.strain, _numbers(h)) for h in fits]
     candidates: dict[frozenset[str], tuple[Candidate, Odd]] = {}
     for fit in fits:
         tried = [
             (Odd(trial.id, fit), *_deviances(study, fit, k, differing))
             for k, trial in enumerate(study.trials)
         ]
-        for odd, deviances, strain in [*tried, *_mistaken(study, fit)]:
+        for odd, deviances, strain in [*tried, *_mistaken(fit)]:
             names = frozenset({*fit.names, f"trial:{odd.trial}{odd.mistake}"})
             candidates[names] = Candidate(names, deviances - log_determinant, strain, _numbers(fit)), odd
-    null, *known = found.candidates
-    every = posterior.posterior(null, [*known, *(c for c, _ in candidates.values())], record=record)
+    null, *others = known
+    every = posterior.posterior(null, [*others, *(c for c, _ in candidates.values())], record=record)
     best = max(candidates, key=lambda names: every.known[names])
-    others = [p for names, p in every.known.items() if names not in candidates]
-    if every.known[best] < ODDS * max([every.none, *others]):
+    rest = [p for names, p in every.known.items() if names not in candidates]
+    if every.known[best] < ODDS * max([every.none, *rest]):
         return None
     # An effect may leave a share of the gap because of its form. An odd trial explains nearly all of that.
-    rest = min(every.excess[c.names] for c in found.candidates)
-    if every.excess[best] > CALIBRATED.form * rest:
+    if every.excess[best] > CALIBRATED.form * min(every.excess[c.names] for c in known):
         return None
     return candidates[best][1]
 
 
-def _mistaken(study: Study, fit: Hypothesis) -> list[tuple[Odd, Array, float]]:
+def usual(study: Study, differing: Sequence[Differing]) -> Study:
+    """Return a study in which each trial has random values of all quantities that may differ by chance."""
+    return _with_random(study, {d.effect: noise.BESIDE_GAP for d in differing})
+
+
+def _with_random(study: Study, sizes: Mapping[Scatter, float]) -> Study:
+    random = tuple(RandomEffect(effect.label, sd, effect) for effect, sd in sizes.items())
+    return study.with_noise(replace(study.noise, random_effects=random))
+
+
+def _mistaken(fit: Hypothesis) -> list[tuple[Odd, Array, float]]:
     """Return deviances and strain with each recording mistake undone in the trial with the largest error."""
-    f = int(np.argmax(fit.deviances))
-    (k,) = [i for i, owner in enumerate(study.folds.owner) if len(owner) and owner[0] == f][:1]
-    trial, before = study.trials[k], study.noise.whiten(fit.problem, k, fit.residuals[k])
+    study = fit.study
+    f = int(
+        np.argmax(fit.deviances - np.bincount([int(o[0]) for o in study.folds.owner], study.shape.counts))
+    )
+    k = next(i for i, owner in enumerate(study.folds.owner) if owner[0] == f)
+    trial = study.trials[k]
     shared = {fit.labels[j]: float(fit.theta[j]) for j in study.shared(fit)}
-    found = []
+    before, found = _fitted(study, fit, [trial], shared), []
     for mistake in mistakes.catalogue(study.model, [trial]):
         undone = mistake.undo(trial)
         if undone is None:
             continue
-        undone = replace(undone, id=f"{trial.id} ({mistake.says})")
-        problem = study.problem(fit.effects, trials=[undone], known=shared, jobs=1)
-        problem.sd = [list(study.noise.sd[k])]
-        values = problem.start
-        if len(values):
-            values = problem.solve(values, max_iterations=FEW, secant=True).x
-        after = problem.trial_residuals(values, 0)
-        if len(after) != len(before):
-            continue
+        after = _fitted(study, fit, [replace(undone, id=f"{trial.id} ({mistake.says})")], shared)
         deviances = fit.deviances.copy()
-        deviances[f] -= float(np.sum(before**2) - np.sum(study.noise.whiten(fit.problem, k, after) ** 2))
+        deviances[f] += after.excess - before.excess
         found.append((Odd(trial.id, fit, mistake.says), deviances, fit.strain))
     return found
 
@@ -172,7 +169,7 @@ def _evidence(equations: NormalEquations, f: int, pull: Array, weight: Array) ->
     return float(inner[-1, -1]) + float(off @ pulled) - taken + log
 
 
-def describe(study: Study, odd: Odd, differing: Sequence[Differing] = ()) -> str | None:
+def describe(odd: Odd, differing: Sequence[Differing] = ()) -> str | None:
     """Return what differs in the odd trial, as text; None if nothing explains it.
 
     The parameters are fitted to the other trials. Those that explain the odd trial best are then fitted to it
@@ -180,21 +177,21 @@ def describe(study: Study, odd: Odd, differing: Sequence[Differing] = ()) -> str
     """
     if odd.mistake:
         return f"it agrees with the other trials with {odd.mistake}"
-    fit = odd.fit
+    fit, study = odd.fit, odd.fit.study
     (trial,) = (t for t in study.trials if t.id == odd.trial)
     others = _fitted(study, fit, [t for t in study.trials if t is not trial], {})
-    usual = {label: value for label, (value, _) in others.values.items() if "[" not in label}
-    free = {f"{one.parameter}[{trial.id}]": one for one in _free(differing)}
+    shared = {label: value for label, (value, _) in others.values.items() if "[" not in label}
+    free = {f"{BETWEEN}{d.effect.label}/deviation[{trial.id}]": d.effect for d in differing}
 
     def tried(chosen: Sequence[str]) -> _Own:
-        known = {name: value for name, value in usual.items() if name not in chosen}
-        random = tuple(free[label] for label in chosen if label in free)
-        return _fitted(study.with_noise(replace(study.noise, random_effects=random)), fit, [trial], known)
+        known = {name: value for name, value in shared.items() if name not in chosen}
+        sizes = {e: EFFECT_PRIOR if label in chosen else noise.BESIDE_GAP for label, e in free.items()}
+        return _fitted(_with_random(study, sizes), fit, [trial], known)
 
     chosen: list[str] = []
     excess = tried(chosen).excess
-    while len(chosen) < min(MAX_NAMED, len(usual) + len(free)):
-        found = {label: tried([*chosen, label]) for label in (*usual, *free) if label not in chosen}
+    while len(chosen) < min(MAX_NAMED, len(shared) + len(free)):
+        found = {label: tried([*chosen, label]) for label in (*shared, *free) if label not in chosen}
         chosen.append(min(found, key=lambda label: found[label].excess))
         one = found[chosen[-1]]
         if one.excess > CALIBRATED.form * excess:
@@ -214,13 +211,8 @@ def describe(study: Study, odd: Odd, differing: Sequence[Differing] = ()) -> str
     return None
 
 
-def _free(differing: Sequence[Differing]) -> list[RandomEffect]:
-    """Return quantities that may differ between trials, with the prior of the size of an effect."""
-    return [RandomEffect(d.effect.label, EFFECT_PRIOR, d.effect) for d in differing]
-
-
 class _Own(NamedTuple):
-    """Fit of some trials: its problem, estimates and standard errors by label, and excess of the squares."""
+    """Fit of some trials: its problem, estimates and standard errors by label, and excess of the cost."""
 
     problem: Problem
     values: dict[str, tuple[float, float]]
@@ -248,8 +240,9 @@ def _fitted(study: Study, fit: Hypothesis, trials: Sequence[Trial], known: Mappi
         [problem.whiten(i, rows) for i, rows in enumerate(problem.trial_jacobians(theta))]
     )
     residuals = [problem.whiten(i, problem.trial_residuals(theta, i)) for i in range(len(trials))]
-    excess = float(sum(np.sum(r**2) for r in residuals)) - len(jacobian)
-    variance = max(excess / max(len(jacobian) - len(theta), 1) + 1.0, 1.0)
+    squares = float(sum(np.sum(r**2) for r in residuals))
+    excess = squares + float(np.sum((weight * (theta - mean)) ** 2)) - len(jacobian)
+    variance = max(squares / max(len(jacobian) - len(theta), 1), 1.0)
     covariance = variance * np.linalg.pinv(jacobian.T @ jacobian + np.diag(weight**2), hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     values = zip(theta.tolist(), sd.tolist(), strict=True)

@@ -636,6 +636,10 @@ class Search:
         put([self._moved(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
         self.finish()
 
+    def moved(self, hypotheses: Sequence[Hypothesis], study: Study) -> list[Hypothesis]:
+        """Return hypotheses after a step in another study."""
+        return [study.refit(self._moved(h, study, h), tolerance=ROUGH) for h in hypotheses]
+
     def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the same parameters in another study.
 
@@ -773,11 +777,11 @@ def run(
                 search.begin(study.start((), fit))
                 search.beside([search.null])
                 search.compare()
-                found, null = search.posterior, search.null
-                known = [null, *search.best(1)[:PARENTS]]
-                differing = noise.possible(study, null, effects)
-                trial = odd.find(study, known, found, search.record, null.log_determinant, differing)
-                said = None if trial is None else odd.describe(study, trial, differing)
+                differing = noise.possible(study, search.null, effects)
+                known = [search.null, *search.best(1)[:PARENTS]]
+                fits = search.moved(known, odd.usual(study, differing))
+                trial = odd.find(fits, search.record, differing)
+                said = None if trial is None else odd.describe(trial, differing)
                 if trial is not None and said is not None:
                     odd_trials[trial.trial] = said
                     given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])

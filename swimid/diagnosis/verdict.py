@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Verdict
 from swimid.diagnosis.nominal import PREFIX
@@ -323,12 +322,13 @@ def remaining_share(facts: Facts, *, as_given: bool = False) -> float | None:
     It is the gap that a refit without causes leaves, or that of the parameters as given.
     """
     given, before, after, expected, _ = _sums(facts.held_out)
-    share = share_closed(given if as_given else before, after, expected)
-    if share is None:
+    gap = (given if as_given else before) - expected
+    # A gap within two standard deviations of chi-squared may be noise.
+    if not gap > math.sqrt(8.0 * expected):
         return None
     # Errors that noise explains leave nothing.
     explained = all(t.after <= t.limit for t in facts.held_out.values())
-    return 0.0 if explained else max(1.0 - share, 0.0)
+    return 0.0 if explained else max(after - expected, 0.0) / gap
 
 
 def refit_share(facts: Facts) -> float | None:
@@ -336,37 +336,6 @@ def refit_share(facts: Facts) -> float | None:
     given, before, _, expected, _ = _sums(facts.held_out)
     share = share_closed(given, before, expected)
     return None if share is None else max(1.0 - share, 0.0)
-
-
-def closed_gap(trials: Mapping[str, HeldOutTrial]) -> Closed:
-    """Return the squared errors of held-out data, and the shares of the gap that refit and causes close.
-
-    The interval of the share is that of a ratio of sums over held-out parts, with Student's distribution. It
-    is unknown from fewer than three parts, and if it is wider than :data:`WIDEST`.
-    """
-    given, before, after, expected, samples = _sums(trials)
-    if not samples:
-        return Closed(before=None, after=None, share=None)
-    share = share_closed(given, after, expected)
-    found = Closed(
-        before=given / samples,
-        refitted=before / samples,
-        after=after / samples,
-        expected=expected / samples,
-        share=share,
-        by_refit=share_closed(given, before, expected),
-        by_causes=share_closed(before, after, expected),
-    )
-    if share is None or len(trials) < 3:
-        return found
-    left = np.array([(t.as_given - t.after) - share * (t.as_given - t.expected) for t in trials.values()])
-    n = len(left)
-    half = (
-        float(special.stdtrit(n - 1, 0.975)) * math.sqrt(n * float(np.var(left, ddof=1))) / (given - expected)
-    )
-    if 2.0 * half <= WIDEST:
-        found.ci95 = (share - half, min(share + half, 1.0))
-    return found
 
 
 def interval_text(s: Closed) -> str:
