@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis import gap_file, verdict
+from swimid.diagnosis import gap_file
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -114,7 +114,7 @@ def _channel(channel: str, unit: str, nrmse: float, floor: float, share: float, 
 
 def _step(label: str, squared: float, u: float, rate: float, joint: float) -> Step:
     rmse = dict(zip(_CHANNELS, (u, rate, joint), strict=True))
-    return Step(label=label, squared=squared, expected=1.0, rmse=rmse)
+    return Step(label=label, squared=squared, rmse=rmse)
 
 
 def _cell(kind: str, label: str, ratio: float, share: float) -> Cell:
@@ -258,7 +258,6 @@ EXPLAINED = GapFile(
         before=54.0,
         refitted=17.0,
         after=1.6,
-        expected=1.0,
         share=52.4 / 53.0,
         ci95=(0.971, 0.995),
         by_refit=37.0 / 53.0,
@@ -406,7 +405,6 @@ PARTIAL = replace(
         before=54.0,
         refitted=17.0,
         after=7.4,
-        expected=1.0,
         share=46.6 / 53.0,
         by_refit=37.0 / 53.0,
         by_causes=9.6 / 16.0,
@@ -417,14 +415,22 @@ PARTIAL = replace(
 #: A refit of the parameters predicts held-out data as well as the cause does.
 _IMITATED = facts("servo-backlash", held_out=held_out(161.0, 160.0, 159.0, before=160.0, as_given=5400.0))
 IMITATED = replace(
-    _BRIEF, verdict="ambiguous", closed=verdict.closed_gap(_IMITATED.held_out), facts=_IMITATED
+    _BRIEF,
+    verdict="ambiguous",
+    closed=Closed(before=54.0, refitted=1.6, after=1.6, share=0.99, by_refit=0.99, by_causes=0.0),
+    facts=_IMITATED,
 )
 #: The cause closes the gap of one held-out trial, and the other trials have none.
 _CARRIED = facts(
     "servo-backlash",
     held_out=held_out(101.0, 99.0, 100.0, before=100.0) | {"f14a15": held_out(105.0)["f10a15"]},
 )
-CARRIED = replace(_BRIEF, verdict="ambiguous", closed=verdict.closed_gap(_CARRIED.held_out), facts=_CARRIED)
+CARRIED = replace(
+    _BRIEF,
+    verdict="ambiguous",
+    closed=Closed(before=5.0, refitted=5.0, after=1.0, share=0.98, by_refit=0.0, by_causes=0.98),
+    facts=_CARRIED,
+)
 
 ALL = {
     "none": NONE,

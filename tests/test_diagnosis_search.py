@@ -328,18 +328,17 @@ def test_a_trial_that_no_parameters_explain_is_not_left_out(rng: np.random.Gener
     state = searched(trials, [Seen("rise", rise), Seen("ring", ring)])
     assert state.odd_trials == {}
     assert len(state.study.trials) == 7
-    study, fit = state.study, state.null
-    assert odd.describe(study, odd.Odd("t3", fit)) is None
+    assert odd.describe(odd.Odd("t3", state.null)) is None
 
 
 def test_the_parameters_of_an_odd_trial_are_described(rng: np.random.Generator) -> None:
     study = plain_study(odd_one(rng, [1.0, 1.0, 1.0, 1.5, 1.0], [0.0] * 5), 0.02)
     fit = study.fit((), [study.shape.start])
-    found = odd.describe(study, odd.Odd("t3", fit))
+    found = odd.describe(odd.Odd("t3", fit))
     assert found is not None
     assert found.startswith("a 1.5")
     alike = plain_study(odd_one(rng, [1.0] * 5, [0.0] * 5), 0.02)
-    assert odd.describe(alike, odd.Odd("t3", alike.fit((), [alike.shape.start]))) is None
+    assert odd.describe(odd.Odd("t3", alike.fit((), [alike.shape.start]))) is None
 
 
 @pytest.mark.parametrize("seed", range(6))

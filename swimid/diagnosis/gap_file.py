@@ -114,15 +114,14 @@ class Closed(yamlio.Document):
     """Squared error over all channels on held-out data, and the shares of the squared gap that close.
 
     The squared errors are those of the held-out parts (:class:`HeldOutTrial`) over their expectation: with
-    the parameters as given (``before``), refitted without causes (``refitted``), with the causes (``after``),
-    and of a correct model (``expected``). The gap of a model is its squared difference from the true motion,
+    the parameters as given (``before``), refitted without causes (``refitted``), and with the causes
+    (``after``). The gap of a model is its squared difference from the true motion,
     without noise and without what differs by chance between trials.
     """
 
     before: Number
     refitted: Number = None
     after: Number
-    expected: Number = None
     #: Closed share of the gap of the parameters as given, at most 1, and its 95 % interval.
     share: Number
     ci95: Pair = (None, None)
