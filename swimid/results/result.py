@@ -163,7 +163,7 @@ class Result:
         passed = sum(check.verdict == "pass" for check in shown.checks)
         if passed:
             verdict += f" {passed} {('checks pass', 'check passes')[passed == 1]}."
-        return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
+        return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH, break_on_hyphens=False)])
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the command that a user may run next on this result; empty if there is none.
@@ -521,7 +521,7 @@ class FileResult(Result, Generic[File]):
 
 
 def _wrapped(text: str) -> str:
-    return textwrap.fill(text, WIDTH, initial_indent="  ", subsequent_indent="  ")
+    return textwrap.fill(text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
 
 
 def cell_text(value: Any) -> str:
