@@ -636,10 +636,6 @@ class Search:
         put([self._moved(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
         self.finish()
 
-    def moved(self, hypotheses: Sequence[Hypothesis], study: Study) -> list[Hypothesis]:
-        """Return hypotheses after a step in another study."""
-        return [study.refit(self._moved(h, study, h), tolerance=ROUGH) for h in hypotheses]
-
     def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the same parameters in another study.
 
@@ -768,6 +764,8 @@ def run(
     with threadpool_limits(limits=1, user_api="blas"):
         while True:
             study, fit, dropouts = prepare(given, effects)
+            differing = noise.possible(study, fit, effects)
+            study = odd.usual(study, differing)
             with progress("effects", total=len(effects)) as shown:
                 search = Search(
                     study, effects, effects, rng=rng,
@@ -777,10 +775,8 @@ def run(
                 search.begin(study.start((), fit))
                 search.beside([search.null])
                 search.compare()
-                differing = noise.possible(study, search.null, effects)
                 known = [search.null, *search.best(1)[:PARENTS]]
-                fits = search.moved(known, odd.usual(study, differing))
-                trial = odd.find(fits, search.record, differing)
+                trial = odd.find(known, search.record, differing)
                 said = None if trial is None else odd.describe(trial, differing)
                 if trial is not None and said is not None:
                     odd_trials[trial.trial] = said
