@@ -211,8 +211,8 @@ def _waterfall(file: GapFile) -> ev.Table:
     columns = " | ".join(["model", "squared error over expected", *channels])
     caption = (
         f"Errors {HELD_OUT[file.held_out]}: squared error over its expectation for a correct model, and "
-        "root-mean-square error of each channel, with the initial state and what differs by chance between "
-        f"trials fitted to each trial. {SQUARED}"
+        "root-mean-square error of each channel, with the initial state fitted to each trial and without what "
+        f"differs by chance between trials. {SQUARED}"
     )
     return _table("waterfall", "The gap on held-out data", columns, rows, caption, folded=False)
 

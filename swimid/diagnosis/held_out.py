@@ -25,6 +25,8 @@ from swimid.fitting.problem import Problem
 
 #: Probability that a correct model has at least one held-out trial above its limit.
 CHANCE = 0.025
+#: Maximum width of the interval of a closed share that is stated.
+WIDEST = 1.0
 #: Number of random errors of the parameters from which the interval of a closed share is computed.
 DRAWS = 1000
 #: Largest squared error of a sample, in units of the noise variance. The simulation of a larger one diverged.
@@ -41,7 +43,8 @@ class Prediction:
         Name of the trial, and of its part if only a part is held out.
     residuals : dict of channel to ndarray, shape (n,)
         Measured minus predicted values, in the unit of the channel; NaN at samples that are not held out. The
-        initial state and the random effects have the values of the part.
+        initial state has the value of the part. Random effects differ from their mean as in the model with
+        the causes, so that all models have the same differences between trials.
     squared : float
         Squared Mahalanobis distance of the samples from their prediction. The covariance has the noise, the
         random effects, and the uncertainty of the parameters.
@@ -87,6 +90,8 @@ class Rows:
         Weighted derivatives with respect to the parameters that are refitted to the held-out samples.
     chance : ndarray, shape (n, q)
         Weighted changes by one standard deviation of each random effect.
+    apart : ndarray, shape (q,)
+        Differences of the random effects of the trial from their mean, in standard deviations.
     """
 
     residual: Array
@@ -94,6 +99,7 @@ class Rows:
     covariance: Array
     own: Array
     chance: Array
+    apart: Array
 
     def prediction(
         self, noise: NoiseModel, problem: Problem, k: int, part: str, chosen: NDArray[np.bool_]
@@ -102,10 +108,12 @@ class Rows:
         chosen = chosen & (problem.sample_weights(k) > 0.0)
         moved = self.shared @ root_of(self.covariance)
         residual = np.clip(self.residual, -math.sqrt(WORST), math.sqrt(WORST))
-        columns = np.column_stack((residual, moved, self.chance, self.own))
+        usual = residual - self.chance @ self.apart
+        columns = np.column_stack((residual, moved, self.chance, self.own, usual))
         seen = noise.whiten(problem, k, columns)[chosen]
         count = 1 + moved.shape[1] + self.chance.shape[1]
-        basis = determined(seen[:, count:])
+        own = seen[:, count:-1]
+        basis = determined(own)
         free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
         r, uncertain = free[:, 0], free[:, 1:]
         inner = np.eye(count - 1) + uncertain.T @ uncertain
@@ -113,12 +121,9 @@ class Rows:
         squared = float(r @ r) - float(along @ np.linalg.solve(inner, along))
         expected = len(r) - basis.shape[1]
         deviance = squared + float(np.linalg.slogdet(inner)[1])
-        # The initial state and the random effects are fitted, these with their priors.
-        own = seen[:, 1 + moved.shape[1] :]
-        ridge = np.diag(np.arange(own.shape[1]) < self.chance.shape[1]).astype(float)
-        values = crossval.solved(own.T @ own + ridge, own.T @ seen[:, :1])[:, 0]
+        values = crossval.solved(own.T @ own, own.T @ seen[:, -1:])[:, 0]
         left = np.full(len(chosen), np.nan)
-        left[chosen] = (residual - columns[:, 1 + moved.shape[1] :] @ values)[chosen]
+        left[chosen] = (usual - self.own @ values)[chosen]
         weighted = np.column_stack((left, problem.sample_weights(k)))
         residuals = {}
         for channel, mask, rows in problem.by_channel(k, weighted):
@@ -159,15 +164,33 @@ def predictions(
     noise : NoiseModel
         Noise and random effects that the held-out parts are expected to have.
     """
+    last = fits[-1]
+    values = {name: value for name, value in zip(last.labels, last.theta, strict=True) if _is_random(name)}
+    names = {name.split("[")[0] for name in values}
+    mean = {n: float(np.mean([v for name, v in values.items() if name.startswith(f"{n}[")])) for n in names}
+    for trial in validation:
+        problem, theta = _own_fit(last, trial, noise)
+        values |= {name: v for name, v in zip(problem.labels, theta, strict=True) if _is_random(name)}
+    apart = {name: value - mean[name.split("[")[0]] for name, value in values.items()}
     found = []
     for fit in fits:
-        each = (_of_validation(fit, trial, noise) for trial in validation)
-        found.append([*_of_folds(fit, noise), *each])
+        each = (_of_validation(fit, trial, noise, apart) for trial in validation)
+        found.append([*_of_folds(fit, noise, apart), *each])
         step()
     return found
 
 
-def _of_folds(fit: Hypothesis, noise: NoiseModel) -> list[Prediction]:
+def _is_random(label: str) -> bool:
+    return label.startswith(BETWEEN)
+
+
+def _apart(study: Study, problem: Problem, random: NDArray[np.intp], apart: Mapping[str, float]) -> Array:
+    """Return the differences of the random effects of a trial from their mean, in standard deviations."""
+    weight = study.expected(problem)[1]
+    return np.array([apart.get(problem.labels[j], 0.0) * weight[j] for j in random])
+
+
+def _of_folds(fit: Hypothesis, noise: NoiseModel, apart: Mapping[str, float]) -> list[Prediction]:
     study, folds, problem = fit.study, fit.study.folds, fit.problem
     shared = study.shared(fit)
     _, each = crossval.covariances(crossval.normal_equations(study, fit))
@@ -180,7 +203,8 @@ def _of_folds(fit: Hypothesis, noise: NoiseModel) -> list[Prediction]:
             random = study.random(problem, k)
             own = fit.columns(k, study.settled(problem, k, study.apart(fit, k)))
             residual = problem.trial_residuals(theta, k) + fit.columns(k, random) @ theta[random]
-            rows = Rows(residual, fit.columns(k, shared), each[f], own, study.chance(fit, k))
+            chance = study.chance(fit, k), _apart(study, problem, random, apart)
+            rows = Rows(residual, fit.columns(k, shared), each[f], own, *chance)
             part = (
                 trial.id
                 if folds.whole
@@ -210,7 +234,9 @@ def _own_fit(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem,
     return whole, point
 
 
-def _of_validation(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> Prediction:
+def _of_validation(
+    fit: Hypothesis, trial: Trial, noise: NoiseModel, apart: Mapping[str, float]
+) -> Prediction:
     study = fit.study
     whole, theta = _own_fit(fit, trial, noise)
     columns = -whole.trial_jacobians(theta)[0]
@@ -219,7 +245,8 @@ def _of_validation(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> Predicti
     own = columns[:, study.settled(whole, 0, whole.own(0))]
     residual = whole.trial_residuals(theta, 0) + columns[:, random] @ theta[random]
     chance = columns[:, random] / study.expected(whole)[1][random]
-    rows = Rows(residual, _shared(fit, whole, columns), covariance, own, chance)
+    shared = _shared(fit, whole, columns)
+    rows = Rows(residual, shared, covariance, own, chance, _apart(study, whole, random, apart))
     return rows.prediction(noise, whole, 0, trial.id, np.ones(len(columns), dtype=bool))
 
 
@@ -262,7 +289,7 @@ def closing(
     gram, off = np.zeros((len(shared), len(shared))), np.zeros(2)
     cross = np.zeros((2, len(shared)))
     for problem, k, theta, columns in problems:
-        typical = {n: 0.0 if n.startswith(BETWEEN) else v for n, v in zip(problem.labels, theta, strict=True)}
+        typical = {n: 0.0 if _is_random(n) else v for n, v in zip(problem.labels, theta, strict=True)}
         moved = noise.standardise(problem, k, columns @ root)
         gram += moved.T @ moved
         here = _motion(best, problem.trials[k], problem, k, typical)
@@ -288,7 +315,7 @@ def closing(
         refitted=errors[1],
         after=errors[2],
         share=share,
-        ci95=(low, high),
+        ci95=(low, high) if high - low <= WIDEST else (None, None),
         by_refit=float(np.median(1.0 - between / before)),
         by_causes=float(np.median(1.0 - after / between)),
     )

@@ -35,8 +35,6 @@ WEIGHTINGS = 1000
 #: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
 #: of nearly equal numbers.
 LEAST_GAP = 0.04
-#: Maximum width of the interval of a closed share that is stated.
-WIDEST = 1.0
 
 Errors = Callable[[HeldOutTrial], float]
 
