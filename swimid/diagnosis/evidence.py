@@ -67,6 +67,8 @@ BOX = (
 #: Name of the parameter file with the causes, in the folder of the gap file.
 REPAIRED = "repaired.yaml"
 
+#: Minimum share of the gap that is stated in a sentence.
+LEAST = 0.005
 #: Definition of the squared error of a held-out part.
 SQUARED = (
     "The squared error is the squared Mahalanobis distance from the prediction, whose covariance has the "
@@ -211,8 +213,8 @@ def _waterfall(file: GapFile) -> ev.Table:
     columns = " | ".join(["model", "squared error over expected", *channels])
     caption = (
         f"Errors {HELD_OUT[file.held_out]}: squared error over its expectation for a correct model, and "
-        "root-mean-square error of each channel, with the initial state fitted to each trial and without what "
-        f"differs by chance between trials. {SQUARED}"
+        "root-mean-square error of each channel, with the initial state fitted to each trial and "
+        f"without what differs by chance between trials. {SQUARED}"
     )
     return _table("waterfall", "The gap on held-out data", columns, rows, caption, folded=False)
 
@@ -433,7 +435,7 @@ def _closed_text(file: GapFile) -> str:
     )
     if closed.share > 0.0:
         parts += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
-    if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit > 0.0:
+    if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= LEAST:
         by_refit, rest = percent(closed.by_refit, 2), percent(max(closed.by_causes, 0.0), 2)
         causes = plural("the cause closes", "the causes close", file.causes)
         said = f"A refit alone closes {by_refit}, and {causes} {rest} of what it leaves"

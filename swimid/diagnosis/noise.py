@@ -596,7 +596,9 @@ def _likelihood(products: Array, sd: Array) -> float:
         value -= 0.5 * float(np.linalg.slogdet(inner)[1].sum())
     total = rest.sum(axis=0)
     normal, right = total[:-1, :-1], total[:-1, -1]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    # A column of zeros stays so, whatever rounding has left beside it.
+    length = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 1e-100)
     size, vectors = np.linalg.eigh(scale[:, None] * normal * scale)
     kept = size > 1e-9
     along = vectors.T @ (scale * right)

@@ -81,7 +81,8 @@ def find(fits: Sequence[Hypothesis], record: Record, differing: Sequence[Differi
 
 def usual(study: Study, differing: Sequence[Differing]) -> Study:
     """Return a study in which each trial has random values of all quantities that may differ by chance."""
-    if not study.folds.whole or len(study.trials) < MIN_TRIALS:
+    has_few = min(study.shape.counts, default=0) <= len(differing)
+    if has_few or not study.folds.whole or len(study.trials) < MIN_TRIALS:
         return study
     return _with_random(study, {d.effect: noise.BESIDE_GAP for d in differing})
 
