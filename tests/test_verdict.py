@@ -17,7 +17,6 @@ from swimid.diagnosis.verdict import (
     refit_share,
     remaining_share,
     rows,
-    share_closed,
 )
 from tests.gap_cases import facts, held_out, replace
 
@@ -342,18 +341,6 @@ def test_no_part_carries_a_decrease_that_several_share() -> None:
 
 
 # ---------------------------------------------------------------- closed share
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "share"), [(9.0, 1.0, 1.0), (9.0, 4.0, 5 / 8), (9.0, 16.0, -7 / 8), (9.0, 0.8, 1.0)]
-)
-def test_the_closed_share_of_a_squared_gap(before: float, after: float, share: float) -> None:
-    assert share_closed(before, after, 1.0) == pytest.approx(share)
-
-
-def test_errors_of_noise_have_no_closed_share() -> None:
-    assert share_closed(1.0, 0.5, 1.0) is None
-    assert share_closed(1.03, 0.5, 1.0) is None
 
 
 def test_nothing_remains_where_noise_explains_the_errors() -> None:

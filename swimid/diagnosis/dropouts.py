@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label, median_filter
 
-from swimid.diagnosis import verdict
 from swimid.diagnosis.gap_file import Cause, Shrinkage, Value
+from swimid.diagnosis.held_out import share_closed
 from swimid.diagnosis.study import rms
 from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Array, Trial
@@ -247,7 +247,7 @@ def among(
         if known is not None and known.after is not None:
             after = known.after
         level = min(floor[channel] / span, before, after)
-        closed = verdict.share_closed(before**2, after**2, level**2)
+        closed = share_closed(before**2, after**2, level**2)
         closing[channel] = Shrinkage(
             channel=channel, before=before, after=after, shipped=before, floor=level, closed=closed
         )

@@ -25,6 +25,9 @@ from swimid.fitting.problem import Problem
 
 #: Probability that a correct model has at least one held-out trial above its limit.
 CHANCE = 0.025
+#: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
+#: of nearly equal numbers.
+LEAST_GAP = 0.04
 #: Maximum width of the interval of a closed share that is stated.
 WIDEST = 1.0
 #: Number of random errors of the parameters from which the interval of a closed share is computed.
@@ -382,6 +385,17 @@ def rms_errors(parts: Sequence[Prediction]) -> dict[str, float | None]:
     return {c: float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for c, r in residuals.items()}
 
 
+def share_closed(before: float, after: float, expected: float) -> float | None:
+    """Return the closed share of a squared gap, at most 1; None without a gap.
+
+    The share is ``(before - after) / (before - expected)`` for squared errors.
+    """
+    gap = before - expected
+    if not gap > LEAST_GAP * before:
+        return None
+    return min((before - after) / gap, 1.0)
+
+
 def shrinkages(
     given: Sequence[Prediction],
     before: Sequence[Prediction],
@@ -396,8 +410,6 @@ def shrinkages(
     floors, ranges : mapping of channel to float
         Noise, and measured range in the fitted trials, of each channel, in its unit.
     """
-    from swimid.diagnosis.verdict import share_closed
-
     errors = [rms_errors(parts) for parts in (given, before, after)]
     found = []
     for channel in errors[2]:

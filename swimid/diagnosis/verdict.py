@@ -32,9 +32,6 @@ MOST = 0.5
 CLEAR = 0.95
 #: Number of random weights of the held-out parts.
 WEIGHTINGS = 1000
-#: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
-#: of nearly equal numbers.
-LEAST_GAP = 0.04
 
 Errors = Callable[[HeldOutTrial], float]
 
@@ -160,8 +157,9 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     share = inside / max(inside + outside, 1e-300)
     found = f"{probability_text(share)} of the probability of a gap"
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
-    given, before, after, expected, _ = _sums(facts.held_out)
-    closes = (share_closed(given if _is_change(facts) else before, after, expected) or 0.0) >= MOST
+    _, before, after, _ = _sums(facts.held_out)
+    left = remaining_share(facts, as_given=_is_change(facts))
+    closes = left is not None and left <= 1.0 - MOST
     lowers = share > 0.5 or closes or (share > UNSURE and after <= before and is_imitated(facts))
     otherwise: Verdict = "partial" if lowers else "unexplained"
     yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, otherwise, lowers, reason)
@@ -255,7 +253,7 @@ def probability_of_decrease(facts: Facts, *, as_given: bool = False) -> float:
     .. [1] D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9(1), 1981.
     """
     lowered = _gains(facts, as_given)
-    given, before, after, _, _ = _sums(facts.held_out)
+    given, before, after, _ = _sums(facts.held_out)
     grows = not after < (given if as_given else min(given, before)) and any(
         t.after > t.limit for t in facts.held_out.values()
     )
@@ -291,27 +289,24 @@ def carrying_part(facts: Facts) -> str:
 # ---------------------------------------------------------------- closed share
 
 
-def share_closed(before: float, after: float, expected: float) -> float | None:
-    """Return the closed share of a squared gap, at most 1; None without a gap.
-
-    The share is ``(before - after) / (before - expected)`` for squared errors.
-    """
-    gap = before - expected
-    if not gap > LEAST_GAP * before:
-        return None
-    return min((before - after) / gap, 1.0)
-
-
-def _sums(trials: Mapping[str, HeldOutTrial]) -> tuple[float, float, float, float, int]:
-    """Return the sums of squared errors as given, refitted, with causes, and expected, and of samples."""
+def _sums(trials: Mapping[str, HeldOutTrial]) -> tuple[float, float, float, float]:
+    """Return the sums of the squared errors as given, refitted, with causes, and expected."""
     each = trials.values()
     return (
         sum(t.as_given for t in each),
         sum(t.before for t in each),
         sum(t.after for t in each),
         sum(t.expected for t in each),
-        sum(t.samples for t in each),
     )
+
+
+def _share_left(before: float, after: float, expected: float) -> float | None:
+    """Return the share of the excess of a squared error that is left; None without an excess.
+
+    An excess within two standard deviations of chi-squared may be noise.
+    """
+    gap = before - expected
+    return max(after - expected, 0.0) / gap if gap > math.sqrt(8.0 * expected) else None
 
 
 def remaining_share(facts: Facts, *, as_given: bool = False) -> float | None:
@@ -319,21 +314,17 @@ def remaining_share(facts: Facts, *, as_given: bool = False) -> float | None:
 
     It is the gap that a refit without causes leaves, or that of the parameters as given.
     """
-    given, before, after, expected, _ = _sums(facts.held_out)
-    gap = (given if as_given else before) - expected
-    # A gap within two standard deviations of chi-squared may be noise.
-    if not gap > math.sqrt(8.0 * expected):
-        return None
+    given, before, after, expected = _sums(facts.held_out)
+    share = _share_left(given if as_given else before, after, expected)
     # Errors that noise explains leave nothing.
-    explained = all(t.after <= t.limit for t in facts.held_out.values())
-    return 0.0 if explained else max(after - expected, 0.0) / gap
+    explained = share is not None and all(t.after <= t.limit for t in facts.held_out.values())
+    return 0.0 if explained else share
 
 
 def refit_share(facts: Facts) -> float | None:
     """Return the share of the squared gap as given that a refit leaves; None without a gap."""
-    given, before, _, expected, _ = _sums(facts.held_out)
-    share = share_closed(given, before, expected)
-    return None if share is None else max(1.0 - share, 0.0)
+    given, before, _, expected = _sums(facts.held_out)
+    return _share_left(given, before, expected)
 
 
 def interval_text(s: Closed) -> str:
