@@ -175,7 +175,7 @@ class Rival:
         The derivatives have one column for each parameter that acts on the trial.
         """
         problem, theta = self.problem(trial)
-        noise = self.study.noise.plain
+        noise = self.study.noise
         samples = -noise.whiten(problem, 0, problem.trial_residuals(theta, 0))
         rows = -noise.whiten(problem, 0, problem.trial_jacobians(theta)[0])
         _, weight = self.study.expected(problem)
