@@ -17,7 +17,7 @@ from swimid.diagnosis.noise import BETWEEN, Differing, RandomEffect, Scatter
 from swimid.diagnosis.nominal import MIN_TRIALS, OWN_PRIOR
 from swimid.diagnosis.posterior import CALIBRATED, Candidate, Record
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import EFFECT_PRIOR, Hypothesis, Study
+from swimid.diagnosis.study import EFFECT_PRIOR, FEW, Hypothesis, Study
 from swimid.fitting import mistakes
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
@@ -64,7 +64,8 @@ def find(fits: Sequence[Hypothesis], record: Record, differing: Sequence[Differi
             (Odd(trial.id, fit), *_deviances(study, fit, k, differing))
             for k, trial in enumerate(study.trials)
         ]
-        for odd, deviances, strain in [*tried, *_mistaken(fit)]:
+        mistaken = _mistaken(fit) if fit in fits[:2] else []
+        for odd, deviances, strain in [*tried, *mistaken]:
             names = frozenset({*fit.names, f"trial:{odd.trial}{odd.mistake}"})
             candidates[names] = Candidate(names, deviances - log_determinant, strain, _numbers(fit)), odd
     null, *others = known
@@ -93,20 +94,25 @@ def _with_random(study: Study, sizes: Mapping[Scatter, float]) -> Study:
 
 
 def _mistaken(fit: Hypothesis) -> list[tuple[Odd, Array, float]]:
-    """Return deviances and strain with each recording mistake undone in the trial with the largest error."""
+    """Return deviances and strain with each recording mistake undone in the trial with the largest error.
+
+    Nothing is undone in a trial whose error noise explains.
+    """
     study = fit.study
-    f = int(
-        np.argmax(fit.deviances - np.bincount([int(o[0]) for o in study.folds.owner], study.shape.counts))
-    )
-    k = next(i for i, owner in enumerate(study.folds.owner) if owner[0] == f)
-    trial = study.trials[k]
+    owners = [int(owner[0]) for owner in study.folds.owner]
+    counts = np.bincount(owners, fit.problem.counts, study.folds.count)
+    f = int(np.argmax(fit.deviances - fit.log_determinant - counts))
+    if fit.deviances[f] - fit.log_determinant[f] < counts[f] + 2.0 * math.sqrt(2.0 * counts[f]):
+        return []
+    trial, found = study.trials[owners.index(f)], []
     shared = {fit.labels[j]: float(fit.theta[j]) for j in study.shared(fit)}
-    before, found = _fitted(study, fit, [trial], shared), []
+    before = _fitted(study, fit, [trial], shared, iterations=FEW)
     for mistake in mistakes.catalogue(study.model, [trial]):
         undone = mistake.undo(trial)
         if undone is None:
             continue
-        after = _fitted(study, fit, [replace(undone, id=f"{trial.id} ({mistake.says})")], shared)
+        undone = replace(undone, id=f"{trial.id} ({mistake.says})")
+        after = _fitted(study, fit, [undone], shared, iterations=FEW)
         deviances = fit.deviances.copy()
         deviances[f] += after.excess - before.excess
         found.append((Odd(trial.id, fit, mistake.says), deviances, fit.strain))
@@ -222,7 +228,14 @@ class _Own(NamedTuple):
     excess: float
 
 
-def _fitted(study: Study, fit: Hypothesis, trials: Sequence[Trial], known: Mapping[str, float]) -> _Own:
+def _fitted(
+    study: Study,
+    fit: Hypothesis,
+    trials: Sequence[Trial],
+    known: Mapping[str, float],
+    *,
+    iterations: int = 15,
+) -> _Own:
     """Return a fit of the model of another fit to some of its trials, with wide priors.
 
     Parameters
@@ -238,7 +251,7 @@ def _fitted(study: Study, fit: Hypothesis, trials: Sequence[Trial], known: Mappi
     begin = dict(zip(fit.labels, fit.theta, strict=True))
     theta = np.array([begin.get(n, s) for n, s in zip(problem.labels, problem.start, strict=True)])
     if len(theta):
-        theta = problem.solve(theta, tolerance=1e-3, max_iterations=15, secant=True).x
+        theta = problem.solve(theta, tolerance=1e-3, max_iterations=iterations, secant=True).x
     jacobian = np.concatenate(
         [problem.whiten(i, rows) for i, rows in enumerate(problem.trial_jacobians(theta))]
     )
