@@ -117,6 +117,7 @@ def answer(
     floor = held_out.floors(study, search.base)
     raw = [trial for trial in raw if trial.id not in search.odd_trials]
     failed = dropouts.misfit(search, raw, floor)
+    validation = _without_failed(search.base, validation, noise)
     fits, found = _predictions(search, validation, progress)
     study, nominal = search.study, search.null
     given, before, after = found[0], found[1], found[-1]
@@ -182,6 +183,16 @@ def answer(
     )
     file.advice = _advice(search, file, shown, limits)
     return file, held_out.worst(before, after)
+
+
+def _without_failed(fit: Hypothesis, validation: Sequence[Trial], noise: NoiseModel) -> list[Trial]:
+    """Return validation trials without failed samples of markers, as the fitted trials are."""
+    found = []
+    for trial in validation:
+        problem, theta = held_out.own_fit(fit, trial, noise)
+        (trial,) = dropouts.look([trial], problem.simulations(theta)).without([trial])
+        found.append(trial)
+    return found
 
 
 def _predictions(

@@ -172,7 +172,7 @@ def predictions(
     names = {name.split("[")[0] for name in values}
     mean = {n: float(np.mean([v for name, v in values.items() if name.startswith(f"{n}[")])) for n in names}
     for trial in validation:
-        problem, theta = _own_fit(last, trial, noise)
+        problem, theta = own_fit(last, trial, noise)
         values |= {name: v for name, v in zip(problem.labels, theta, strict=True) if _is_random(name)}
     apart = {name: value - mean[name.split("[")[0]] for name, value in values.items()}
     found = []
@@ -217,7 +217,7 @@ def _of_folds(fit: Hypothesis, noise: NoiseModel, apart: Mapping[str, float]) ->
     return found
 
 
-def _own_fit(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem, Array]:
+def own_fit(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem, Array]:
     """Return the problem of a further trial, and its parameters with fitted values of this trial."""
     study = fit.study
     known = {
@@ -241,7 +241,7 @@ def _of_validation(
     fit: Hypothesis, trial: Trial, noise: NoiseModel, apart: Mapping[str, float]
 ) -> Prediction:
     study = fit.study
-    whole, theta = _own_fit(fit, trial, noise)
+    whole, theta = own_fit(fit, trial, noise)
     columns = -whole.trial_jacobians(theta)[0]
     covariance = crossval.covariances(crossval.normal_equations(study, fit))[0]
     random = study.random(whole, 0)
@@ -286,7 +286,7 @@ def closing(
         (best.problem, k, best.theta, best.columns(k, shared)) for k in range(len(study.trials))
     ]
     for trial in validation:
-        problem, theta = _own_fit(best, trial, noise)
+        problem, theta = own_fit(best, trial, noise)
         columns = -problem.trial_jacobians(theta)[0]
         problems.append((problem, 0, theta, _shared(best, problem, columns)))
     gram, off = np.zeros((len(shared), len(shared))), np.zeros(2)

@@ -114,9 +114,22 @@ def _mistaken(fit: Hypothesis) -> list[tuple[Odd, Array, float]]:
         undone = replace(undone, id=f"{trial.id} ({mistake.says})")
         after = _fitted(study, fit, [undone], shared, iterations=FEW)
         deviances = fit.deviances.copy()
-        deviances[f] += after.excess - before.excess
+        deviances[f] += after.excess - before.excess - 2.0 * _log_scale(trial, undone)
         found.append((Odd(trial.id, fit, mistake.says), deviances, fit.strain))
     return found
+
+
+def _log_scale(trial: Trial, undone: Trial) -> float:
+    """Return the logarithm of the factor by which undoing a mistake multiplies the volume of the samples.
+
+    The density of the measured samples is that of the corrected ones times this factor.
+    """
+    total = 0.0
+    for channel, values in trial.measured.items():
+        spread, other = (float(np.nanstd(v)) for v in (values, undone.measured[channel]))
+        if spread > 0.0 and other > 0.0:
+            total += int(np.isfinite(values).sum()) * math.log(other / spread)
+    return total
 
 
 def _numbers(fit: Hypothesis) -> int:
