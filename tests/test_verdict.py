@@ -210,7 +210,7 @@ def test_an_improbable_cause_that_a_refit_imitates_is_not_named() -> None:
 
 @pytest.mark.parametrize(
     ("before", "left", "verdict", "causes"),
-    [(330.0, 0.2875, "ambiguous", ("waves",)), (380.0, 0.35, "unexplained", ())],
+    [(260.0, 0.2, "ambiguous", ("waves",)), (380.0, 0.35, "unexplained", ())],
 )
 def test_a_refit_imitates_a_cause_only_if_it_closes_the_gap(
     before: float, left: float, verdict: str, causes: tuple[str, ...]
