@@ -127,6 +127,14 @@ def test_an_explanation_is_more_probable_than_a_cause_from_outside(outside: floa
     assert (found.verdict, found.causes) == (verdict, ("waves",))
 
 
+@pytest.mark.parametrize(("outside", "verdict"), [(0.3, "partial"), (0.6, "unexplained")])
+def test_an_effect_with_values_in_each_trial_must_be_probable(outside: float, verdict: str) -> None:
+    """It fits its values to the held-out trial, too, so that the error falls whatever the cause is."""
+    known = facts("waves", outside=outside)
+    known.proposed["waves"].per_trial = True
+    assert decide(known).verdict == verdict
+
+
 @pytest.mark.parametrize(
     ("after", "verdict", "causes"),
     [

@@ -68,7 +68,8 @@ def proposed(search: Search, found: Round) -> Proposed:
     alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
     shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
     alone = share.get(name, 0.0) + sum(share.get(n, 0.0) for n in found.same)
-    return Proposed(equivalent=shown[1:], alone=alone, crowded=len(alike) > SET)
+    own = any(p.per_trial for p in found.ranked[0].added.parameters)
+    return Proposed(equivalent=shown[1:], alone=alone, crowded=len(alike) > SET, per_trial=own)
 
 
 def answer(

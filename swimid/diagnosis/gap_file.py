@@ -173,6 +173,8 @@ class Proposed(yamlio.Document):
     alone: float
     #: Whether more effects cannot be distinguished from the effect than are listed.
     crowded: bool = False
+    #: Whether the effect has values of its own in each trial.
+    per_trial: bool = False
 
 
 class Facts(yamlio.Document):

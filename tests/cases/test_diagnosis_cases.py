@@ -132,7 +132,7 @@ def test_play_is_estimated_with_a_step_that_resolves_it(
     found = cause.parameters["backlash_rad"]
     assert found.value == pytest.approx(0.10472, abs=3 * found.stderr)
     (last,) = (step for step in file.waterfall if step.label == "+ servo-backlash")
-    assert last.squared < 1.2**2 * last.expected
+    assert last.squared < 1.2**2
     assert "SWM016" not in ran.err
     compared = swimid("compare", "play.trials.yaml", "--params", "repaired.yaml", "-o", "compared.yaml")
     assert compared.status == 0, compared.err
