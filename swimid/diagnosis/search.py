@@ -36,6 +36,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.fitting.fit_common import step_check
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import map_in_processes
+from swimid.fitting.rivals import STRONG
 from swimid.fitting.steps import STEP_ERROR, Step, choose_step
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
@@ -889,9 +890,11 @@ def _twins(found: Posterior, *sets: frozenset[str]) -> bool:
 def _same_change(search: Search, base: Hypothesis, first: Tried, second: Tried) -> bool:
     """Return whether two effects change the trials in the same way when added to a hypothesis.
 
-    The deviances with the two effects must also differ by no more than noise.
+    The deviances with the two effects, and with their strains, must differ by no more than noise. Effects
+    without strong evidence between their deviances are the same in any case.
     """
-    left = [search.posterior.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
-    if not abs(left[0] - left[1]) <= posterior.unit(search.record, 0.0):
+    known = {c.names: c.deviance + c.strain for c in search.posterior.candidates}
+    one, other = (known.get(base.names | {t.effect.name}, np.inf) for t in (first, second))
+    if not abs(one - other) <= posterior.unit(search.record, 0.0):
         return False
-    return abs(candidates.alike(search.study, base, first, second)) > SAME_COSINE
+    return abs(one - other) < STRONG or abs(candidates.alike(search.study, base, first, second)) > SAME_COSINE
