@@ -760,31 +760,40 @@ def run(
     asked : collection of str, optional
         Names of the effects that may be causes; all effects by default.
     """
-    rng = np.random.default_rng(seed)
     odd_trials: dict[str, str] = {}
+
+    def begun(study: Study, fit: Hypothesis) -> Search:
+        """Return a search with the fits of single effects."""
+        with progress("effects", total=len(effects)) as shown:
+            found = Search(
+                study, effects, effects, rng=np.random.default_rng(seed),
+                checkpoint=checkpoint or Checkpoint(),
+                step=partial(show, shown),
+            )  # fmt: skip
+            found.begin(study.start((), fit))
+            found.beside([found.null])
+            found.compare()
+        return found
+
     with threadpool_limits(limits=1, user_api="blas"):
         while True:
             study, fit, dropouts = prepare(given, effects)
             differing = noise.possible(study, fit, effects)
-            study = odd.usual(study, differing)
-            with progress("effects", total=len(effects)) as shown:
-                search = Search(
-                    study, effects, effects, rng=rng,
-                    checkpoint=checkpoint or Checkpoint(),
-                    step=partial(show, shown),
-                )  # fmt: skip
-                search.begin(study.start((), fit))
-                search.beside([search.null])
-                search.compare()
-                known = [search.null, *search.best(1)[:PARENTS]]
-                trial = odd.find(known, search.record, differing)
-                said = None if trial is None else odd.describe(trial, differing)
-                if trial is not None and said is not None:
-                    odd_trials[trial.trial] = said
-                    given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])
-                    continue
-                search.settle()
-            break
+            search = begun(odd.usual(study, differing), fit)
+            known = [search.null, *search.best(1)[:PARENTS]]
+            trial = odd.find(known, search.record, differing)
+            said = None if trial is None else odd.describe(trial, differing)
+            if trial is None or said is None:
+                break
+            odd_trials[trial.trial] = said
+            given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])
+        search.settle()
+        if search.posterior.outside > 0.5 and search.study.noise.random_effects:
+            # The random values of the trials may have taken up what an effect explains.
+            other = begun(study, fit)
+            other.settle()
+            if other.posterior.outside < search.posterior.outside:
+                search = other
         search.restrict([e for e in effects if asked is None or e.name in asked])
         search.odd_trials, search.dropouts = odd_trials, dropouts
         choose(search, most, progress)
@@ -793,7 +802,7 @@ def run(
             search.dropouts = dropouts.confirmed(look(given.trials, simulated))
         search.study = search.study.with_noise(noise.with_floors(search.study, search.base))
         terms = remainder.generic_terms(search.study, search.base)
-        search.left = remainder.find(search.study, search.base, terms, rng=rng)
+        search.left = remainder.find(search.study, search.base, terms, rng=search.rng)
     return search
 
 
