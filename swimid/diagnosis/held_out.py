@@ -121,7 +121,7 @@ class Rows:
         r, uncertain = free[:, 0], free[:, 1:]
         inner = np.eye(count - 1) + uncertain.T @ uncertain
         along = uncertain.T @ r
-        squared = float(r @ r) - float(along @ np.linalg.solve(inner, along))
+        squared = float(r @ r) - float(along @ crossval.solved(inner, along[:, None])[:, 0])
         expected = len(r) - basis.shape[1]
         deviance = squared + float(np.linalg.slogdet(inner)[1])
         values = crossval.solved(own.T @ own, own.T @ seen[:, -1:])[:, 0]

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.diagnosis import crossval
 from swimid.diagnosis.nominal import MIN_TRIALS, OF_REPEATS, OWN, ParameterChange
 from swimid.diagnosis.settings import repeated
 from swimid.effects.base import Effect, parameter
@@ -592,7 +593,7 @@ def _likelihood(products: Array, sd: Array) -> float:
         size = sd[used]
         inner = np.eye(len(used)) + size[:, None] * products[:, used[:, None], used] * size
         mixed = size[:, None] * products[:, used, len(sd) :]
-        rest = rest - np.swapaxes(mixed, 1, 2) @ np.linalg.solve(inner, mixed)
+        rest = rest - np.swapaxes(mixed, 1, 2) @ crossval.solved(inner, mixed)
         value -= 0.5 * float(np.linalg.slogdet(inner)[1].sum())
     total = rest.sum(axis=0)
     normal, right = total[:-1, :-1], total[:-1, -1]
