@@ -115,8 +115,8 @@ class Closed(yamlio.Document):
 
     The squared errors are those of the held-out parts (:class:`HeldOutTrial`) over their expectation: with
     the parameters as given (``before``), refitted without causes (``refitted``), and with the causes
-    (``after``). The gap of a model is its squared difference from the true motion,
-    without noise and without what differs by chance between trials.
+    (``after``). The gap of a model is its squared difference from the true motion, without noise and without
+    what differs by chance between trials.
     """
 
     before: Number

@@ -1,8 +1,8 @@
 """Predict held-out data, and compare their squared errors with those that a correct model would have.
 
 Held-out data are validation trials, or cross-validation folds. Each model is refitted to the other data. The
-expected squared error of a correct model follows from the noise, from the random effects, and from the
-uncertainty of the parameters.
+squared error is the squared Mahalanobis distance from the prediction. The covariance of the prediction has
+the noise, the random effects, and the uncertainty of the parameters.
 """
 
 from __future__ import annotations
@@ -184,6 +184,7 @@ def predictions(
 
 
 def _is_random(label: str) -> bool:
+    """Return whether a label is that of a random effect in a trial."""
     return label.startswith(BETWEEN)
 
 
@@ -217,13 +218,18 @@ def _of_folds(fit: Hypothesis, noise: NoiseModel, apart: Mapping[str, float]) ->
     return found
 
 
+def _shared_values(fit: Hypothesis) -> dict[str, float]:
+    """Return the values of the parameters that all trials share, estimated or fixed, by name."""
+    shared = {p.name: p.start for p in fit.problem.parameters if not p.per_trial and not p.free}
+    for j, (_, owner) in enumerate(fit.problem.slots):
+        if owner is None:
+            shared[fit.labels[j]] = float(fit.theta[j])
+    return shared
+
+
 def own_fit(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem, Array]:
     """Return the problem of a further trial, and its parameters with fitted values of this trial."""
-    study = fit.study
-    known = {
-        fit.labels[j]: float(fit.theta[j]) for j, (_, owner) in enumerate(fit.problem.slots) if owner is None
-    }
-    known |= {p.name: p.start for p in fit.problem.parameters if not p.per_trial and not p.free}
+    study, known = fit.study, _shared_values(fit)
     problem = study.problem(fit.effects, trials=[trial], known=known, jobs=1)
     noise.of_new_trials(problem)
     problem.prior = study.expected(problem)[0], study.root(problem)
@@ -297,11 +303,7 @@ def closing(
         gram += moved.T @ moved
         here = _motion(best, problem.trials[k], problem, k, typical)
         for i, fit in enumerate((given, refitted)):
-            known = typical | {
-                fit.labels[j]: float(fit.theta[j]) for j, (_, o) in enumerate(fit.problem.slots) if o is None
-            }
-            known |= {p.name: p.start for p in fit.problem.parameters if not p.per_trial and not p.free}
-            other = _motion(fit, problem.trials[k], problem, k, known)
+            other = _motion(fit, problem.trials[k], problem, k, typical | _shared_values(fit))
             apart = np.clip(noise.standardise(problem, k, other - here), -math.sqrt(WORST), math.sqrt(WORST))
             off[i] += float(apart @ apart)
             cross[i] += moved.T @ apart

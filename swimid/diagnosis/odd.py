@@ -198,7 +198,7 @@ def describe(odd: Odd, differing: Sequence[Differing] = ()) -> str | None:
     alone, one by one, and at most :data:`MAX_NAMED` together.
     """
     if odd.mistake:
-        return f"it agrees with the other trials with {odd.mistake}"
+        return f"with {odd.mistake}, it agrees with the other trials"
     fit, study = odd.fit, odd.fit.study
     (trial,) = (t for t in study.trials if t.id == odd.trial)
     others = _fitted(study, fit, [t for t in study.trials if t is not trial], {})

@@ -581,7 +581,7 @@ class Search:
     def settle(self) -> None:
         """Learn the noise again until the leading hypothesis and its random effects do not change.
 
-        The first leading hypothesis was fitted without random effects, and may have absorbed them.
+        The first leading hypothesis was fitted with other random effects, and may have absorbed them.
         """
         leading = self.leading()
         for _ in range(LEARNT):
