@@ -345,15 +345,16 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
         x = places + 0.1 * (k - (len(curves) - 1) / 2)
         traces.append(ev.Trace(x=x, y=values, style="points", label=label, group=k))
     caption = (
-        "Mean squared error on held-out data in units of the noise variance: of the model as given, after a "
-        "refit of its parameters, and after each cause in turn."
+        "Squared error on held-out data of the model as given, after a refit of its parameters, and after each "
+        "cause in turn: of all channels over its expectation for a correct model, and of each channel over the "
+        "noise variance."
     )
     figure = ev.figure(
         "waterfall",
         "The gap on held-out data",
         caption,
         x_label="",
-        y_label="squared error over noise variance",
+        y_label="squared error over expectation or noise",
         traces=traces,
         y_scale="log",
         marks=[ev.Mark(at=1.0, label="noise alone")],
