@@ -345,9 +345,9 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
         x = places + 0.1 * (k - (len(curves) - 1) / 2)
         traces.append(ev.Trace(x=x, y=values, style="points", label=label, group=k))
     caption = (
-        "Squared error on held-out data of the model as given, after a refit of its parameters, and after each "
-        "cause in turn: of all channels over its expectation for a correct model, and of each channel over the "
-        "noise variance."
+        "Squared error on held-out data of the model as given, after a refit of its parameters, and after "
+        "each cause in turn: of all channels over its expectation for a correct model, and of each channel "
+        "over the noise variance."
     )
     figure = ev.figure(
         "waterfall",
