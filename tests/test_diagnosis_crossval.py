@@ -100,6 +100,8 @@ def folded(blocks: list[np.ndarray]) -> NormalEquations:
         samples=np.array([float(len(b)) for b in blocks]),
         own=np.zeros(len(blocks)),
         of_effects=np.array([False, False, True]),
+        random=np.zeros((len(blocks), 0, blocks[0].shape[1])),
+        spread=np.zeros((len(blocks), 0, 0)),
     )
 
 

@@ -493,3 +493,53 @@ def test_a_fit_with_random_effects_is_that_of_their_marginal_covariance(rng: np.
     np.testing.assert_allclose(theta, np.linalg.solve(normal, right), atol=1e-4)
     (whole, _) = crossval.covariances(folded)
     np.testing.assert_allclose(whole, np.linalg.inv(normal), rtol=1e-3)
+
+
+def test_a_random_effect_may_have_the_mean_zero(rng: np.random.Generator) -> None:
+    """Fits to all folds, and to all but one, equal those of least squares with this constraint."""
+    given = line_study(rng)
+    sd = 0.3
+    one = replace(differing(Tilt(), sd), is_centred=True)
+    study = given.with_noise(replace(noise_of(given.shape, 0.5), random_effects=(one,)))
+    fit = study.fit((), [study.problem(()).start], tolerance=1e-10)
+    whole, rest = crossval.covariances(crossval.normal_equations(study, fit))
+    without = study.without_each(fit)
+    place = [fit.labels.index(name) for name in ("a", "b")]
+    for left_out in (None, *range(study.folds.count)):
+        kept = [t for t, f in zip(study.trials, study.folds.owner, strict=True) if f[0] != left_out]
+        rows, target = [np.array([[5.0, *[0.0] * (1 + 2 * len(kept))]])], [[5.0 * 0.8]]
+        for k, each in enumerate(kept):
+            t, n = each.time_s, len(each.time_s)
+            part = np.zeros((2 * n + 2, 2 + 2 * len(kept)))
+            part[:n, 0], part[n:-2, 0] = np.sin(t), np.cos(t)
+            part[:n, 1], part[n:-2, 1] = t, 1.0
+            part[:n, 2 + 2 * k] = 1.0
+            part[:n, 3 + 2 * k] = t
+            part[:-2] /= 0.5
+            part[-2, 2 + 2 * k], part[-1, 3 + 2 * k] = 1.0 / START_PRIOR, 1.0 / sd
+            rows.append(part)
+            target.append([*(np.r_[each.measured["y"], each.measured["v"]] / 0.5), 0.0, 0.0])
+        rows.append(1e4 * np.r_[0.0, 0.0, np.tile([0.0, 1.0], len(kept))][None])
+        target.append([0.0])
+        system = np.concatenate(rows)
+        expected = np.linalg.lstsq(system, np.concatenate(target))[0][:2]
+        covariance = np.linalg.inv(system.T @ system)[:2, :2]
+        theta, found = (fit.theta, whole) if left_out is None else (without[left_out], rest[left_out])
+        np.testing.assert_allclose(found, covariance, rtol=2e-3)
+        np.testing.assert_allclose(theta[place], expected, atol=0.02 * np.sqrt(covariance[0, 0]))
+
+
+def test_a_common_part_is_no_random_effect(rng: np.random.Generator) -> None:
+    """Slopes of trials with the mean 0 are random, and slopes with another mean are held at the mean 0."""
+    given = line_study(rng)
+    one = differing(Tilt(), 0.3)
+    study = given.with_noise(replace(noise_of(given.shape, 0.5), random_effects=(one,)))
+    problem = study.problem(())
+    own = [label.startswith(one.parameter) for label in problem.labels]
+    count = sum(own)
+    for mean, is_common in ((0.0, False), (0.1, False), (1.0, True)):
+        theta = np.array(problem.start)
+        theta[own] = mean + 0.3 * np.linspace(-1.0, 1.0, count)
+        found = noise.centred(study.at((), theta))
+        assert (found is not None) == is_common
+        assert found is None or [effect.is_centred for effect in found.random_effects] == [True]

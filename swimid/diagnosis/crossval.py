@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,6 +54,11 @@ class NormalEquations:
         trials of the fold.
     of_effects : ndarray of bool, shape (shared,)
         Mask of the shared parameters that belong to effects.
+    random : ndarray, shape (folds, q, c)
+        Sums, over the trials of the fold, of the q random effects with the mean 0: their changes by a step in
+        each column, last their values.
+    spread : ndarray, shape (folds, q, q)
+        Sums of the covariance matrices of these random effects.
     """
 
     products: Array
@@ -61,11 +67,33 @@ class NormalEquations:
     samples: Array
     own: Array
     of_effects: NDArray[np.bool_]
+    random: Array
+    spread: Array
 
     @property
     def shared(self) -> int:
         """Return the number of shared parameters."""
         return len(self.prior)
+
+    @cached_property
+    def whole(self) -> Array:
+        """Return the inner products of all folds, shape (c, c)."""
+        total = self.products.sum(axis=0)
+        return np.asarray(total + _of_mean(self.random.sum(axis=0), self.spread.sum(axis=0)))
+
+    @cached_property
+    def rest(self) -> Array:
+        """Return the inner products of all folds but one, for each fold, shape (folds, c, c)."""
+        random, spread = (part.sum(axis=0) - part for part in (self.random, self.spread))
+        return np.asarray(self.products.sum(axis=0) - self.products + _of_mean(random, spread))
+
+
+def _of_mean(random: Array, spread: Array) -> Array:
+    """Return the inner products of the row that holds the mean of random effects at 0.
+
+    It is the constraint of least squares, with the random effects of each trial eliminated.
+    """
+    return np.swapaxes(random, -1, -2) @ solved(spread, random)
 
 
 @dataclass(frozen=True)
@@ -96,10 +124,11 @@ def normal_equations(
     """
     problem, folds = fit.problem, study.folds
     mean, _ = study.expected(problem)
-    shared = study.shared(fit)
+    shared, centred = study.shared(fit), study.centred
     width = len(shared) + len(columns) + 1
     products = np.zeros((folds.count, width, width))
     samples, own = np.zeros(folds.count), np.zeros(folds.count)
+    random, spread = np.zeros((folds.count, len(centred), width)), np.zeros((folds.count, *[len(centred)] * 2))
     for k in range(len(study.trials)):
         mine = study.apart(fit, k)
         block = np.column_stack([fit.columns(k, shared), *(c[k] for c in columns), fit.residuals[k]])
@@ -109,7 +138,14 @@ def normal_equations(
             f = int(owner[0]) if len(owner) else 0
             products[f] += seen.T @ seen
             samples[f] += len(block)
-            own[f] += _own_precision(study, fit, k, mine)
+            names = [problem.parameters[problem.slots[j][0]].name for j in mine]
+            ratio, covariance = _own_precision(study, fit, k, mine, names)
+            own[f] += ratio
+            at = [names.index(name) for name in centred if name in names]
+            if len(at) == len(centred) > 0:
+                # The rows of the priors hold the values in standard deviations.
+                random[f] += seen[len(block) :][at]
+                spread[f] += covariance[np.ix_(at, at)]
         else:
             # The samples determine an initial state so well that the rows of its prior are left out.
             for f in np.unique(owner):
@@ -118,22 +154,25 @@ def normal_equations(
                 samples[f] += len(part)
     prior = study.precision(problem)[np.ix_(shared, shared)]
     of_effects = np.array(["/" in fit.labels[j] for j in shared], dtype=bool)
-    return NormalEquations(products, prior, (mean - fit.theta)[shared], samples, own, of_effects)
+    pull = (mean - fit.theta)[shared]
+    return NormalEquations(products, prior, pull, samples, own, of_effects, random, spread)
 
 
-def _own_precision(study: Study, fit: Hypothesis, k: int, mine: NDArray[np.intp]) -> float:
+def _own_precision(
+    study: Study, fit: Hypothesis, k: int, mine: NDArray[np.intp], names: Sequence[str]
+) -> tuple[float, Array]:
     """Return the logarithm of the ratio of posterior and prior precision of the values that effects have in
-    one trial.
+    one trial, and the covariance matrix of all its own parameters in units of their priors.
     """
-    problem = fit.problem
-    is_effect = np.array(["/" in problem.parameters[problem.slots[j][0]].name for j in mine], dtype=bool)
+    is_effect = np.array(["/" in name for name in names], dtype=bool)
     if not is_effect.any():
-        return 0.0
-    weight = study.expected(problem)[1][mine]
-    seen = study.noise.whiten(problem, k, fit.columns(k, mine)) / weight
+        return 0.0, np.eye(len(mine))
+    weight = study.expected(fit.problem)[1][mine]
+    seen = study.noise.whiten(fit.problem, k, fit.columns(k, mine)) / weight
     normal = seen.T @ seen + np.eye(len(mine))
     rest = np.ix_(~is_effect, ~is_effect)
-    return float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(normal[rest])[1])
+    ratio = float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(normal[rest])[1])
+    return ratio, solved(normal, np.eye(len(mine)))
 
 
 def deviances(equations: NormalEquations) -> tuple[Array, Array]:
@@ -151,19 +190,17 @@ def deviances(equations: NormalEquations) -> tuple[Array, Array]:
     shared, prior = equations.shared, equations.prior
     if not shared:
         return equations.products[:, -1, -1], equations.own
-    normal = equations.products[:, :shared, :shared]
-    right = equations.products[:, :shared, -1]
-    pulled = prior @ equations.pull
-    whole, all_right = normal.sum(axis=0) + prior, right.sum(axis=0) + pulled
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(equations.whole[:shared, :shared] + prior), 1e-300))
 
-    def fit(one: Array, off: Array) -> tuple[Array, Array]:
-        """Return the log-determinant of normal equations, and the decrease of the squares by their fit."""
-        scaled = scale[:, None] * one * scale + 1e-11 * np.eye(shared)
-        return np.linalg.slogdet(scaled)[1], np.sum(solved(one, off[..., None])[..., 0] * off, axis=-1)
+    def fit(products: Array) -> tuple[Array, Array]:
+        """Return the log-determinants of normal equations, and the decreases of the squares by their fits."""
+        normal = products[:, :shared, :shared] + prior
+        right = products[:, :shared, -1] + prior @ equations.pull
+        scaled = scale[:, None] * normal * scale + 1e-11 * np.eye(shared)
+        return np.linalg.slogdet(scaled)[1], np.sum(solved(normal, right[..., None])[..., 0] * right, axis=-1)
 
-    log, taken = fit(whole, all_right)
-    rest, other = fit(whole - normal, all_right - right)
+    log, taken = fit(equations.rest + equations.products)
+    rest, other = fit(equations.rest)
     distance = equations.products[:, -1, -1] - taken + other
     return np.asarray(distance), np.asarray(log - rest + equations.own)
 
@@ -174,7 +211,7 @@ def strain(equations: NormalEquations) -> float:
     The unit is the prior covariance. The size of an effect does not count.
     """
     s, prior = equations.shared, equations.prior
-    total = equations.products.sum(axis=0)
+    total = equations.whole
     right = total[:s, -1] + prior @ equations.pull
     away = solved(total[:s, :s] + prior, right[:, None])[:, 0] - equations.pull
     away[equations.of_effects] = 0.0
@@ -208,16 +245,24 @@ def held_out(
         Sums of squared residuals.
     """
     at, ridge = _fitted(equations, chosen, prior)
-    inner = equations.products[:, at[:, None], at[None, :]]
     off = equations.pull[:, None] if draws is None else draws.pull
     pull = np.concatenate((equations.prior @ off, np.zeros((len(chosen), off.shape[1]))))
-    right = equations.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
-    total, all_right, shared = inner.sum(axis=0), right.sum(axis=0), equations.shared
+    shared, square = equations.shared, np.ix_(at, at)
+    inner, rest = equations.products[:, *square], equations.rest[:, *square]
+    if draws is None:
+        right, all_right, other = (
+            part[..., at, -1:] for part in (equations.products, equations.whole, equations.rest)
+        )
+    else:
+        right = draws.right[:, at, :]
+        all_right = right.sum(axis=0)
+        other = all_right - right
+    total = equations.whole[square]
     whole = solved(total + ridge, all_right + pull)
     # Keep a small weight of the held-out fold's information on the shared parameters (see SHRINKAGE).
     lean = np.zeros_like(total)
     lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
-    theta = solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
+    theta = solved(rest + ridge + lean, other + pull + lean @ whole)
     apart = theta[:, :shared] - off
     strain = np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta)
     misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + strain
@@ -241,11 +286,12 @@ def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) 
     The residual is reduced by ``factor`` times the further column ``column``. Everything else is as in
     :func:`held_out`.
     """
-    products = equations.products.copy()
+    products, random = equations.products.copy(), equations.random.copy()
     change = equations.shared + column
     products[:, :, -1] -= factor * products[:, :, change]
     products[:, -1, :] -= factor * products[:, change, :]
-    return held_out(replace(equations, products=products))
+    random[:, :, -1] -= factor * random[:, :, change]
+    return held_out(replace(equations, products=products, random=random))
 
 
 def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
@@ -254,7 +300,7 @@ def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[
     The result has shape (shared + chosen,): first the steps of the shared parameters, then the factors.
     """
     at, ridge = _fitted(equations, chosen, prior)
-    total = equations.products.sum(axis=0)
+    total = equations.whole
     normal = total[np.ix_(at, at)] + ridge
     right = total[at, -1] + np.concatenate((equations.prior @ equations.pull, np.zeros(len(chosen))))
     return solved(normal, right[:, None])[:, 0]
@@ -270,8 +316,7 @@ def projected(equations: NormalEquations) -> Array:
     ndarray, shape (m + 1, m + 1)
         The residual comes after the m further columns.
     """
-    total = equations.products.sum(axis=0)
-    s = equations.shared
+    total, s = equations.whole, equations.shared
     normal = total[:s, :s] + equations.prior
     mixed = total[:s, s:]
     return np.asarray(total[s:, s:] - mixed.T @ solved(normal, mixed))
@@ -284,11 +329,9 @@ def covariances(equations: NormalEquations) -> tuple[Array, Array]:
     -------
     ndarray, shapes (shared, shared) and (folds, shared, shared)
     """
-    s = equations.shared
-    normal = equations.products[:, :s, :s]
-    whole = normal.sum(axis=0) + equations.prior
-    eye = np.eye(s)
-    return solved(whole, eye), solved(whole - normal, np.broadcast_to(eye, normal.shape))
+    s, count = equations.shared, len(equations.products)
+    whole, rest = (part[..., :s, :s] + equations.prior for part in (equations.whole, equations.rest))
+    return solved(whole, np.eye(s)), solved(rest, np.broadcast_to(np.eye(s), (count, s, s)))
 
 
 def covariance(study: Study, fit: Hypothesis) -> Array:
@@ -313,12 +356,12 @@ def covariance(study: Study, fit: Hypothesis) -> Array:
     shared, count = study.shared(fit), study.folds.count
     if count < 2 or not len(shared):
         return found
-    s = equations.shared
-    part = equations.products[:, :s, :s]
-    right = equations.products[:, :s, -1]
-    whole = part.sum(axis=0) + equations.prior
-    total = right.sum(axis=0) + equations.prior @ equations.pull
-    steps = solved(whole - part, (total - right)[..., None])[..., 0] - solved(whole, total[:, None])[:, 0]
+    s, pulled = equations.shared, equations.prior @ equations.pull
+
+    def step(products: Array) -> Array:
+        return solved(products[..., :s, :s] + equations.prior, (products[..., :s, -1] + pulled)[..., None])
+
+    steps = (step(equations.rest) - step(equations.whole))[..., 0]
     few = float(special.stdtrit(count - 1, 0.975)) / NORMAL
     jackknife = few * np.sqrt((count - 1) / count * np.sum(steps**2, axis=0))
     factor = np.ones(len(found))

@@ -46,8 +46,8 @@ class Prediction:
         Name of the trial, and of its part if only a part is held out.
     residuals : dict of channel to ndarray, shape (n,)
         Measured minus predicted values, in the unit of the channel; NaN at samples that are not held out. The
-        initial state has the value of the part. Random effects differ from their mean as in the model with
-        the causes, so that all models have the same differences between trials.
+        initial state has the value of the part. Random effects have their values in the model with the
+        causes, so that all models have the same differences between trials.
     squared : float
         Squared Mahalanobis distance of the samples from their prediction. The covariance has the noise, the
         random effects, and the uncertainty of the parameters.
@@ -94,7 +94,7 @@ class Rows:
     chance : ndarray, shape (n, q)
         Weighted changes by one standard deviation of each random effect.
     apart : ndarray, shape (q,)
-        Differences of the random effects of the trial from their mean, in standard deviations.
+        Random effects of the trial, in standard deviations.
     """
 
     residual: Array
@@ -169,16 +169,13 @@ def predictions(
     """
     last = fits[-1]
     values = {name: value for name, value in zip(last.labels, last.theta, strict=True) if _is_random(name)}
-    names = {name.split("[")[0] for name in values}
-    mean = {n: float(np.mean([v for name, v in values.items() if name.startswith(f"{n}[")])) for n in names}
     for trial in validation:
         problem, theta = own_fit(last, trial, noise)
         values |= {name: v for name, v in zip(problem.labels, theta, strict=True) if _is_random(name)}
-    apart = {name: value - mean[name.split("[")[0]] for name, value in values.items()}
     found = []
     for fit in fits:
-        each = (_of_validation(fit, trial, noise, apart) for trial in validation)
-        found.append([*_of_folds(fit, noise, apart), *each])
+        each = (_of_validation(fit, trial, noise, values) for trial in validation)
+        found.append([*_of_folds(fit, noise, values), *each])
         step()
     return found
 
@@ -189,7 +186,7 @@ def _is_random(label: str) -> bool:
 
 
 def _apart(study: Study, problem: Problem, random: NDArray[np.intp], apart: Mapping[str, float]) -> Array:
-    """Return the differences of the random effects of a trial from their mean, in standard deviations."""
+    """Return the random effects of a trial, in standard deviations."""
     weight = study.expected(problem)[1]
     return np.array([apart.get(problem.labels[j], 0.0) * weight[j] for j in random])
 

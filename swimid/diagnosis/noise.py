@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.nominal import MIN_TRIALS, OF_REPEATS, OWN, ParameterChange
@@ -50,6 +51,8 @@ MIN_FREE = 0.4
 #: Minimum number of samples of the contrasts between repeats, as a fraction of all samples, with which the
 #: noise is estimated from them alone. Pairs of repeats have one half.
 MIN_PURE = 0.4
+#: Significance level at which the mean of a random effect is not due to chance.
+COMMON_P_VALUE = 0.01
 #: Minimum noise floor, as a fraction of the variance of the measurement noise.
 MIN_FLOOR = 1e-4
 #: Number of iterations that reweight the residuals before any effect is fitted.
@@ -114,11 +117,14 @@ class RandomEffect:
         Between-trial standard deviation, in typical scales.
     effect : Scatter
         Effect that gives each trial its own value.
+    is_centred : bool
+        Whether the mean over the trials is held at 0, because it is too large for chance.
     """
 
     name: str
     sd: float
     effect: Scatter = field(repr=False)
+    is_centred: bool = False
 
     @property
     def parameter(self) -> str:
@@ -544,6 +550,24 @@ def with_random_effects(
         return noise
     chosen = [(differing[i].effect, float(sd[i])) for i in kept]
     return replace(noise, random_effects=tuple(RandomEffect(e.label, size, e) for e, size in chosen))
+
+
+def centred(fit: Hypothesis) -> NoiseModel | None:
+    """Return the noise model in which random effects with a mean that chance does not explain have the mean 0.
+
+    What all trials share is then a gap, which no random effect takes up. The mean is compared with 0 by
+    Student's t test. The result is None if chance explains all means.
+    """
+    study = fit.study
+    found = []
+    for one in study.noise.random_effects:
+        values = fit.theta[[name.startswith(f"{one.parameter}[") for name in fit.labels]]
+        stderr = float(values.std(ddof=1)) / math.sqrt(len(values))
+        is_common = 2.0 * special.stdtr(len(values) - 1, -abs(values.mean()) / stderr) < COMMON_P_VALUE
+        found.append(replace(one, is_centred=one.is_centred or bool(is_common)))
+    if found == list(study.noise.random_effects):
+        return None
+    return replace(study.noise, random_effects=tuple(found))
 
 
 def with_floors(study: Study, fit: Hypothesis) -> NoiseModel:

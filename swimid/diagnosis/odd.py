@@ -147,7 +147,7 @@ def _deviances(study: Study, fit: Hypothesis, k: int, differing: Sequence[Differ
     rest = [rows if i != k else np.full(len(rows), count) for i, rows in enumerate(owner)]
     alone.folds, others.folds = Folds(True, one, count + 1), Folds(True, rest, count + 1)
     found = crossval.normal_equations(others, fit)
-    parts = {name: getattr(found, name)[:-1] for name in ("products", "samples", "own")}
+    parts = {name: getattr(found, name)[:-1] for name in ("products", "samples", "own", "random", "spread")}
     equations = replace(found, **parts)
     distance, log = crossval.deviances(equations)
     own = crossval.normal_equations(alone, fit, [d.changes for d in differing])

@@ -133,7 +133,7 @@ def find(study: Study, base: Hypothesis, terms: Sequence[Term], *, rng: np.rando
 
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:
     """Return the effective number of parameters of the generic terms: the trace of their hat matrix."""
-    normal = inner.products.sum(axis=0)[:-1, :-1]
+    normal = inner.whole[:-1, :-1]
     ridge = block_diag(inner.prior, np.diag(prior))
     return float(np.trace(solved(normal + ridge, normal)[inner.shared :, inner.shared :]))
 

@@ -576,6 +576,9 @@ class Search:
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
         self.change(study.with_noise(known))
+        known = noise.centred(self.pool[leading.key])
+        if known is not None:
+            self.change(study.with_noise(known))
         return largest
 
     def settle(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -31,6 +31,8 @@ CHANGE_WIDTH = 10.0
 #: Prior standard deviation of the initial state of a trial, in units of the typical scales of its parameters.
 #: The prior mean comes from the first samples of the trial.
 START_PRIOR = 30.0
+#: Weight of the mean of a random effect that is held at 0, in units of its standard error by chance.
+CENTRED = 100.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
 #: Search from several starting points: number of iterations from the best one (HEAT), maximum number of
@@ -362,6 +364,11 @@ class Study:
         own = [j for j in problem.own(k) if problem.parameters[problem.slots[j][0]].name in names]
         return np.array(own, dtype=np.intp)
 
+    @property
+    def centred(self) -> list[str]:
+        """Return the names of the random effects whose mean over the trials is held at 0."""
+        return [one.parameter for one in self.noise.random_effects if one.is_centred]
+
     def settled(self, problem: Problem, k: int, own: Iterable[int]) -> NDArray[np.intp]:
         """Return those of the unknowns ``own`` of trial ``k`` that are no random effects."""
         random = self.random(problem, k).tolist()
@@ -464,10 +471,16 @@ class Study:
                 weight[j] = 1.0 / (START_PRIOR * p.scale)
         return mean, weight
 
-    def root(self, problem: Problem) -> Array:
+    def root(self, problem: Problem, left_out: Collection[int] = ()) -> Array:
         """Return a square root of the prior precision matrix, shape (m, p).
 
-        The prior precision matrix is ``root.T @ root``. The number m counts the parameters with a prior.
+        The prior precision matrix is ``root.T @ root``. It has a row for each parameter with a prior, and for
+        each random effect whose mean over the trials is held at 0.
+
+        Parameters
+        ----------
+        left_out : collection of int, optional
+            Indices of trials that are not fitted. They do not belong to the mean.
         """
         _, weight = self.expected(problem)
         root, loosened = np.diag(weight), self.loosened(problem)
@@ -479,7 +492,13 @@ class Study:
             own = correlation[np.ix_(rows, rows)]
             inverse = np.linalg.inv(own + ROUNDING * np.eye(len(rows)))
             root[np.ix_(places, places)] = np.linalg.cholesky(inverse).T * weight[places]
-        return np.asarray(root[weight > 0])
+        rows = [root[weight > 0]]
+        for name in self.centred if len(problem.trials) > 1 else ():
+            mine = [
+                problem.parameters[i].name == name and owner not in left_out for i, owner in problem.slots
+            ]
+            rows.append(np.atleast_2d(CENTRED * weight * mine / math.sqrt(max(sum(mine), 1))))
+        return np.concatenate(rows)
 
     def precision(self, problem: Problem) -> Array:
         """Return the prior precision matrix of all parameters, shape (p, p); see :meth:`root`."""
@@ -551,7 +570,8 @@ class Study:
             Mask of the samples of each trial that are fitted. By default all samples are fitted.
         """
         problem = self.problem(effects, jobs=None if hold is None and reuse is None else 1, known=known)
-        problem.prior = self.expected(problem)[0], self.root(problem)
+        left_out = [] if kept is None else [k for k, fitted in enumerate(kept) if not fitted.any()]
+        problem.prior = self.expected(problem)[0], self.root(problem, left_out)
         if hold is not None:
             problem.hold_derivatives(hold.problem, hold.derivatives)
         if reuse is not None:
