@@ -545,7 +545,10 @@ def with_random_effects(
             break
         likelihood, sd = best, found
     kept = np.flatnonzero(sd).tolist()
-    noise = replace(noise, log_likelihood=likelihood)
+    # Hypotheses are compared without free means, because what all trials share needs a cause.
+    count = len(differing)
+    rest = np.delete(stacked, np.s_[count : 2 * count], axis=1)
+    noise = replace(noise, log_likelihood=_likelihood(np.delete(rest, np.s_[count : 2 * count], axis=2), sd))
     if not kept:
         return noise
     chosen = [(differing[i].effect, float(sd[i])) for i in kept]

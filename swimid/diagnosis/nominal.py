@@ -219,7 +219,9 @@ def prior(
             continue
         size = max(abs(p.start), 0.1 * p.scale)
         known = given.get(p.name)
-        sd = OWN_PRIOR * max(size, p.scale if known is None else 0.0)
+        # A fit to these same trials, in which a cause is missing, may have moved a coefficient to its bound.
+        is_unknown = known is None or (own_data and known.status == "at-bound")
+        sd = OWN_PRIOR * max(size, p.scale if is_unknown else 0.0)
         stderr = known.stderr if known is not None and known.stderr else math.nan
         if p.name in exact:
             sd = min(sd, math.hypot(stderr, OTHER_DAY * size))
