@@ -10,12 +10,13 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from swimid.diagnosis import answer, odd, search
+from swimid.diagnosis import answer, nominal, odd, search
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.study import Study
 from swimid.effects.base import Inside
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Hooks, Model, Parameter, Trial
+from swimid.results.parameters import Estimate
 from tests.diagnosis_models import (
     LINE,
     PLAIN,
@@ -369,3 +370,16 @@ def test_three_trials_have_no_odd_one(rng: np.random.Generator) -> None:
     """None of them is in a majority."""
     state = searched(odd_one(rng, [1.0, 1.0, 1.6], [0.0] * 3), [Seen("rise", rise)])
     assert state.odd_trials == {}
+
+
+def test_the_prior_is_wide_at_a_bound_of_a_fit_to_the_same_trials() -> None:
+    """A fit in which a cause is missing moves coefficients to their bounds. Other trials say more."""
+    p = parameter("c", 0.0, scale=2.0)
+    at_bound, estimated = (Estimate(value=0.0, unit="1", status=s) for s in ("at-bound", "estimated"))
+    sd = {
+        (e.status, own): nominal.prior([p], {"c": e}, own_data=own)["c"][1]
+        for e in (at_bound, estimated)
+        for own in (True, False)
+    }
+    assert sd["at-bound", True] == pytest.approx(10.0 * sd["at-bound", False])
+    assert sd["estimated", True] == sd["estimated", False] == sd["at-bound", False]

@@ -128,7 +128,10 @@ def normal_equations(
     width = len(shared) + len(columns) + 1
     products = np.zeros((folds.count, width, width))
     samples, own = np.zeros(folds.count), np.zeros(folds.count)
-    random, spread = np.zeros((folds.count, len(centred), width)), np.zeros((folds.count, *[len(centred)] * 2))
+    random, spread = (
+        np.zeros((folds.count, len(centred), width)),
+        np.zeros((folds.count, *[len(centred)] * 2)),
+    )
     for k in range(len(study.trials)):
         mine = study.apart(fit, k)
         block = np.column_stack([fit.columns(k, shared), *(c[k] for c in columns), fit.residuals[k]])

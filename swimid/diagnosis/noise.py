@@ -556,7 +556,7 @@ def with_random_effects(
 
 
 def centred(fit: Hypothesis) -> NoiseModel | None:
-    """Return the noise model in which random effects with a mean that chance does not explain have the mean 0.
+    """Return the noise model in which a mean of a random effect that chance does not explain is held at 0.
 
     What all trials share is then a gap, which no random effect takes up. The mean is compared with 0 by
     Student's t test. The result is None if chance explains all means.
