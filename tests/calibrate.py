@@ -87,6 +87,7 @@ def read(folders: Iterable[Path]) -> list[Truth]:
                     np.array(h["deviances"]),
                     h["strain"],
                     h["numbers"],
+                    h.get("widening", 0.0),
                     h.get("alike", {}),
                 )
                 for h in gap["hypotheses"]

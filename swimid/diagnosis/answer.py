@@ -475,6 +475,7 @@ def _hypotheses(search: Search) -> list[HypothesisRow]:
         HypothesisRow(
             effects=sorted(c.names),
             numbers=c.numbers,
+            widening=c.widening,
             deviances=c.deviances.tolist(),
             strain=c.strain,
             alike=dict(c.alike),

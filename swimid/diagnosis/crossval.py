@@ -251,7 +251,7 @@ def held_out(
     off = equations.pull[:, None] if draws is None else draws.pull
     pull = np.concatenate((equations.prior @ off, np.zeros((len(chosen), off.shape[1]))))
     shared, square = equations.shared, np.ix_(at, at)
-    inner, rest = equations.products[:, *square], equations.rest[:, *square]
+    inner, rest = (part[:, at[:, None], at] for part in (equations.products, equations.rest))
     if draws is None:
         right, all_right, other = (
             part[..., at, -1:] for part in (equations.products, equations.whole, equations.rest)

@@ -278,6 +278,8 @@ class HypothesisRow(yamlio.Document):
     effects: list[str]
     #: Number of shared parameters of the effects.
     numbers: int = 0
+    #: Logarithm of the volume of the prior of the coefficients, divided by that without effects.
+    widening: float = 0.0
     #: Minus twice the log predictive density of each fold, given the other folds, up to a constant.
     deviances: list[Number] = []
     #: Squared distance of the parameters from their prior means, in units of the prior covariance.

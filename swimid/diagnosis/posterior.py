@@ -79,6 +79,8 @@ class Candidate:
         Squared distance of the parameters from their prior means, in units of the prior covariance.
     numbers : int
         Number of shared parameters of the effects.
+    widening : float
+        Logarithm of the volume of the prior of the model's coefficients, divided by that without effects.
     alike : mapping of str to float
         For each effect of a set, the largest squared cosine between its change of the trials and the change
         by another effect of the set. The model's parameters are projected out.
@@ -88,6 +90,7 @@ class Candidate:
     deviances: Array
     strain: float = 0.0
     numbers: int = 0
+    widening: float = 0.0
     alike: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -222,7 +225,8 @@ def price(candidate: Candidate, null: Candidate, record: Record, known: Calibrat
     """Return the log-evidence that a hypothesis loses by its parameters, and by their distance from priors.
 
     Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
-    by all of them. Each parameter therefore costs as much as in the BIC. The prior is one more part of the
+    by all of them. Each parameter therefore costs as much as in the BIC. A wider prior costs its volume,
+    because held-out data hardly depend on a prior once the other folds are known. The prior is one more part of the
     data: a true effect may leave a share of the distance that the model without effects needs.
 
     Parameters
@@ -232,7 +236,7 @@ def price(candidate: Candidate, null: Candidate, record: Record, known: Calibrat
     """
     directions = known.directions * record.parts
     far = 0.5 * directions * math.log1p(candidate.strain / (directions + known.form * null.strain))
-    return 0.5 * math.log(record.samples) * candidate.numbers + far
+    return 0.5 * math.log(record.samples) * candidate.numbers + candidate.widening + far
 
 
 def most(excess: float, record: Record) -> float:

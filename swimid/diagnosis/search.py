@@ -576,9 +576,9 @@ class Search:
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
         self.change(study.with_noise(known))
-        known = noise.centred(self.pool[leading.key])
-        if known is not None:
-            self.change(study.with_noise(known))
+        without = noise.centred(self.pool[leading.key])
+        if without is not None:
+            self.change(study.with_noise(without))
         return largest
 
     def settle(self) -> None:
@@ -689,10 +689,10 @@ class Search:
     def _candidate(self, h: Hypothesis) -> Candidate:
         mine = {e.name for e in h.effects}
         shared = [n for n in h.labels if "[" not in n and n.rpartition("/")[0] in mine]
-        # A coefficient with a wider prior than in the model counts as a parameter of an effect.
-        numbers = len(shared) + len(self.study.loosened(h.problem))
+        wider = self.study.loosened(h.problem)
+        widening = sum(math.log(sd / self.study.prior[name][1]) for name, (_, sd) in wider.items())
         deviances = h.deviances - self.null.log_determinant
-        return Candidate(h.names, deviances, h.strain, numbers, self._alike(h))
+        return Candidate(h.names, deviances, h.strain, len(shared), widening, self._alike(h))
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
         """Return for each effect of a hypothesis its largest similarity to another effect of the hypothesis.
