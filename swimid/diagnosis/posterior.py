@@ -226,8 +226,8 @@ def price(candidate: Candidate, null: Candidate, record: Record, known: Calibrat
 
     Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
     by all of them. Each parameter therefore costs as much as in the BIC. A wider prior costs its volume,
-    because held-out data hardly depend on a prior once the other folds are known. The prior is one more part of the
-    data: a true effect may leave a share of the distance that the model without effects needs.
+    because held-out data hardly depend on a prior once the other folds are known. The prior is one more part
+    of the data: a true effect may leave a share of the distance that the model without effects needs.
 
     Parameters
     ----------
