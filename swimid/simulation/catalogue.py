@@ -26,6 +26,8 @@ from swimid.robots import file as robot_format
 #: Step of a finite difference as a fraction of the standard error of the parameter, and maximum step as a
 #: fraction of the absolute value or the typical scale of the parameter, whichever is larger.
 STEP_SHARE, MAX_STEP_SHARE = 0.05, 1e-3
+#: Largest change of a quantity, as a fraction of it, that is a rounding error.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -241,7 +243,7 @@ class Applied:
         -----
         Derivatives are central differences. A standard error is NaN if no parameter has one, or if the
         quantity is undefined for one of the displaced parameter vectors, because the simulation breaks down
-        or never becomes steady.
+        or never becomes steady. A change of the size of a rounding error counts as none.
         """
         names, covariance = self.uncertain()
         vectors, widths = [values], []
@@ -259,7 +261,9 @@ class Applied:
         if not names:
             return table[0], np.full(table.shape[1], np.nan)
         width = np.array(widths)[:, None]
-        slopes = np.where(width > 0, (table[2::2] - table[1::2]) / np.maximum(width, 1e-300), 0.0)
+        change = table[2::2] - table[1::2]
+        change[np.abs(change) < ROUNDING * np.abs(table[0])] = 0.0
+        slopes = np.where(width > 0, change / np.maximum(width, 1e-300), 0.0)
         return table[0], np.sqrt(np.maximum(np.sum(slopes * (covariance @ slopes), axis=0), 0.0))
 
 
