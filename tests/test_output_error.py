@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from scipy import optimize
+from scipy.optimize import lsq_linear
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
@@ -155,6 +156,27 @@ class TestMinimise:
         start = np.array([0.41, 0.037])
         found = minimise(residuals, derivatives, start, box, tolerance=1e-3, secant=True, undamped=True)
         assert found.x == pytest.approx([0.408, 0.408 / 9.4], rel=5e-4)
+
+    def test_a_search_does_not_end_where_bounds_bend_the_undamped_step(self) -> None:
+        """A column is nearly the sum of two others, beside a misfit that hides what a damped step gains."""
+        rng = np.random.default_rng(209)
+        columns = rng.normal(size=(30, 3))
+        columns[:, 2] = (
+            columns[:, 0] * rng.normal() + columns[:, 1] * rng.normal() + 1e-3 * rng.normal(size=30)
+        )
+        rows = np.vstack((100.0 * columns, np.zeros((300, 3))))
+        measured = np.r_[rows[:30] @ rng.normal(1, 2, size=3), np.full(300, 2.0)]
+        box = Box(np.zeros(3), np.full(3, 3.0), np.ones(3))
+        found = minimise(
+            lambda p: rows @ p - measured,
+            lambda p: blocks_of(rows),
+            np.ones(3),
+            box,
+            tolerance=1e-3,
+            undamped=True,
+        )
+        best = lsq_linear(rows, measured, (box.lower, box.upper), tol=1e-12)
+        assert found.cost == pytest.approx(2.0 * best.cost, abs=0.5)
 
     def test_a_slow_search_is_ended_and_named(self) -> None:
         """Derivatives ten times too large, far from the optimum."""

@@ -528,6 +528,8 @@ class Search:
         known = self.posterior.known
         if self.posterior.sets.get(self.posterior.best, 0.0) > SURE:
             return self.base
+        if self.posterior.none > SURE:
+            return self.null
         likeliest = sorted(self.best(1), key=lambda h: -known[h.names])
         scores = {h.key: self.likelihood(h) for h in (self.null, *likeliest[:CONTENDERS])}
         if not all(math.isfinite(score) for score in scores.values()):

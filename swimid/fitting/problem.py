@@ -494,6 +494,8 @@ MIN_AGREEMENT = 0.9
 MAX_CORRECTION = 0.75
 #: Decrease of the cost by an undamped step, in units of the noise variance, above which a search continues.
 MIN_REST = 1.0
+#: Fractions of an undamped step that are tried if it increases the cost, and factor of the damping after it.
+SHORTER, LESS_DAMPED = (0.3, 0.1), 0.01
 #: Minimum decrease of the cost by a step, as a fraction of the predicted decrease, that allows a secant
 #: update instead of new derivatives.
 SECANT_AGREEMENT = 0.75
@@ -627,12 +629,10 @@ def minimise(
                 if still and not age:
                     reason = STILL
                 if reason is STILL and undamped:
-                    solve = partial(_step, normal, damping=1e-12 * size**2, blocked=blocked)
-                    rest = attempt(
-                        x, solve(rows.gradient(r), low=(lower - x) / scale, high=(upper - x) / scale)
-                    )
+                    rest = _undamped(attempt, rows, box, x, r, blocked)
                     reason = STILL if cost - rest.cost <= MIN_REST else None
                     x, r, cost = min((x, r, cost), (rest.x, rest.residuals, rest.cost), key=lambda t: t[-1])
+                    damping *= LESS_DAMPED
                 if reason is not None:
                     return Solution(x, cost, True, reason, iteration)
                 if secant and gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still:
@@ -688,6 +688,35 @@ def _step(
         step = np.where(below, low, np.where(above, high, step))
         fixed |= below | above
     return step
+
+
+def _undamped(
+    attempt: Callable[[Array, Array], _Tried],
+    rows: Blocks,
+    box: Box,
+    x: Array,
+    r: Array,
+    blocked: NDArray[np.bool_],
+) -> _Tried:
+    """Try the undamped Gauss-Newton step within the bounds, and shorter ones if it increases the cost.
+
+    Either the parameters that would leave the bounds are set to them, or the step ends where the first
+    parameter reaches its bound, whichever lowers the cost more in the linear model.
+    """
+    gradient, normal = rows.gradient(r), rows.normal()
+    ends = (box.lower - x) / box.scale, (box.upper - x) / box.scale
+    none, damping = np.full(len(x), np.inf), 1e-12 * np.maximum(np.diag(normal), 1e-300)
+    within, free = (_step(normal, gradient, damping, *ends, blocked) for ends in ((low, high), (-none, none)))
+    moves = free != 0.0
+    limit = np.where(free < 0.0, *ends)[moves]
+    until = free * min(float(np.min(limit / free[moves], initial=1.0)), 1.0)
+    step = min(within, until, key=lambda step: float(2.0 * step @ gradient + step @ normal @ step))
+    tried = attempt(x, step)
+    for part in SHORTER:
+        # A long step may leave the range of the derivatives.
+        if not tried.cost < float(r @ r):
+            tried = attempt(x, part * step)
+    return tried
 
 
 # ---------------------------------------------------------------- stopping criteria based on the noise
