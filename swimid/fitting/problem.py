@@ -706,7 +706,9 @@ def _undamped(
     gradient, normal = rows.gradient(r), rows.normal()
     ends = (box.lower - x) / box.scale, (box.upper - x) / box.scale
     none, damping = np.full(len(x), np.inf), 1e-12 * np.maximum(np.diag(normal), 1e-300)
-    within, free = (_step(normal, gradient, damping, *ends, blocked) for ends in ((low, high), (-none, none)))
+    within, free = (
+        _step(normal, gradient, damping, low, high, blocked) for low, high in (ends, (-none, none))
+    )
     moves = free != 0.0
     limit = np.where(free < 0.0, *ends)[moves]
     until = free * min(float(np.min(limit / free[moves], initial=1.0)), 1.0)
