@@ -245,6 +245,18 @@ def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
     return known, fit
 
 
+def weighed(study: Study, fit: Hypothesis) -> NoiseModel:
+    """Return the noise model of a study with weights from the residuals of a fit.
+
+    A fit that leaves a gap does not show which part of the error time stamps have.
+    """
+    problem = study.problem(fit.effects)
+    known: dict[str, tuple[float, float]] = {}
+    for _ in range(1 + WEIGHTINGS):
+        known = uncertainty.estimate(problem, fit.theta, known)
+    return replace(study.noise, sd=[list(sds) for sds in problem.sd])
+
+
 class Differing(NamedTuple):
     """Possible random effect, with the weighted change of each trial by one typical scale."""
 

@@ -566,6 +566,9 @@ class Search:
         """
         study, fit = self.study, leading
         self.prepare([fit.effects])
+        if any(trial.stamps_uncertain for trial in study.trials):
+            study = study.with_noise(noise.weighed(study, fit))
+            fit = self._moved(leading, study, leading)
         terms = remainder.generic_terms(study, fit)
         differing = noise.possible(study, fit, self.every)
         changes = [t.changes for t in terms]

@@ -575,7 +575,7 @@ class Study:
         if hold is not None:
             problem.hold_derivatives(hold.problem, hold.derivatives)
         if reuse is not None:
-            problem.reuse_derivatives(reuse.theta, reuse.derivatives)
+            problem.reuse_derivatives(reuse.problem, reuse.theta, reuse.derivatives)
 
         def whiten(k: int, rows: Array) -> Array:
             seen = self.noise.whiten(problem, k, rows)

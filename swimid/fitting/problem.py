@@ -333,14 +333,14 @@ class Problem:
         ----------
         derivatives : sequence of ndarray, each shape (n_k, m_k)
             Derivatives of the simulated samples of each trial with respect to the unknowns that affect it,
-            multiplied by the current weights.
+            multiplied by the weights of the other problem.
         """
         self._slopes = None
         for k, numbers in enumerate(other.taken):
-            columns = np.ascontiguousarray((derivatives[k] / self.sample_weights(k)[:, None]).T)
+            columns = np.ascontiguousarray((derivatives[k] / other.sample_weights(k)[:, None]).T)
             self._held[k] |= {other.labels[j]: column for j, column in zip(numbers, columns, strict=True)}
 
-    def reuse_derivatives(self, theta: Array, derivatives: Sequence[Array]) -> None:
+    def reuse_derivatives(self, other: Problem, theta: Array, derivatives: Sequence[Array]) -> None:
         """Use known derivatives at a point as long as :attr:`near` allows it.
 
         Parameters
@@ -349,7 +349,7 @@ class Problem:
         derivatives : sequence of ndarray, each shape (n_k, m_k)
             As in :meth:`hold_derivatives`, for a problem with the same unknowns.
         """
-        known = [rows / self.sample_weights(k)[:, None] for k, rows in enumerate(derivatives)]
+        known = [rows / other.sample_weights(k)[:, None] for k, rows in enumerate(derivatives)]
         self._slopes = (theta.copy(), False, known)
 
     def solve(self, theta: Array, *, secant: bool = False, **settings: Any) -> Solution:
