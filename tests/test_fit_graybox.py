@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -269,7 +270,9 @@ class TestLogs:
         trials = _write(tmp_path, _runs(shared=True), {**RATES, **joints}, with_drive=False)
         file = _fit(swimid, trials, "--share", "c_f", "--channels", ",".join(RATES))
         off = _deviations(file, SHARED)
-        assert len(off) >= 6
+        # The errors of the measured joints hide the small forces of c_f.
+        assert file.parameters["c_f0"].status == "unidentifiable"
+        assert len(off) == 5
         assert max(map(abs, off.values())) < 4, off
 
     @pytest.mark.slow
@@ -580,7 +583,7 @@ class TestWrongModels:
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "--bounds", "c_d4=0,3", "--max-iterations", "6", "-o", out)
         assert ran.status == 4
-        assert "c_d4 at a bound" in ran.err
+        assert re.search(r"lower the cost; .*c_d4\b.* at a bound", ran.err)
 
 
 class TestBrokenSimulations:
