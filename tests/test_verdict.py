@@ -362,3 +362,12 @@ def test_a_gap_within_the_noise_has_no_remaining_share() -> None:
     assert remaining_share(facts("waves", held_out=worse)) is None
     more = held_out(200.0, 90.0, 90.0, before=120.0)
     assert remaining_share(facts("waves", held_out=more)) == pytest.approx(80.0 / 60.0)
+
+
+def test_a_refit_that_is_worse_than_the_model_as_given_is_no_measure() -> None:
+    """The error goes from 3.4 as given and 5 refitted to 2.5 times its expectation."""
+    errors = held_out(250.0, 251.0, 249.0, before=500.0, as_given=340.0)
+    known = facts("waves", outside=0.9, catalogue=0.1, held_out=errors)
+    assert remaining_share(known) == pytest.approx(150.0 / 240.0)
+    assert decide(known).verdict == "unexplained"
+    assert decide(known).causes == ()

@@ -200,11 +200,13 @@ def _of_errors(facts: Facts, names: str) -> Iterator[Row]:
         otherwise = "ambiguous"
     yield Row("held-out errors fall", found, needed, passed, otherwise, bool(carried), reason)
     left = remaining_share(facts, as_given=as_given)
+    given, before, _, _ = _sums(facts.held_out)
     if left is None:
         said = reason = "held-out data have no gap, so that the share which remains is unknown"
     else:
         said = f"{percent(left, 2)} of the squared gap"
-        reason = f"{said} {'as given' if as_given else 'after a refit'} remains on held-out data with {names}"
+        is_given = as_given or given < before
+        reason = f"{said} {'as given' if is_given else 'after a refit'} remains on held-out data with {names}"
     passed = left is not None and left <= CALIBRATED.form
     otherwise = "ambiguous" if left is None else "partial"
     yield Row("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, otherwise, True, reason)
@@ -313,10 +315,11 @@ def _share_left(before: float, after: float, expected: float) -> float | None:
 def remaining_share(facts: Facts, *, as_given: bool = False) -> float | None:
     """Return the share of the squared gap on held-out data that the causes leave; None without a gap.
 
-    It is the gap that a refit without causes leaves, or that of the parameters as given.
+    It is the gap that a refit without causes leaves, or that of the parameters as given if it is smaller or
+    asked for.
     """
     given, before, after, expected = _sums(facts.held_out)
-    share = _share_left(given if as_given else before, after, expected)
+    share = _share_left(given if as_given else min(given, before), after, expected)
     # Errors that noise explains leave nothing.
     explained = share is not None and all(t.after <= t.limit for t in facts.held_out.values())
     return 0.0 if explained else share
