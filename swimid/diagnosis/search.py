@@ -837,10 +837,14 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
         if best.deviance - larger.deviance < posterior.unit(search.record, 0.0):
             break
         # The noise was estimated from residuals that may contain what a larger set explains.
+        before = search.study.noise
         search.learn(max(search.best(size + 1)[:PARENTS], key=search.likelihood))
         search.compare()
         if len(search.base.names) <= size:
-            break  # with the noise model of the larger set, that set is not needed
+            # With the noise of the larger set, that set is not needed.
+            search.change(search.study.with_noise(before))
+            search.compare()
+            break
     best = search.base
     for effect in best.effects if len(best.names) > 1 else ():
         search.beside([search.without(best, effect)], RIVALS)
