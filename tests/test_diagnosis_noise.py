@@ -540,6 +540,6 @@ def test_a_common_part_is_no_random_effect(rng: np.random.Generator) -> None:
     for mean, is_common in ((0.0, False), (0.1, False), (1.0, True)):
         theta = np.array(problem.start)
         theta[own] = mean + 0.3 * np.linspace(-1.0, 1.0, count)
-        found = noise.centred(study.at((), theta))
+        found = noise.with_held_means(study.at((), theta))
         assert (found is not None) == is_common
         assert found is None or [effect.is_centred for effect in found.random_effects] == [True]

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from scipy import optimize
-from scipy.optimize import lsq_linear
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
@@ -175,7 +174,7 @@ class TestMinimise:
             tolerance=1e-3,
             undamped=True,
         )
-        best = lsq_linear(rows, measured, (box.lower, box.upper), tol=1e-12)
+        best = optimize.lsq_linear(rows, measured, (box.lower, box.upper), tol=1e-12)
         assert found.cost == pytest.approx(2.0 * best.cost, abs=0.5)
 
     def test_a_slow_search_is_ended_and_named(self) -> None:

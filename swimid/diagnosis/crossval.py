@@ -144,11 +144,10 @@ def normal_equations(
             names = [problem.parameters[problem.slots[j][0]].name for j in mine]
             ratio, covariance = _own_precision(study, fit, k, mine, names)
             own[f] += ratio
-            at = [names.index(name) for name in centred if name in names]
-            if len(at) == len(centred) > 0:
-                # The rows of the priors hold the values in standard deviations.
-                random[f] += seen[len(block) :][at]
-                spread[f] += covariance[np.ix_(at, at)]
+            # The rows of the priors hold the values in standard deviations.
+            at = np.array([names.index(name) for name in centred], dtype=int)
+            random[f] += seen[len(block) :][at]
+            spread[f] += covariance[np.ix_(at, at)]
         else:
             # The samples determine an initial state so well that the rows of its prior are left out.
             for f in np.unique(owner):

@@ -245,7 +245,7 @@ def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
     return known, fit
 
 
-def weighed(study: Study, fit: Hypothesis) -> NoiseModel:
+def reweigh(study: Study, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with weights from the residuals of a fit.
 
     A fit that leaves a gap does not show which part of the error time stamps have.
@@ -567,7 +567,7 @@ def with_random_effects(
     return replace(noise, random_effects=tuple(RandomEffect(e.label, size, e) for e, size in chosen))
 
 
-def centred(fit: Hypothesis) -> NoiseModel | None:
+def with_held_means(fit: Hypothesis) -> NoiseModel | None:
     """Return the noise model in which a mean of a random effect that chance does not explain is held at 0.
 
     What all trials share is then a gap, which no random effect takes up. The mean is compared with 0 by
@@ -578,8 +578,9 @@ def centred(fit: Hypothesis) -> NoiseModel | None:
     for one in study.noise.random_effects:
         values = fit.theta[[name.startswith(f"{one.parameter}[") for name in fit.labels]]
         stderr = float(values.std(ddof=1)) / math.sqrt(len(values))
-        is_common = 2.0 * special.stdtr(len(values) - 1, -abs(values.mean()) / stderr) < COMMON_P_VALUE
-        found.append(replace(one, is_centred=one.is_centred or bool(is_common)))
+        largest = stderr * float(special.stdtrit(len(values) - 1, 1.0 - 0.5 * COMMON_P_VALUE))
+        is_common = bool(abs(values.mean()) > largest)
+        found.append(replace(one, is_centred=one.is_centred or is_common))
     if found == list(study.noise.random_effects):
         return None
     return replace(study.noise, random_effects=tuple(found))

@@ -567,7 +567,7 @@ class Search:
         study, fit = self.study, leading
         self.prepare([fit.effects])
         if any(trial.stamps_uncertain for trial in study.trials):
-            study = study.with_noise(noise.weighed(study, fit))
+            study = study.with_noise(noise.reweigh(study, fit))
             fit = self._moved(leading, study, leading)
         terms = remainder.generic_terms(study, fit)
         differing = noise.possible(study, fit, self.every)
@@ -581,7 +581,7 @@ class Search:
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
         self.change(study.with_noise(known))
-        without = noise.centred(self.pool[leading.key])
+        without = noise.with_held_means(self.pool[leading.key])
         if without is not None:
             self.change(study.with_noise(without))
         return largest

@@ -629,7 +629,7 @@ def minimise(
                 if still and not age:
                     reason = STILL
                 if reason is STILL and undamped:
-                    rest = _undamped(attempt, rows, box, x, r, blocked)
+                    rest = _undamped(attempt, rows.gradient(r), normal, box, x, cost, blocked)
                     reason = STILL if cost - rest.cost <= MIN_REST else None
                     x, r, cost = min((x, r, cost), (rest.x, rest.residuals, rest.cost), key=lambda t: t[-1])
                     damping *= LESS_DAMPED
@@ -692,10 +692,11 @@ def _step(
 
 def _undamped(
     attempt: Callable[[Array, Array], _Tried],
-    rows: Blocks,
+    gradient: Array,
+    normal: Array,
     box: Box,
     x: Array,
-    r: Array,
+    cost: float,
     blocked: NDArray[np.bool_],
 ) -> _Tried:
     """Try the undamped Gauss-Newton step within the bounds, and shorter ones if it increases the cost.
@@ -703,7 +704,6 @@ def _undamped(
     Either the parameters that would leave the bounds are set to them, or the step ends where the first
     parameter reaches its bound, whichever lowers the cost more in the linear model.
     """
-    gradient, normal = rows.gradient(r), rows.normal()
     ends = (box.lower - x) / box.scale, (box.upper - x) / box.scale
     none, damping = np.full(len(x), np.inf), 1e-12 * np.maximum(np.diag(normal), 1e-300)
     within, free = (
@@ -716,7 +716,7 @@ def _undamped(
     tried = attempt(x, step)
     for part in SHORTER:
         # A long step may leave the range of the derivatives.
-        if not tried.cost < float(r @ r):
+        if not tried.cost < cost:
             tried = attempt(x, part * step)
     return tried
 
