@@ -141,12 +141,12 @@ def load(
         if isinstance(trials, TrialSet):
             return trials
         return TrialSet.read(trials, own)
-    if experiment is None or robot is None:
-        raise UsageError("name the experiment and the robot of these trials")
+    if experiment is None:
+        raise UsageError("name the experiment of these trials")
     given: Any = trials
     if not isinstance(trials, Sequence):
         given, keys = [], {**keys, "table": trials}  # A cruise experiment has one table for all trials.
-    return TrialSet.of(list(given), experiment=experiment, robot=str(robot), **keys)
+    return TrialSet.of(list(given), experiment=experiment, robot=None if robot is None else str(robot), **keys)
 
 
 def read_robot(name: str | Path) -> Robot:

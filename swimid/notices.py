@@ -94,6 +94,7 @@ CODES: dict[str, str] = {
     "SWM086": "an impossible motion is left empty",
     "SWM087": "two logs of one trial contradict each other",
     "SWM090": "two columns of a log contradict each other",
+    "SWM091": "the time step of a simulator changes its simulation",
     "SWM100": "the robot swims tail first",
     "SWM101": "a body larger than a marker is followed",
     "SWM110": "a measured force has the wrong sign",

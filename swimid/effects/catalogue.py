@@ -33,7 +33,7 @@ def catalogue() -> tuple[Effect, ...]:
 
 def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
     """Return those forms of the given effects that apply to a model and its trials."""
-    return [variant for effect in effects for variant in effect.variants(model, trials)]
+    return [variant for effect in effects for variant in model.forms_of(effect, trials)]
 
 
 def constants(effect: Effect) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def restored(
     """
     own = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
     kind = type(effect)
-    for form in [*effect.variants(model, trials), *(one() for one in (kind, *kind.__subclasses__()))]:
+    for form in [*model.forms_of(effect, trials), *(one() for one in (kind, *kind.__subclasses__()))]:
         form = copy.copy(form)
         vars(form).update(own)
         # A form that cannot act on the model has no parameters there.

@@ -13,7 +13,6 @@ from swimid.errors import InputError, UsageError
 from swimid.files.yamlio import ASK
 from swimid.fitting.fit_common import Experiment, Run
 from swimid.fitting.model import Array, CruiseInput, Trial
-from swimid.logs import trials as trials_format
 from swimid.logs.experiments import Params, Trials
 from swimid.propulsion.model import SPEED, RecoilModel
 from swimid.propulsion.trials import RIGS, read_table, recoil_model, table_columns
@@ -72,7 +71,7 @@ class Cruise(Trials):
         drag : path, ParameterFile or result of fit_drag, optional
             Parameters of the falling-weight rig. They replace ``drag`` of the trials file.
         """
-        robot = trials_format.robot_of(self, path)
+        robot = self.read_robot(path.parent)
         if params is not None and params[1].settings.get("drag_file") is not None:
             drag = find_drag_file(*params)
         elif drag is None and self.drag:

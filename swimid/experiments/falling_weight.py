@@ -16,7 +16,6 @@ from swimid.files.provenance import Input
 from swimid.files.yamlio import ASK
 from swimid.fitting.fit_common import Experiment, Run, read_log, warn_mass
 from swimid.fitting.model import Array, RigInput, Trial, chosen
-from swimid.logs import trials as trials_format
 from swimid.logs.experiments import Params, Trials
 from swimid.logs.log import Log
 from swimid.notices import warn
@@ -78,7 +77,7 @@ class FallingWeight(Trials):
 
     def load(self, path: Path, *, params: Params | None = None, **options: Any) -> Experiment:
         """Read the drops (see :meth:`Trials.load`). Parameters state how the encoder rounds."""
-        robot = trials_format.robot_of(self, path)
+        robot = self.read_robot(path.parent)
         factors = area_factors(self.trials, robot, path)
         drops = [_drop(e, path, robot, factor) for e, factor in zip(self.trials, factors, strict=True)]
         logs, known, records = zip(*drops, strict=True)

@@ -12,7 +12,6 @@ from pydantic import Field
 from swimid.errors import InputError
 from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import Array, RigInput, Trial
-from swimid.logs import trials as trials_format
 from swimid.logs.experiments import EVERYWHERE, Params, Trials
 from swimid.logs.log import Log, unwrapped
 from swimid.logs.sampling import white_noise_sd
@@ -68,7 +67,7 @@ class FreeDecay(Trials):
         coordinate : str, optional
             Coordinate of the decay. It is needed if the logs hold several coordinates.
         """
-        robot = trials_format.robot_of(self, path)
+        robot = self.read_robot(path.parent)
         if params is not None and params[1].fit is not None and len(params[1].fit.channels) == 1:
             coordinate = next(iter(params[1].fit.channels))
         logs = [read_log(e, path.parent, required=(), optional=tuple(rig.COORDINATES)) for e in self.trials]

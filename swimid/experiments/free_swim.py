@@ -17,7 +17,6 @@ from swimid.errors import InputError
 from swimid.files.yamlio import ASK
 from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import SurgeInput, Trial
-from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat, stated_against_found
 from swimid.logs.experiments import (
     EVERYWHERE,
@@ -79,7 +78,7 @@ class FreeSwim(Trials):
         **options
             Options of :func:`swimid.swimmer.trials.load`.
         """
-        robot = trials_format.robot_of(self, path)
+        robot = self.read_robot(path.parent)
         has_links = command == "fit-graybox" or robot.multilink is not None or robot.multibody is not None
         if params is not None:
             has_links = params[1].model != SurgeModel.name

@@ -12,7 +12,6 @@ from swimid.errors import InputError
 from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import RigInput, Trial, chosen
 from swimid.logs import tracks
-from swimid.logs import trials as trials_format
 from swimid.logs.experiments import Trials
 from swimid.logs.log import longest_run, runs
 from swimid.notices import warn
@@ -46,7 +45,7 @@ class Towed(Trials):
 
     def load(self, path: Path, **options: Any) -> Experiment:
         """Read the tows (see :meth:`Trials.load`)."""
-        robot = trials_format.robot_of(self, path)
+        robot = self.read_robot(path.parent)
         factors = area_factors(self.trials, robot, path)
         trials, logs, forces, speeds = [], [], [], []
         for entry, factor in zip(self.trials, factors, strict=True):

@@ -25,6 +25,8 @@ from swimid.files import yamlio
 from swimid.files.user_code import find_classes, run_file
 from swimid.logs.log import Log
 from swimid.results.parameters import ParameterFile
+from swimid.robots import file as robot_format
+from swimid.robots.file import Robot
 
 if TYPE_CHECKING:
     from swimid.fitting.fit_common import Experiment, Run
@@ -183,6 +185,10 @@ class Trials(yamlio.Document):
     def has_columns(cls, columns: Collection[str]) -> bool:
         """Return whether a log or a table with these columns may be one of the experiment."""
         return all(any(fnmatch.filter(columns, name) for name in group) for group in cls.usual)
+
+    def read_robot(self, folder: Path) -> Robot:
+        """Return the robot of the trials, by built-in name or by a path relative to a folder."""
+        return robot_format.read(self.robot, folder)
 
     @abstractmethod
     def load(

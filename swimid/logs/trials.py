@@ -75,7 +75,7 @@ class TrialSet:
         trials: Sequence[Mapping[str, Any]],
         *,
         experiment: str | Path | type[Trials],
-        robot: str,
+        robot: str | None = None,
         name: str = "trials",
         **keys: Any,
     ) -> TrialSet:
@@ -88,7 +88,7 @@ class TrialSet:
             :class:`~swimid.logs.log.Log`.
         experiment : str or class
             Name of the experiment, or an experiment of the user, as a class or as its Python file.
-        robot : str
+        robot : str, optional
             Robot, as in a trials file. The path of a robot file is relative to the working folder.
         name : str
             Name of the trials in messages.
@@ -122,8 +122,13 @@ class TrialSet:
                         raise missing_column(column, list(held.columns), held.path, None)
             logs.append(held)
             plain.append(entry)
-        robot_format.locate(robot)
-        given = {"format": FORMAT, "experiment": kind.title, "robot": robot, **keys}
+        if robot is None and kind.model_fields["robot"].is_required():
+            raise UsageError("name the robot of these trials")
+        given = {"format": FORMAT, "experiment": kind.title, **keys}
+        if robot is not None:
+            given["robot"] = robot
+            if kind.robot_form:
+                robot_format.locate(robot)
         if plain:
             given["trials"] = plain
         table = given.get("table")
@@ -201,8 +206,9 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
         raise _not_allowed(data, path, names, command, commands)
     trials: Any = held or yamlio.validate(data, kind, path)
     trials._data = data
-    line = yamlio.line_of(data, ["robot"])
-    robot_format.locate(trials.robot, path.parent, {"file": path, "line": line, "column": "robot"})
+    if kind.robot_form or trials.robot:
+        line = yamlio.line_of(data, ["robot"])
+        robot_format.locate(trials.robot, path.parent, {"file": path, "line": line, "column": "robot"})
     if kind.uses is not None:
         check_used(trials, path, kind.uses)
     listed: list[TrialEntry] = getattr(trials, "trials", [])
@@ -288,7 +294,3 @@ def check_apart(one: TrialEntry, other: TrialEntry, file: Path, line: int | None
     if one.role == "fit":
         warn("SWM074", f"{file.name}: {text}, which count twice: standard errors are too small")
 
-
-def robot_of(trials: Trials, path: Path) -> robot_format.Robot:
-    """Return the robot that a trials file names, by built-in name or by a path relative to the file."""
-    return robot_format.read(trials.robot, path.parent)

@@ -343,7 +343,7 @@ def form_of(
     form = effect_catalogue.restored(effect, names, constants_of(file, name), model, trials)
     if form is None or file.effects.count(name) > 1:
         hint = "name each effect once, and give all of its parameters as 'effect/parameter'"
-        first = next(iter(effect.variants(model, trials)), None)
+        first = next(iter(model.forms_of(effect, trials)), None)
         if first is not None:
             hint += f": {', '.join(f'{name}/{p.name}' for p in first.parameters(model, trials))}"
         raise InputError(
@@ -443,7 +443,7 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
             column="experiment",
         )
     if options.robot is None:
-        _check_robot(trials.entries.robot, trials.path, file, path)
+        _check_robot(trials, file, path)
     experiment = load_experiment(trials, params=(path, file), **given)
     applied = Applied(experiment.model, file, path, chosen, experiment.trials, options.own_effects)
     inputs = [*experiment.inputs, parameters_format.origin(parameters), *own_files, *options.own_effects]
@@ -489,7 +489,7 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
     return applied
 
 
-def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) -> None:
+def _check_robot(trials: TrialSet, file: ParameterFile, path: Path) -> None:
     """Refuse the parameters of one robot for the trials of another robot.
 
     Raises
@@ -497,8 +497,8 @@ def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) 
     InputError
         If the two robots differ.
     """
-    mine = robot_format.read(name, trials_path.parent).name
-    if file.robot is None or file.robot in (mine, name):
+    mine = trials.entries.read_robot(trials.path.parent).name
+    if file.robot is None or file.robot in (mine, trials.entries.robot):
         return
     try:
         theirs = robot_format.read(file.robot, path.parent).name
@@ -506,7 +506,7 @@ def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) 
         theirs = Path(file.robot).stem
     if theirs != mine:
         raise InputError(
-            f"these are the parameters of the robot '{theirs}'; the trials in {trials_path.name} are of "
+            f"these are the parameters of the robot '{theirs}'; the trials in {trials.path.name} are of "
             f"'{mine}'",
             file=path,
             column="robot",

@@ -1,0 +1,74 @@
+"""Experiment ``python``: trials of a robot whose simulator is a function in Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from swimid.errors import InputError
+from swimid.files import yamlio
+from swimid.fitting.fit_common import Experiment
+from swimid.logs.experiments import TrialEntry
+from swimid.simulators.model import SimulatorParameter, SimulatorTrials, at_key
+from swimid.simulators.python import PythonModel, find_function
+
+
+class PythonEntry(yamlio.Document):
+    """Model of a trials file: a function in Python, with its parameters, inputs and outputs."""
+
+    #: Module and function: ``sim.py:simulate`` or ``lab.fish:simulate``.
+    python: str
+    parameters: Annotated[dict[str, SimulatorParameter], Field(min_length=1)]
+    #: Columns of the log that the function has as inputs.
+    inputs: list[str] = []
+    #: Channels that the function returns.
+    outputs: Annotated[list[str], Field(min_length=1)]
+
+
+class Python(SimulatorTrials):
+    """Trials file of a robot whose simulator is a function ``simulate(parameters, inputs, times)``.
+
+    Example::
+
+        format: swimid-trials/1
+        experiment: python
+        model:
+          python: sim.py:simulate
+          parameters:
+            drag_N_s2_m2: {start: 2.0, bounds: [0, 10]}
+          inputs: [cmd_rad]
+          outputs: [x_m, yaw_rad]
+        trials:
+          - {log: run1.csv}
+          - {log: run2.csv, role: validate}
+    """
+
+    about = "a robot whose simulator is a function in Python"
+    models = ("python",)
+
+    experiment: Literal["python"]
+    model: PythonEntry
+    trials: Annotated[list[TrialEntry], Field(min_length=1)]
+
+    def simulator_name(self) -> str:
+        """Return the name of the function."""
+        return self.model.python.rpartition(":")[2]
+
+    def load(self, path: Path, **options: Any) -> Experiment:
+        """Import the function, and read the logs (see :meth:`Trials.load`)."""
+        entry = self.model
+        try:
+            simulate, file = find_function(entry.python, path.parent)
+            parameters = [p.made(name) for name, p in entry.parameters.items()]
+        except InputError as error:
+            if error.file is not None:
+                raise
+            line = yamlio.line_of(self._data, ["model", "python"])
+            raise InputError(error.reason, file=path, line=line, column="model.python", hint=error.hint) from error
+        except ValueError as error:
+            raise at_key(path, self._data, ["model", "parameters"], error) from error
+        model = PythonModel(simulate, parameters, entry.inputs, entry.outputs)
+        trials, sources = self.read_trials(path, entry.inputs, entry.outputs)
+        return self.posed(path, model, trials, [file, *sources] if file else sources)

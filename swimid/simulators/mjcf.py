@@ -1,0 +1,687 @@
+"""Model of a file of MuJoCo: its attributes are parameters, its controls are inputs, its sensors outputs."""
+
+from __future__ import annotations
+
+import copy
+import math
+import multiprocessing
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales, Trial
+from swimid.simulators.model import SimulatorModel
+
+if TYPE_CHECKING:
+    from swimid.effects.base import Effect
+
+#: Number of simulations that are in memory at once.
+BATCH = 32
+#: Number of samples from which the initial velocity of a trial is estimated.
+FIRST_SAMPLES = 8
+#: Slope of a channel over its first samples, in standard errors, above which a trial begins in motion.
+MOVES = 5.0
+#: Singular values of the derivatives of outputs below which a start offset has no effect, over the largest.
+NO_EFFECT = 1e-4
+#: Names of the degrees of freedom of free and ball joints.
+FREE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+BALL = ("roll_rad", "pitch_rad", "yaw_rad")
+
+
+class Place(NamedTuple):
+    """Entries of an array of a compiled model that an attribute of the file sets.
+
+    Attributes
+    ----------
+    field : str
+        Name of the array in ``MjModel``; ``opt.`` stands before those of the options.
+    index : tuple
+    factor : float
+        Factor from the attribute to the entry.
+    """
+
+    field: str
+    index: tuple[Any, ...]
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """Attribute of a file of MuJoCo that is a parameter.
+
+    Attributes
+    ----------
+    path : str
+        Kind, name and attribute: ``joint/tail/stiffness``.
+    places : tuple of Place
+        Entries that the attribute sets. The first one has its value.
+    unit : str
+    inertia_of : int or None
+        Body whose inertia changes with its mass.
+    """
+
+    path: str
+    places: tuple[Place, ...]
+    unit: str
+    inertia_of: int | None = None
+
+
+#: Units of the attributes of joints and tendons, for a coordinate in m and in rad.
+UNITS = {
+    "stiffness": ("N/m", "N m/rad"),
+    "damping": ("N s/m", "N m s/rad"),
+    "armature": ("kg", "kg m^2"),
+    "frictionloss": ("N", "N m"),
+    "springref": ("m", "rad"),
+}
+#: Attributes by kind of element: array, its column or None, and unit. ``[i]`` stands for a component.
+ATTRIBUTES: dict[str, dict[str, tuple[str, int | None, str]]] = {
+    "body": {
+        "mass": ("body_mass", None, "kg"),
+        "gravcomp": ("body_gravcomp", None, "1"),
+        "ipos": ("body_ipos", 0, "m"),
+        "inertia": ("body_inertia", 0, "kg m^2"),
+        "pos": ("body_pos", 0, "m"),
+    },
+    "geom": {
+        "fluidcoef": ("geom_fluid", 1, "1"),
+        "friction": ("geom_friction", 0, "1"),
+        "margin": ("geom_margin", None, "m"),
+    },
+    "site": {"pos": ("site_pos", 0, "m")},
+    "actuator": {
+        "gainprm": ("actuator_gainprm", 0, "1"),
+        "biasprm": ("actuator_biasprm", 0, "1"),
+        "dynprm": ("actuator_dynprm", 0, "1"),
+        "timeconst": ("actuator_dynprm", None, "s"),
+        "gear": ("actuator_gear", 0, "1"),
+    },
+    "tendon": {
+        "stiffness": ("tendon_stiffness", None, "N/m"),
+        "damping": ("tendon_damping", None, "N s/m"),
+        "frictionloss": ("tendon_frictionloss", None, "N"),
+        "armature": ("tendon_armature", None, "kg"),
+        "springlength": ("tendon_lengthspring", 0, "m"),
+    },
+    "option": {
+        "density": ("opt.density", None, "kg/m^3"),
+        "viscosity": ("opt.viscosity", None, "Pa s"),
+        "wind": ("opt.wind", 0, "m/s"),
+        "gravity": ("opt.gravity", 0, "m/s^2"),
+    },
+}
+#: Attributes of joints: array by joint, by degree of freedom or by coordinate.
+JOINT = {
+    "stiffness": "jnt_stiffness",
+    "damping": "dof_damping",
+    "armature": "dof_armature",
+    "frictionloss": "dof_frictionloss",
+    "springref": "qpos_spring",
+}
+
+
+class Output(NamedTuple):
+    """Output of a model of MuJoCo: entries of the sensor data, and their meaning.
+
+    Attributes
+    ----------
+    first, count : int
+        Entries of ``sensordata``.
+    part : str
+        Component: ``x``, ``y``, ``z`` or ``value`` for an entry, ``roll``, ``pitch`` or ``yaw`` for a quaternion.
+    place : bool
+        Whether the output follows from the coordinates alone.
+    """
+
+    first: int
+    count: int
+    part: str
+    place: bool
+
+    def of(self, data: Array) -> Array:
+        """Return the output from sensor data, shape (..., entries)."""
+        part = data[..., self.first : self.first + self.count]
+        if self.part in ("x", "y", "z"):
+            return np.asarray(part[..., "xyz".index(self.part)])
+        if self.part == "value":
+            return np.asarray(part[..., 0])
+        w, x, y, z = np.moveaxis(part, -1, 0)
+        if self.part == "roll":
+            return np.asarray(np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)))
+        if self.part == "pitch":
+            return np.asarray(np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)))
+        return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+    @property
+    def turns(self) -> bool:
+        """Whether the output is an angle that repeats after a turn."""
+        return self.part in ("roll", "yaw")
+
+
+class Fields(dict[str, Any]):
+    """Arrays of a compiled model by name, copied when they are first read, so that effects may change them."""
+
+    def __init__(self, compiled: Any) -> None:
+        super().__init__()
+        self._compiled = compiled
+
+    def __missing__(self, name: str) -> Array:
+        self[name] = base_array(self._compiled, name).copy()
+        return np.asarray(self[name])
+
+
+def base_array(compiled: Any, name: str) -> Array:
+    """Return an array of a compiled model, or of its options (``opt.density``), as an array."""
+    holder, _, field = name.rpartition(".")
+    return np.atleast_1d(np.asarray(getattr(getattr(compiled, holder) if holder else compiled, field), dtype=float))
+
+
+def mujoco() -> Any:
+    """Return the module of MuJoCo.
+
+    Raises
+    ------
+    UsageError
+        If it is not installed.
+    """
+    try:
+        import mujoco as module
+        import mujoco.batch
+    except ImportError as error:
+        raise UsageError("models of MuJoCo need mujoco", hint="pip install 'swimid[mujoco]'") from error
+    return module
+
+
+def read_spec(path: Path) -> Any:
+    """Return the specification of a file in MJCF or URDF.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, or MuJoCo cannot read it.
+    """
+    if not path.is_file():
+        raise InputError("there is no such file", file=path)
+    try:
+        return mujoco().MjSpec.from_file(str(path))
+    except (ValueError, RuntimeError) as error:
+        text = str(error).strip().replace("\n", " ")
+        line = re.search(r"line (\d+)", text)
+        raise InputError(f"MuJoCo cannot read it: {text}", file=path, line=line and int(line[1])) from error
+
+
+class MjcfModel(SimulatorModel):
+    """Model of a file of MuJoCo, which is simulated in batches.
+
+    The time step and the integrator are those of the file.
+
+    Parameters
+    ----------
+    path : Path
+        File in MJCF or URDF.
+    parameters : mapping of name to (Parameter, path, bool)
+        Parameters, with the path of their attributes, and whether the inertia of a body changes with its mass.
+    inputs : mapping of str to str
+        Column of the log of each actuator.
+    outputs : mapping of str to str
+        Path of each channel: ``site/led/x``, ``body/head/yaw``, ``joint/tail``, ``joint/tail/rate`` or
+        ``sensor/gyro/2``.
+    keyframe : str, optional
+        Keyframe from which trials start. By default they start from the reference configuration.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or has no element or attribute of a name.
+    """
+
+    name = "mjcf"
+
+    def __init__(
+        self,
+        path: Path,
+        parameters: Mapping[str, tuple[Any, str, bool]],
+        inputs: Mapping[str, str],
+        outputs: Mapping[str, str],
+        keyframe: str | None = None,
+    ) -> None:
+        module = mujoco()
+        self.path = path
+        spec = read_spec(path)
+        for body in spec.bodies:
+            # the centre of mass of a body counts as fixed otherwise
+            body.simple = False
+        sensors = {channel: _add_sensor(spec, source, path) for channel, source in outputs.items()}
+        try:
+            self.compiled = spec.compile()
+        except ValueError as error:
+            raise InputError(f"MuJoCo cannot compile it: {error}", file=path) from error
+        self.step_s = float(self.compiled.opt.timestep)
+        self.outputs = {channel: _output(self.compiled, *sensor) for channel, sensor in sensors.items()}
+        self.attributes: list[Attribute] = []
+        made: list[Parameter] = []
+        for name, (entry, place, scaled) in parameters.items():
+            attribute = find_attribute(self.compiled, place, path, scale_inertia=scaled)
+            first = attribute.places[0]
+            start = float(base_array(self.compiled, first.field)[first.index]) / first.factor
+            self.attributes.append(attribute)
+            made.append(entry.made(name, start=start, unit=attribute.unit, source=attribute.path))
+        self.actuators = [self._element("actuator", name) for name in inputs]
+        self._key = -1 if keyframe is None else self._element("key", keyframe)
+        data = module.MjData(self.compiled)
+        module.mj_resetData(self.compiled, data)
+        if self._key >= 0:
+            module.mj_resetDataKeyframe(self.compiled, data, self._key)
+        self._rest = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()
+        self.dofs = _dofs(self.compiled)
+        super().__init__(made, tuple(inputs.values()), tuple(outputs))
+        units = {name: "m" if name.endswith("_m") else "rad" for name in self.dofs}
+        self.parameters += tuple(
+            Parameter(f"{word}_{name}{end}", units[name] + per, -math.inf, math.inf, 0.0, scale, True, True, what)
+            for word, end, per, scale, what in (
+                ("start", "", "", 0.01, "offset of the start from the reference configuration"),
+                ("initial", "_s", "/s", 0.1, "velocity at the first sample"),
+            )
+            for name in self.dofs
+        )
+
+    def _element(self, kind: str, name: str) -> int:
+        return find_element(self.compiled, kind, name, self.path)
+
+    # -------------------------------------------------------- interface of models
+
+    def scales(self, trials: Sequence[Trial]) -> Scales:
+        """Return the typical scales of the trials. The inertia is the mass of the moving bodies."""
+        return _Scales(self, trials)
+
+    def forms_of(self, effect: Effect, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Return the forms of an effect (see :meth:`Model.forms_of`)."""
+        from swimid.simulators.effects import FORMS
+
+        form = FORMS.get(effect.name)
+        return effect.variants(self, trials) if form is None else form().variants(self, trials)
+
+    @property
+    def together(self) -> int:
+        """Number of simulations in a batch."""
+        return BATCH
+
+    def at_step(self, step_s: float) -> MjcfModel:
+        """Return the model with another time step."""
+        other = copy.copy(self)
+        other.step_s = step_s
+        return other
+
+    def refined(self) -> Model | None:
+        """Return None, because the time step is part of the user's model."""
+        return None
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate a trial (see :meth:`Model.hooked`)."""
+        return self.hooked_many([(values, trial, hooks)])[0]
+
+    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
+        """Simulate several trials in batches (see :meth:`Model.hooked_many`)."""
+        groups: dict[int, list[int]] = {}
+        for k, (_, trial, hooks) in enumerate(runs):
+            groups.setdefault(self._steps(trial, hooks), []).append(k)
+        found: dict[int, dict[str, Array]] = {}
+        for steps, members in groups.items():
+            for first in range(0, len(members), BATCH):
+                part = members[first : first + BATCH]
+                found |= dict(zip(part, self._simulated([runs[k] for k in part], steps), strict=True))
+        return [found[k] for k in range(len(runs))]
+
+    # -------------------------------------------------------- simulation
+
+    def _steps(self, trial: Trial, hooks: Hooks) -> int:
+        """Return the number of steps of a trial. A log that is late needs more of them."""
+        last = max(float(trial.time_s[-1]), float(np.max(hooks.happened(trial.time_s[-1:]))))
+        return math.ceil((last - float(trial.time_s[0])) / self.step_s - 1e-9) + 1
+
+    def fields(self, values: Array, hooks: Hooks) -> Fields:
+        """Return the arrays of the compiled model that parameters and effects change, by name."""
+        found = Fields(self.compiled)
+        for attribute, value in zip(self.attributes, values, strict=False):
+            if attribute.inertia_of is not None:
+                ratio = float(value) / float(found["body_mass"][attribute.inertia_of])
+                found["body_inertia"][attribute.inertia_of] *= ratio
+            for place in attribute.places:
+                found[place.field][place.index] = place.factor * value
+        hooks.changed(found, "tables")
+        return found
+
+    def _simulated(self, runs: Sequence[Request], steps: int) -> list[dict[str, Array]]:
+        """Simulate runs with the same number of steps as one batch."""
+        module = mujoco()
+        batch = module.batch.Batch(self.compiled, len(runs), nthread=_threads())
+        fields = [self.fields(values, hooks) for values, _, hooks in runs]
+        for name in sorted({name for own in fields for name in own}):
+            batch.expand(name).reshape(len(runs), -1)[:] = [own[name].ravel() for own in fields]
+        if self.step_s != self.compiled.opt.timestep:
+            batch.expand("opt.timestep")[:] = self.step_s
+        batch.set_const()
+        batch.reset(keyframe=self._key, stage=0)
+        place, speed, control = batch.bind("qpos"), batch.bind("qvel"), np.empty((len(runs), steps, self.compiled.nu))
+        control[:] = self._rest[2]
+        for k, (values, trial, hooks) in enumerate(runs):
+            place[k], speed[k] = self._start(values)
+            times = float(trial.time_s[0]) + self.step_s * np.arange(steps)
+            for number, (actuator, column) in enumerate(zip(self.actuators, self.columns, strict=True)):
+                told = np.interp(times, trial.time_s, trial.inputs[column])
+                control[k, :, actuator] = hooks.actuated(times, told, number)
+        batch.forward(stage=0)
+        clock = int(module.mjtState.mjSTATE_TIME)
+        record = batch.rollout(steps, control, record=("sensordata", clock))
+        return [
+            self._seen(record["sensordata"][k], record[clock][k, :, 0], trial, hooks)
+            for k, (_, trial, hooks) in enumerate(runs)
+        ]
+
+    def _start(self, values: Array) -> tuple[Array, Array]:
+        """Return coordinates and velocities at the first sample."""
+        first = len(self.attributes)
+        offset, rate = values[first : first + len(self.dofs)], values[first + len(self.dofs) :][: len(self.dofs)]
+        place = self._rest[0].copy()
+        if offset.any():
+            mujoco().mj_integratePos(self.compiled, place, np.ascontiguousarray(offset), 1.0)
+        return place, self._rest[1] + rate
+
+    def _seen(self, data: Array, time: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Return the outputs at the samples of a trial from the sensor data of each step.
+
+        The data of a step belong to the state before it.
+        """
+        begin = float(trial.time_s[0])
+        grid = begin + self.step_s * np.arange(len(data))
+        # a simulation that breaks down stops, and its clock with it
+        stopped = np.append(np.diff(time) <= 0.5 * self.step_s, False) | ~np.isfinite(data).all(axis=-1)
+        at = np.clip(hooks.happened(trial.time_s), grid[0], grid[-1])
+        found = {}
+        for channel, output in self.outputs.items():
+            series = output.of(data)
+            if output.turns:
+                series = np.unwrap(series) + _turns(series[0], trial.measured.get(channel))
+            if stopped.any():
+                series = np.where(np.logical_or.accumulate(stopped), np.nan, series)
+            found[channel] = np.interp(at, grid, series)
+        return hooks.seen(found, trial.time_s) if hooks.output else found
+
+    # -------------------------------------------------------- start of a trial
+
+    def started(self, trial: Trial, state: str = "auto") -> Trial:
+        """Return a trial with the start offsets and initial velocities that its log shows.
+
+        Parameters
+        ----------
+        state : str
+            ``rest``: the trial starts at rest. ``estimate``: the velocities are estimated as well. ``auto``: they
+            are estimated if the first samples move.
+
+        Notes
+        -----
+        With the offsets the outputs have their first measured values. Offsets that no measured output shows
+        are held at zero.
+        """
+        module = mujoco()
+        data = module.MjData(self.compiled)
+        shown = {c: o for c, o in self.outputs.items() if o.place and c in trial.measured}
+        first = {c: _first(trial.time_s, trial.measured[c]) for c in shown}
+        shown = {c: o for c, o in shown.items() if first[c] is not None}
+        known = [first[c] for c in shown]
+        names = [p.name for p in self.parameters[len(self.attributes) :]]
+        if not known:
+            return replace(trial, held=tuple(names))
+        rest, count = self._rest[0], len(self.dofs)
+
+        def outputs(offset: Array) -> Array:
+            data.qpos[:] = rest
+            module.mj_integratePos(self.compiled, data.qpos, offset, 1.0)
+            module.mj_forward(self.compiled, data)
+            return np.array([o.of(data.sensordata) for o in shown.values()])
+
+        def slopes(offset: Array) -> Array:
+            size = 1e-5
+            moved = [outputs(offset + size * row) - outputs(offset - size * row) for row in np.eye(count)]
+            return np.array(moved).T / (2.0 * size)
+
+        turning = np.array([o.turns for o in shown.values()])
+        target, offset = np.array([value for value, _, _ in known]), np.zeros(count)
+        chosen = _independent(slopes(offset))
+        for _ in range(6):
+            missing = target - outputs(offset)
+            missing[turning] = np.angle(np.exp(1j * missing[turning]))
+            offset[chosen] += np.linalg.lstsq(slopes(offset)[:, chosen], missing, rcond=NO_EFFECT)[0]
+        at = slopes(offset)
+        rates = np.array([slope for _, slope, _ in known])
+        errors = np.array([error for _, _, error in known])
+        moving = state == "estimate" or (state == "auto" and bool(np.any(np.abs(rates) > MOVES * errors)))
+        starts = {f"start_{self.dofs[k]}": float(offset[k]) for k in chosen}
+        free = {f"start_{self.dofs[k]}" for k in chosen}
+        if moving:
+            speed = np.linalg.lstsq(at[:, chosen], rates, rcond=None)[0]
+            starts |= {f"initial_{self.dofs[k]}_s": float(v) for k, v in zip(chosen, speed, strict=True)}
+            free |= {f"initial_{self.dofs[k]}_s" for k in chosen}
+        return replace(trial, starts=starts, held=tuple(name for name in names if name not in free))
+
+
+class _Scales(Scales):
+    """Scales of a model of MuJoCo."""
+
+    @property
+    def inertia(self) -> float:
+        """Mass of the moving bodies, kg."""
+        compiled = self.model.compiled  # type: ignore[attr-defined]
+        return float(compiled.body_mass[compiled.body_weldid > 0].sum()) or 1.0
+
+
+def _threads() -> int:
+    """Return the number of threads of a batch: one in the worker of a pool of processes, else all processors."""
+    return 1 if multiprocessing.parent_process() is not None else os.cpu_count() or 1
+
+
+def _turns(angle: float, measured: Array | None) -> float:
+    """Return the whole turns between a simulated and a measured angle at the start, rad."""
+    if measured is None or not np.isfinite(measured).any():
+        return 0.0
+    first = float(measured[np.isfinite(measured)][0])
+    return 2.0 * math.pi * round((first - angle) / (2.0 * math.pi))
+
+
+def _first(time_s: Array, values: Array) -> tuple[float, float, float] | None:
+    """Return value, slope and standard error of the slope at the first sample; None without early samples."""
+    time, values = time_s[:FIRST_SAMPLES] - time_s[0], values[:FIRST_SAMPLES]
+    there = np.isfinite(values)
+    if there.sum() < 4:
+        return (float(values[there][0]), 0.0, math.inf) if there.any() else None
+    design = np.vander(time[there], 3, increasing=True)
+    solution = np.linalg.lstsq(design, values[there], rcond=None)[0]
+    left = values[there] - design @ solution
+    variance = float(left @ left) / max(int(there.sum()) - 3, 1)
+    error = math.sqrt(max(variance * np.linalg.pinv(design.T @ design)[1, 1], 0.0))
+    return float(values[there][0]), float(solution[1]), error
+
+
+def _independent(slopes: Array) -> NDArray[np.intp]:
+    """Return the indices of columns that are independent of each other, the largest first."""
+    from scipy.linalg import qr
+
+    _, triangle, order = qr(slopes, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    return np.sort(order[: len(sizes)][sizes > NO_EFFECT * max(float(sizes[0]), 1e-12)])
+
+
+# ---------------------------------------------------------------- elements of a file
+
+
+def find_element(compiled: Any, kind: str, name: str, path: Path) -> int:
+    """Return the index of an element of a compiled model.
+
+    Raises
+    ------
+    InputError
+        If there is no such element. The hint has the nearest name.
+    """
+    module = mujoco()
+    number = module.mj_name2id(compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), name)
+    if number < 0:
+        count = {"key": compiled.nkey, "joint": compiled.njnt, "actuator": compiled.nu}.get(kind)
+        count = getattr(compiled, f"n{kind}") if count is None else count
+        names = [module.mj_id2name(compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), k) for k in range(count)]
+        raise InputError(
+            f"has no {kind} '{name}'", file=path, hint=suggestion(name, [n for n in names if n], "it has")
+        )
+    return int(number)
+
+
+def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool = False) -> Attribute:
+    """Return the attribute of a path: ``joint/tail/stiffness``, ``geom/fin/fluidcoef[0]``, ``option/density``.
+
+    Raises
+    ------
+    InputError
+        If the file has no such element, or the attribute cannot be a parameter.
+    """
+    module = mujoco()
+    parts = place.split("/")
+    kind, name, word = parts[0], "/".join(parts[1:-1]), parts[-1]
+    bracket = re.fullmatch(r"(\w+)\[(\d)\]", word)
+    key, part = (bracket[1], int(bracket[2])) if bracket else (word, None)
+    table = {**dict.fromkeys(JOINT), "kp": None, "kv": None} if kind in ("joint", "actuator") else {}
+    table |= ATTRIBUTES.get(kind, {})
+    if kind not in (*ATTRIBUTES, "joint"):
+        raise InputError(f"'{place}' names no kind of element", file=path, hint=suggestion(kind, [*ATTRIBUTES, "joint"]))
+    if key not in table or (kind == "joint" and key not in JOINT):
+        text = f"'{key}' of {place} cannot be a parameter"
+        raise InputError(text, file=path, hint=suggestion(key, [*(JOINT if kind == "joint" else table)]))
+    if kind == "option":
+        field, column, unit = ATTRIBUTES[kind][key]
+        return Attribute(place, (Place(field, (_component(column, part, place, path) or 0,)),), unit)
+    number = find_element(compiled, kind, name, path)
+    if kind == "joint":
+        angular = compiled.jnt_type[number] != module.mjtJoint.mjJNT_SLIDE
+        at: Any = number
+        if JOINT[key].startswith("dof"):
+            begin = int(compiled.jnt_dofadr[number])
+            wide = {0: 6, 1: 3}.get(int(compiled.jnt_type[number]), 1)
+            at = slice(begin, begin + wide) if part is None else begin + part
+        elif key == "springref":
+            at = int(compiled.jnt_qposadr[number])
+        return Attribute(place, (Place(JOINT[key], (at,)),), UNITS[key][int(angular)])
+    if key == "kp":
+        return Attribute(place, _servo(compiled, number, place, path), "1")
+    if key == "kv":
+        return Attribute(place, (Place("actuator_biasprm", (number, 2), -1.0),), "1")
+    field, column, unit = ATTRIBUTES[kind][key]
+    entry = _component(column, part, place, path)
+    index: tuple[Any, ...] = (number,) if entry is None else (number, entry)
+    if key == "timeconst":
+        index = (number, 0)
+    inertia = number if (kind, key) == ("body", "mass") and scale_inertia else None
+    return Attribute(place, (Place(field, index),), unit, inertia)
+
+
+def _component(column: int | None, part: int | None, place: str, path: Path) -> int | None:
+    """Return the column of a component; None if the attribute has one value."""
+    if column is None:
+        if part is not None:
+            raise InputError(f"'{place}' has one value and no component", file=path)
+        return None
+    if part is None:
+        raise InputError(f"'{place}' has several values", file=path, hint=f"name one of them: {place}[0]")
+    return column + part
+
+
+def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[Place, ...]:
+    """Return the entries of the gain of a position servo."""
+    gain, bias = compiled.actuator_gainprm[number, 0], compiled.actuator_biasprm[number, 1]
+    if not gain or bias != -gain:
+        raise InputError(f"'{place}': the actuator is no position servo", file=path, hint="use gainprm[0]")
+    return Place("actuator_gainprm", (number, 0)), Place("actuator_biasprm", (number, 1), -1.0)
+
+
+def _dofs(compiled: Any) -> list[str]:
+    """Return the names of the degrees of freedom, with their units."""
+    module = mujoco()
+    found = []
+    for k in range(compiled.njnt):
+        name = module.mj_id2name(compiled, module.mjtObj.mjOBJ_JOINT, k) or f"joint{k}"
+        kind = int(compiled.jnt_type[k])
+        ends = {0: FREE, 1: BALL, 2: ("m",), 3: ("rad",)}[kind]
+        # the velocity of a free joint is in the world, its turn in the body
+        found += [f"{name}_{end}" for end in ends]
+    return found
+
+
+#: Sensors of MuJoCo by kind and component of an output.
+SENSORS = {
+    ("site", "xyz"): "framepos",
+    ("site", "turn"): "framequat",
+    ("body", "xyz"): "framepos",
+    ("body", "turn"): "framequat",
+    ("joint", "value"): "jointpos",
+    ("joint", "rate"): "jointvel",
+    ("tendon", "value"): "tendonpos",
+    ("tendon", "rate"): "tendonvel",
+}
+
+
+def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
+    """Add the sensor of an output to a specification, and return its name, its component and its kind.
+
+    Raises
+    ------
+    InputError
+        If the output is none, or its element does not exist.
+    """
+    module = mujoco()
+    kind, _, rest = source.partition("/")
+    if kind == "sensor":
+        name, _, component = rest.rpartition("/")
+        if not component.isdigit():
+            name, component = rest, "0"
+        if spec.sensor(name) is None:
+            raise InputError(f"has no sensor '{name}'", file=path, hint=suggestion(name, [s.name for s in spec.sensors]))
+        return name, component, False
+    name, _, component = rest.rpartition("/")
+    if kind in ("joint", "tendon"):
+        if component != "rate":
+            name, component = rest, "value"
+        group = component
+    else:
+        group = "xyz" if component in ("x", "y", "z") else "turn" if component in BALL_WORDS else ""
+    if (kind, group) not in SENSORS:
+        forms = "site/NAME/x, body/NAME/yaw, joint/NAME, joint/NAME/rate, tendon/NAME or sensor/NAME/0"
+        raise InputError(f"'{source}' is no output", file=path, hint=f"an output is {forms}")
+    if getattr(spec, kind)(name) is None:
+        names = [e.name for e in getattr(spec, {"body": "bodies"}.get(kind, kind + "s"))]
+        raise InputError(f"has no {kind} '{name}'", file=path, hint=suggestion(name, [n for n in names if n]))
+    own = f"swimid/{source}"
+    kinds = {"site": "SITE", "body": "XBODY", "joint": "JOINT", "tendon": "TENDON"}
+    spec.add_sensor(
+        name=own,
+        type=getattr(module.mjtSensor, f"mjSENS_{SENSORS[kind, group].upper()}"),
+        objtype=getattr(module.mjtObj, f"mjOBJ_{kinds[kind]}"),
+        objname=name,
+    )
+    return own, component, component != "rate"
+
+
+BALL_WORDS = ("roll", "pitch", "yaw")
+
+
+def _output(compiled: Any, sensor: str, component: str, place: bool) -> Output:
+    """Return the output of a sensor of a compiled model."""
+    module = mujoco()
+    number = module.mj_name2id(compiled, module.mjtObj.mjOBJ_SENSOR, sensor)
+    first, count = int(compiled.sensor_adr[number]), int(compiled.sensor_dim[number])
+    if component.isdigit():
+        return Output(first + int(component), 1, "value", place)
+    return Output(first, count, component, place)
