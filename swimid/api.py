@@ -146,7 +146,9 @@ def load(
     given: Any = trials
     if not isinstance(trials, Sequence):
         given, keys = [], {**keys, "table": trials}  # A cruise experiment has one table for all trials.
-    return TrialSet.of(list(given), experiment=experiment, robot=None if robot is None else str(robot), **keys)
+    return TrialSet.of(
+        list(given), experiment=experiment, robot=None if robot is None else str(robot), **keys
+    )
 
 
 def read_robot(name: str | Path) -> Robot:

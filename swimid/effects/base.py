@@ -82,6 +82,9 @@ class Effect(ABC):
     own : tuple of str
         Parameters of a model with the same meaning as the effect. A model that estimates one of them does not
         lack the effect.
+    of_model : str or None
+        Name of the kind of model that the effect is a form for, such as ``"mjcf"``. It replaces the effect of
+        its name there. None for an effect of all other models.
     adds_to : str or None
         Name of the model parameter to which the only parameter of the effect is added. Such an effect has no
         hooks.
@@ -96,6 +99,7 @@ class Effect(ABC):
     smooth: ClassVar[bool] = False
     inside: ClassVar[Inside] = {}
     own: ClassVar[tuple[str, ...]] = ()
+    of_model: ClassVar[str | None] = None
     adds_to: ClassVar[str | None] = None
 
     def __init_subclass__(cls) -> None:

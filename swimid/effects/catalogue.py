@@ -22,18 +22,38 @@ PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flo
 
 
 @functools.cache
-def catalogue() -> tuple[Effect, ...]:
-    """Return every effect of this package in the order of `STAGES`, and by name within a stage."""
+def _every_effect() -> dict[tuple[str, str | None], Effect]:
+    """Return every effect of this package by its name and the kind of model that it is a form for."""
     effects: list[Effect] = []
     for module in pkgutil.iter_modules([str(Path(__file__).parent)], "swimid.effects."):
         kinds = find_classes(importlib.import_module(module.name), Effect)
         effects += [kind() for kind in kinds if not inspect.isabstract(kind)]
-    return tuple(sorted(effects, key=lambda e: (STAGES.index(e.stage), e.name)))
+    return {(effect.name, effect.of_model): effect for effect in effects}
+
+
+@functools.cache
+def catalogue() -> tuple[Effect, ...]:
+    """Return every effect of this package in the order of `STAGES`, and by name within a stage.
+
+    Of the forms of an effect for kinds of models, only the general one is included, if there is one.
+    """
+    every = _every_effect()
+    general = [effect for (name, kind), effect in every.items() if kind is None or (name, None) not in every]
+    return tuple(sorted(general, key=lambda e: (STAGES.index(e.stage), e.name)))
+
+
+def forms(effect: Effect, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    """Return the forms of an effect that apply to a model and its trials.
+
+    A kind of model may have a form of its own, which is a class with :attr:`Effect.of_model`.
+    """
+    own = _every_effect().get((effect.name, model.name), effect)
+    return own.variants(model, trials) if own.of_model in (None, model.name) else []
 
 
 def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
     """Return those forms of the given effects that apply to a model and its trials."""
-    return [variant for effect in effects for variant in model.forms_of(effect, trials)]
+    return [variant for effect in effects for variant in forms(effect, model, trials)]
 
 
 def constants(effect: Effect) -> dict[str, Any]:
@@ -68,7 +88,7 @@ def restored(
     """
     own = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
     kind = type(effect)
-    for form in [*model.forms_of(effect, trials), *(one() for one in (kind, *kind.__subclasses__()))]:
+    for form in [*forms(effect, model, trials), *(one() for one in (kind, *kind.__subclasses__()))]:
         form = copy.copy(form)
         vars(form).update(own)
         # A form that cannot act on the model has no parameters there.

@@ -24,7 +24,7 @@ class CameraRotation(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the effect applies: both position coordinates of a swimmer must be measured."""
-        return super().applies(model, trials) and model.body is not None and _both_measured(model, trials)
+        return super().applies(model, trials) and _both_measured(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the rotation angle of the camera as a parameter, rad."""
@@ -33,7 +33,7 @@ class CameraRotation(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that rotate the simulated positions about the start of the trial."""
-        first, second, _ = model.body.pose
+        first, second, _ = model.pose
         origin = model.origin(trial)
         # Add the difference to the unrotated position, so that a zero angle changes nothing.
         turn = np.exp(1j * values[0]) - 1.0
@@ -47,7 +47,7 @@ class CameraRotation(Effect):
 
 def _both_measured(model: Model, trials: Trials) -> bool:
     """Return whether both coordinates of the position of a planar robot are measured."""
-    return len(base.select_measured(model.body.pose[:2], trials)) == 2
+    return len(base.select_measured(model.pose[:2], trials)) == 2
 
 
 #: Number of Newton iterations that compute a position from its image by a distorting lens.
@@ -78,7 +78,7 @@ class CameraScale(base.Sensing):
         The form with lens distortion is for swimmers whose two position coordinates are measured.
         """
         found = super().variants(model, trials)
-        if found and base.free_body(model) and _both_measured(model, trials):
+        if found and _both_measured(model, trials):
             return [*found, _Lens()]
         return found
 
@@ -119,7 +119,7 @@ class _Lens(CameraScale):
         area, words = reach**2, "radial distortion of the picture"
         bend = parameter("distortion_1_m2", "1/m^2", 0.03 / area, words, -0.2 / area, 0.5 / area)
         size, far, words = 0.5 * reach, 3.0 * reach, "centre of the picture"
-        first, second = model.body.pose[:2]
+        first, second = model.pose[:2]
         centre = [
             parameter(f"centre_{name}", "m", size, words, at - far, at + far, start=at)
             for name, at in ((first, middle.real), (second, middle.imag))
@@ -140,7 +140,7 @@ class _Lens(CameraScale):
         Speeds are multiplied by the scale at the centre of the image.
         """
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = model.body.pose[:2]
+        first, second = model.pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
@@ -174,7 +174,7 @@ def _places(model: Model, trial: Trial) -> Array:
 
     The real and imaginary parts are the two coordinates.
     """
-    first, second = (trial.measured.get(name) for name in model.body.pose[:2])
+    first, second = (trial.measured.get(name) for name in model.pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
@@ -299,12 +299,12 @@ class MarkerOffset(Effect):
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the effect applies.
 
-        It applies to a free swimmer whose pose or velocity is measured.
+        It applies to a robot that moves in a plane and whose pose or velocity is measured.
         """
-        body = base.free_body(model)
-        if body is None or not super().applies(model, trials):
+        if not (model.pose and super().applies(model, trials)):
             return False
-        return bool(base.select_measured((*body.pose, *body.velocity[:2]), trials))
+        speeds = () if model.body is None else model.body.velocity[:2]
+        return bool(base.select_measured((*model.pose, *speeds), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the parameters of the tracked point.
@@ -321,24 +321,24 @@ class MarkerOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that replace the simulated pose and velocity by those of the tracked point."""
-        body = model.body
         along, across, angle = (float(v) for v in values)
-        (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
+        first, second, heading = model.pose
         # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
         offset, turn = complex(along, across), np.exp(-1j * angle) - 1.0
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             place = offset * np.exp(1j * channels[heading])
-            velocity = channels[ahead] + 1j * channels[beside] + 1j * offset * channels[rate]
-            velocity = velocity + turn * velocity
-            return {
-                **channels,
+            moved = {
                 first: channels[first] + (place - place[0]).real,
                 second: channels[second] + (place - place[0]).imag,
                 heading: channels[heading] + angle,
-                ahead: velocity.real,
-                beside: velocity.imag,
             }
+            if model.body is not None:
+                ahead, beside, rate = model.body.velocity
+                velocity = channels[ahead] + 1j * channels[beside] + 1j * offset * channels[rate]
+                velocity = velocity + turn * velocity
+                moved |= {ahead: velocity.real, beside: velocity.imag}
+            return {**channels, **moved}
 
         return Hooks(output=(seen,))
 

@@ -105,7 +105,9 @@ def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:
     """Warn if half the time step of the file changes the simulation of the first trial."""
     trial = trials[0]
     values = np.array([trial.starts.get(p.name, p.start) for p in model.parameters])
-    (whole,), (half,) = (one.run_many([(values, trial)]) for one in (model, model.at_step(0.5 * model.step_s)))
+    (whole,), (half,) = (
+        one.run_many([(values, trial)]) for one in (model, model.at_step(0.5 * model.step_s))
+    )
     if not all(np.isfinite(series).all() for series in whole.values()):
         raise InputError(
             f"the simulation of the trial '{trial.id}' breaks down with the values of the file",
@@ -114,12 +116,15 @@ def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:
         )
     ranges = {name: float(np.ptp(series)) for name, series in whole.items()}
     changes = {
-        name: float(np.max(np.abs(half[name] - whole[name]))) / span for name, span in ranges.items() if span > 0
+        name: float(np.max(np.abs(half[name] - whole[name]))) / span
+        for name, span in ranges.items()
+        if span > 0
     }
     worst = max(changes, key=changes.__getitem__, default="")
     if worst and changes[worst] > SMALL_CHANGE:
         warn(
             "SWM091",
             f"{model.path.name}: half its timestep of {model.step_s:g} s changes {worst} by up to "
-            f"{100 * changes[worst]:.2g} % of its range in the trial '{trial.id}'; the timestep is part of the model",
+            f"{100 * changes[worst]:.2g} % of its range in the trial '{trial.id}'; the timestep is part of "
+            "the model",
         )

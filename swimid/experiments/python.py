@@ -66,7 +66,9 @@ class Python(SimulatorTrials):
             if error.file is not None:
                 raise
             line = yamlio.line_of(self._data, ["model", "python"])
-            raise InputError(error.reason, file=path, line=line, column="model.python", hint=error.hint) from error
+            raise InputError(
+                error.reason, file=path, line=line, column="model.python", hint=error.hint
+            ) from error
         except ValueError as error:
             raise at_key(path, self._data, ["model", "parameters"], error) from error
         model = PythonModel(simulate, parameters, entry.inputs, entry.outputs)

@@ -656,6 +656,13 @@ class Model:
         return None
 
     @property
+    def pose(self) -> tuple[str, ...]:
+        """Channels of two positions and the heading of a body that moves in a plane; empty otherwise."""
+        if self.body is None or not self.body.free:
+            return ()
+        return tuple(self.body.pose)
+
+    @property
     def axes(self) -> tuple[str, ...]:
         """World axes along which the body can travel."""
         return ("x",)
@@ -715,13 +722,6 @@ class Model:
         for effect in effects:
             model = effect.in_place_of(model)
         return model._with_acting([(effect, effect.parameters(self, trials)) for effect in effects])
-
-    def forms_of(self, effect: Effect, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return the forms of an effect that apply to the model.
-
-        A model to which an effect applies in another way returns its own forms, with the name of the effect.
-        """
-        return effect.variants(self, trials)
 
     def _with_acting(self, effects: Iterable[tuple[Effect, tuple[Parameter, ...]]]) -> Self:
         """Return a copy of the model on which further effects act with given parameters."""

@@ -293,4 +293,3 @@ def check_apart(one: TrialEntry, other: TrialEntry, file: Path, line: int | None
         raise InputError(f"{text}: what is held out must not be fitted", file=file, line=line, hint=hint)
     if one.role == "fit":
         warn("SWM074", f"{file.name}: {text}, which count twice: standard errors are too small")
-

@@ -343,7 +343,7 @@ def form_of(
     form = effect_catalogue.restored(effect, names, constants_of(file, name), model, trials)
     if form is None or file.effects.count(name) > 1:
         hint = "name each effect once, and give all of its parameters as 'effect/parameter'"
-        first = next(iter(model.forms_of(effect, trials)), None)
+        first = next(iter(effect_catalogue.forms(effect, model, trials)), None)
         if first is not None:
             hint += f": {', '.join(f'{name}/{p.name}' for p in first.parameters(model, trials))}"
         raise InputError(

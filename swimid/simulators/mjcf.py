@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales, Trial
 from swimid.simulators.model import SimulatorModel
-
-if TYPE_CHECKING:
-    from swimid.effects.base import Effect
 
 #: Number of simulations that are in memory at once.
 BATCH = 32
@@ -135,7 +132,7 @@ class Output(NamedTuple):
     first, count : int
         Entries of ``sensordata``.
     part : str
-        Component: ``x``, ``y``, ``z`` or ``value`` for an entry, ``roll``, ``pitch`` or ``yaw`` for a quaternion.
+        Component: ``x``, ``y``, ``z`` or ``value`` for an entry, else ``roll``, ``pitch`` or ``yaw``.
     place : bool
         Whether the output follows from the coordinates alone.
     """
@@ -166,7 +163,7 @@ class Output(NamedTuple):
 
 
 class Fields(dict[str, Any]):
-    """Arrays of a compiled model by name, copied when they are first read, so that effects may change them."""
+    """Arrays of a compiled model by name, copied when they are first read, so that effects change copies."""
 
     def __init__(self, compiled: Any) -> None:
         super().__init__()
@@ -180,7 +177,9 @@ class Fields(dict[str, Any]):
 def base_array(compiled: Any, name: str) -> Array:
     """Return an array of a compiled model, or of its options (``opt.density``), as an array."""
     holder, _, field = name.rpartition(".")
-    return np.atleast_1d(np.asarray(getattr(getattr(compiled, holder) if holder else compiled, field), dtype=float))
+    return np.atleast_1d(
+        np.asarray(getattr(getattr(compiled, holder) if holder else compiled, field), dtype=float)
+    )
 
 
 def mujoco() -> Any:
@@ -196,7 +195,13 @@ def mujoco() -> Any:
         import mujoco.batch
     except ImportError as error:
         raise UsageError("models of MuJoCo need mujoco", hint="pip install 'swimid[mujoco]'") from error
+    # a simulation that breaks down is stated in the result, and not by MuJoCo on the terminal
+    module.set_mju_user_warning(_ignore)
     return module
+
+
+def _ignore(text: str) -> None:
+    """Take a warning of MuJoCo."""
 
 
 def read_spec(path: Path) -> Any:
@@ -227,7 +232,7 @@ class MjcfModel(SimulatorModel):
     path : Path
         File in MJCF or URDF.
     parameters : mapping of name to (Parameter, path, bool)
-        Parameters, with the path of their attributes, and whether the inertia of a body changes with its mass.
+        Parameters, the paths of their attributes, and whether the inertia of a body changes with its mass.
     inputs : mapping of str to str
         Column of the log of each actuator.
     outputs : mapping of str to str
@@ -280,11 +285,16 @@ class MjcfModel(SimulatorModel):
         if self._key >= 0:
             module.mj_resetDataKeyframe(self.compiled, data, self._key)
         self._rest = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()
-        self.dofs = _dofs(self.compiled)
+        joints = range(self.compiled.njnt)
+        given = [module.mj_id2name(self.compiled, module.mjtObj.mjOBJ_JOINT, k) for k in joints]
+        self.joint_names = [name or f"joint{k}" for k, name in enumerate(given)]
+        self.dofs = _dofs(self.compiled, self.joint_names)
         super().__init__(made, tuple(inputs.values()), tuple(outputs))
         units = {name: "m" if name.endswith("_m") else "rad" for name in self.dofs}
         self.parameters += tuple(
-            Parameter(f"{word}_{name}{end}", units[name] + per, -math.inf, math.inf, 0.0, scale, True, True, what)
+            Parameter(
+                f"{word}_{name}{end}", units[name] + per, -math.inf, math.inf, 0.0, scale, True, True, what
+            )
             for word, end, per, scale, what in (
                 ("start", "", "", 0.01, "offset of the start from the reference configuration"),
                 ("initial", "_s", "/s", 0.1, "velocity at the first sample"),
@@ -300,13 +310,6 @@ class MjcfModel(SimulatorModel):
     def scales(self, trials: Sequence[Trial]) -> Scales:
         """Return the typical scales of the trials. The inertia is the mass of the moving bodies."""
         return _Scales(self, trials)
-
-    def forms_of(self, effect: Effect, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return the forms of an effect (see :meth:`Model.forms_of`)."""
-        from swimid.simulators.effects import FORMS
-
-        form = FORMS.get(effect.name)
-        return effect.variants(self, trials) if form is None else form().variants(self, trials)
 
     @property
     def together(self) -> int:
@@ -369,7 +372,11 @@ class MjcfModel(SimulatorModel):
             batch.expand("opt.timestep")[:] = self.step_s
         batch.set_const()
         batch.reset(keyframe=self._key, stage=0)
-        place, speed, control = batch.bind("qpos"), batch.bind("qvel"), np.empty((len(runs), steps, self.compiled.nu))
+        place, speed, control = (
+            batch.bind("qpos"),
+            batch.bind("qvel"),
+            np.empty((len(runs), steps, self.compiled.nu)),
+        )
         control[:] = self._rest[2]
         for k, (values, trial, hooks) in enumerate(runs):
             place[k], speed[k] = self._start(values)
@@ -388,7 +395,10 @@ class MjcfModel(SimulatorModel):
     def _start(self, values: Array) -> tuple[Array, Array]:
         """Return coordinates and velocities at the first sample."""
         first = len(self.attributes)
-        offset, rate = values[first : first + len(self.dofs)], values[first + len(self.dofs) :][: len(self.dofs)]
+        offset, rate = (
+            values[first : first + len(self.dofs)],
+            values[first + len(self.dofs) :][: len(self.dofs)],
+        )
         place = self._rest[0].copy()
         if offset.any():
             mujoco().mj_integratePos(self.compiled, place, np.ascontiguousarray(offset), 1.0)
@@ -422,8 +432,8 @@ class MjcfModel(SimulatorModel):
         Parameters
         ----------
         state : str
-            ``rest``: the trial starts at rest. ``estimate``: the velocities are estimated as well. ``auto``: they
-            are estimated if the first samples move.
+            ``rest``: the trial starts at rest. ``estimate``: its velocities are estimated as well. ``auto``:
+            they are estimated if the first samples move.
 
         Notes
         -----
@@ -483,7 +493,7 @@ class _Scales(Scales):
 
 
 def _threads() -> int:
-    """Return the number of threads of a batch: one in the worker of a pool of processes, else all processors."""
+    """Return the number of threads of a batch: one in a worker of a pool, else all processors."""
     return 1 if multiprocessing.parent_process() is not None else os.cpu_count() or 1
 
 
@@ -534,7 +544,10 @@ def find_element(compiled: Any, kind: str, name: str, path: Path) -> int:
     if number < 0:
         count = {"key": compiled.nkey, "joint": compiled.njnt, "actuator": compiled.nu}.get(kind)
         count = getattr(compiled, f"n{kind}") if count is None else count
-        names = [module.mj_id2name(compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), k) for k in range(count)]
+        names = [
+            module.mj_id2name(compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), k)
+            for k in range(count)
+        ]
         raise InputError(
             f"has no {kind} '{name}'", file=path, hint=suggestion(name, [n for n in names if n], "it has")
         )
@@ -542,7 +555,7 @@ def find_element(compiled: Any, kind: str, name: str, path: Path) -> int:
 
 
 def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool = False) -> Attribute:
-    """Return the attribute of a path: ``joint/tail/stiffness``, ``geom/fin/fluidcoef[0]``, ``option/density``.
+    """Return the attribute of a path, such as ``joint/tail/stiffness`` or ``geom/fin/fluidcoef[0]``.
 
     Raises
     ------
@@ -557,7 +570,9 @@ def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool
     table = {**dict.fromkeys(JOINT), "kp": None, "kv": None} if kind in ("joint", "actuator") else {}
     table |= ATTRIBUTES.get(kind, {})
     if kind not in (*ATTRIBUTES, "joint"):
-        raise InputError(f"'{place}' names no kind of element", file=path, hint=suggestion(kind, [*ATTRIBUTES, "joint"]))
+        raise InputError(
+            f"'{place}' names no kind of element", file=path, hint=suggestion(kind, [*ATTRIBUTES, "joint"])
+        )
     if key not in table or (kind == "joint" and key not in JOINT):
         text = f"'{key}' of {place} cannot be a parameter"
         raise InputError(text, file=path, hint=suggestion(key, [*(JOINT if kind == "joint" else table)]))
@@ -607,17 +622,12 @@ def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[Place, .
     return Place("actuator_gainprm", (number, 0)), Place("actuator_biasprm", (number, 1), -1.0)
 
 
-def _dofs(compiled: Any) -> list[str]:
+def _dofs(compiled: Any, joints: Sequence[str]) -> list[str]:
     """Return the names of the degrees of freedom, with their units."""
-    module = mujoco()
-    found = []
-    for k in range(compiled.njnt):
-        name = module.mj_id2name(compiled, module.mjtObj.mjOBJ_JOINT, k) or f"joint{k}"
-        kind = int(compiled.jnt_type[k])
-        ends = {0: FREE, 1: BALL, 2: ("m",), 3: ("rad",)}[kind]
-        # the velocity of a free joint is in the world, its turn in the body
-        found += [f"{name}_{end}" for end in ends]
-    return found
+    # free, ball, slide, hinge
+    ends = {0: FREE, 1: BALL, 2: ("m",), 3: ("rad",)}
+    kinds = zip(joints, compiled.jnt_type, strict=True)
+    return [f"{name}_{end}" for name, kind in kinds for end in ends[int(kind)]]
 
 
 #: Sensors of MuJoCo by kind and component of an output.
@@ -648,7 +658,9 @@ def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
         if not component.isdigit():
             name, component = rest, "0"
         if spec.sensor(name) is None:
-            raise InputError(f"has no sensor '{name}'", file=path, hint=suggestion(name, [s.name for s in spec.sensors]))
+            raise InputError(
+                f"has no sensor '{name}'", file=path, hint=suggestion(name, [s.name for s in spec.sensors])
+            )
         return name, component, False
     name, _, component = rest.rpartition("/")
     if kind in ("joint", "tendon"):

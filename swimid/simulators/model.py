@@ -24,6 +24,8 @@ from swimid.robots.file import Robot
 
 #: Maximum number of successive missing samples of an input. A line replaces shorter gaps.
 MAX_INPUT_GAP = 4
+#: Channels of a pose in the horizontal plane.
+PLANE = ("x_m", "y_m", "yaw_rad")
 #: Scale of a parameter whose start value is zero, as a fraction of the range of its bounds.
 SCALE = 0.1
 
@@ -92,9 +94,19 @@ class SimulatorModel(Model):
     offers = frozenset({"output", "clock", "command"})
     columns: tuple[str, ...] = ()
 
-    def __init__(self, parameters: Sequence[Parameter], columns: Sequence[str], outputs: Sequence[str]) -> None:
+    def __init__(
+        self, parameters: Sequence[Parameter], columns: Sequence[str], outputs: Sequence[str]
+    ) -> None:
         self.parameters, self.columns = tuple(parameters), tuple(columns)
-        self.channels = tuple(Channel(name, split_unit(name)[1] or "1", split_unit(name)[0]) for name in outputs)
+        self.channels = tuple(
+            Channel(name, split_unit(name)[1] or "1", split_unit(name)[0]) for name in outputs
+        )
+
+    @property
+    def pose(self) -> tuple[str, ...]:
+        """Channels of two positions and the heading; empty if the simulator lacks one of them."""
+        names = {channel.name for channel in self.channels}
+        return PLANE if names.issuperset(PLANE) else ()
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -207,4 +219,3 @@ def at_key(path: Path, data: Any, keys: Sequence[Any], error: ValueError) -> Inp
     """Return the error of a key of a trials file, with file and line."""
     line = yamlio.line_of(data, list(keys)) if data is not None else None
     return InputError(str(error), file=path, line=line, column=".".join(map(str, keys)))
-

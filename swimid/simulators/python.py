@@ -46,7 +46,11 @@ class PythonModel(SimulatorModel):
     name = "python"
 
     def __init__(
-        self, simulate: Simulate, parameters: Sequence[Parameter], inputs: Sequence[str], outputs: Sequence[str]
+        self,
+        simulate: Simulate,
+        parameters: Sequence[Parameter],
+        inputs: Sequence[str],
+        outputs: Sequence[str],
     ) -> None:
         super().__init__(parameters, inputs, outputs)
         self._simulate = simulate
@@ -75,10 +79,8 @@ class PythonModel(SimulatorModel):
                 )
             found[channel.name] = np.asarray(outputs[channel.name], dtype=float)
             if found[channel.name].shape != time.shape:
-                shape = found[channel.name].shape
-                raise UsageError(
-                    f"the simulator returns '{channel.name}' with the shape {shape}; the times have {time.shape}"
-                )
+                shapes = f"{found[channel.name].shape}; the times have {time.shape}"
+                raise UsageError(f"the simulator returns '{channel.name}' with the shape {shapes}")
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
 
@@ -114,4 +116,3 @@ def find_function(name: str, folder: Path) -> tuple[Simulate, Path | None]:
         names = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"'{place}' has no function '{function}'", hint=suggestion(function, names))
     return found, path
-

@@ -1,0 +1,428 @@
+"""Forms of effects that a file of MuJoCo can express, as changes of its compiled model.
+
+The hooks change arrays of the compiled model (:meth:`swimid.simulators.mjcf.MjcfModel.fields`).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from swimid.effects import base, environment, fluid, structure
+from swimid.effects.base import Array, Effect, Effects, Parameters, Trial, Trials, parameter
+from swimid.fitting.model import Hooks
+
+#: Kind of model of which the effects of this module are forms.
+KIND = "mjcf"
+#: Types of the joints that have one coordinate, in MuJoCo.
+SLIDE, HINGE = 2, 3
+#: Typical motion of a joint, m and rad, if the commands do not show it.
+USUAL = {SLIDE: 0.05, HINGE: base.USUAL_ANGLE}
+#: Damping and friction that a diagnosis tries first, as a fraction of the typical torque of the joint.
+SMALL = 0.05
+#: Maximum change of the drag coefficients, as a fraction of their values.
+MAX_DRAG_CHANGE = 4.0
+
+
+class Joint(NamedTuple):
+    """Joint of a compiled model with one coordinate, and its typical motion."""
+
+    name: str
+    number: int
+    dof: int
+    kind: int
+    #: Typical torque (N m) or force (N), and rate (rad/s or m/s).
+    torque: float
+    rate: float
+
+    @property
+    def units(self) -> tuple[str, str, str]:
+        """Units of torque, damping and inertia."""
+        return ("N m", "N m s/rad", "kg m^2") if self.kind == HINGE else ("N", "N s/m", "kg")
+
+
+def in_base(compiled: Any) -> list[int]:
+    """Return the joints by which the robot moves in the world: free ones, and several of one first body."""
+    found = []
+    for k in range(compiled.njnt):
+        body = compiled.jnt_bodyid[k]
+        several = compiled.body_parentid[body] == 0 and compiled.body_jntnum[body] > 1
+        if several or compiled.jnt_type[k] not in (SLIDE, HINGE):
+            found.append(k)
+    return found
+
+
+def joints(model: Any, trials: Trials) -> list[Joint]:
+    """Return the joints between the links of a robot."""
+    compiled, omega = model.compiled, 2.0 * math.pi / base.typical_period(model, trials)
+    found = []
+    for k in sorted({*range(compiled.njnt)} - {*in_base(compiled)}):
+        dof, kind = int(compiled.jnt_dofadr[k]), int(compiled.jnt_type[k])
+        stiffness = max(float(compiled.jnt_stiffness[k]), float(compiled.dof_M0[dof]) * omega**2)
+        found.append(Joint(model.joint_names[k], k, dof, kind, stiffness * USUAL[kind], omega * USUAL[kind]))
+    return found
+
+
+def drift_dofs(compiled: Any) -> list[int]:
+    """Return the degrees of freedom in which the base is displaced in the world."""
+    found: list[int] = []
+    for k in in_base(compiled):
+        first, kind = int(compiled.jnt_dofadr[k]), int(compiled.jnt_type[k])
+        found += range(first, first + 3) if kind == 0 else [first] * (kind == SLIDE)
+    return found
+
+
+def heaviest(compiled: Any) -> int:
+    """Return the index of the heaviest body."""
+    return int(np.argmax(compiled.body_mass))
+
+
+def in_fluid(compiled: Any) -> bool:
+    """Return whether the file has a fluid with drag."""
+    return bool(compiled.opt.density > 0.0)
+
+
+def carry(fields: Any, body: int, mass: float, inertia: float = 0.0) -> None:
+    """Add a mass (kg) without weight to a body, and an inertia (kg m2) about each of its axes."""
+    before = float(fields["body_mass"][body])
+    fields["body_gravcomp"][body] = (fields["body_gravcomp"][body] * before + mass) / max(
+        before + mass, 1e-12
+    )
+    fields["body_mass"][body] = before + mass
+    fields["body_inertia"][body] += inertia
+
+
+class OfJoint(Effect):
+    """Effect on one joint, with one parameter that is added to an array of the model.
+
+    Parameters
+    ----------
+    joint : str
+        Name of the joint.
+    """
+
+    of_model = KIND
+    smooth = True
+    #: Array of the compiled model, and word of the parameter.
+    field: ClassVar[str]
+    word: ClassVar[str]
+
+    def __init__(self, joint: str = "") -> None:
+        self.joint = joint
+
+    def variants(self, model: Any, trials: Trials) -> Effects:
+        """Return one form for each joint between the links."""
+        return [type(self)(joint.name) for joint in joints(model, trials)]
+
+    def found(self, model: Any, trials: Trials) -> Joint:
+        """Return the joint."""
+        return next(joint for joint in joints(model, trials) if joint.name == self.joint)
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the value that is added for the joint. The sum is not negative."""
+        joint = self.found(model, trials)
+        unit, size = self.measure(joint, model)
+        least = -float(getattr(model.compiled, self.field)[joint.dof])
+        ending = unit.replace(" ", "_").replace("/", "_").replace("^", "")
+        name = f"{self.joint}_{self.word}_{ending}"
+        return (parameter(name, unit, size, f"{self.word} of {self.joint} beyond the model's", lower=least),)
+
+    @abstractmethod
+    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+        """Return unit and scale of the parameter."""
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that add to the array of the compiled model."""
+        dof = self.found(model, [trial]).dof
+
+        def change(fields: dict[str, Any]) -> None:
+            fields[self.field][dof] += values[0]
+
+        return Hooks(tables=(change,))
+
+
+class MjcfJointDamping(OfJoint, structure.JointDamping):
+    """Viscous damping of a joint, in addition to that of the file (``joint/@damping``)."""
+
+    field, word = "dof_damping", "damping"
+
+    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+        """Return unit and scale of the damping."""
+        return joint.units[1], SMALL * joint.torque / joint.rate
+
+
+class JointFriction(OfJoint):
+    """Dry friction of a joint, in addition to that of the file (``joint/@frictionloss``)."""
+
+    name = "joint-friction"
+    stage = "structure"
+    meaning = "dry friction of a joint beyond the model's"
+    sources = ("MuJoCo documentation, Computation, friction loss",)
+    field, word = "dof_frictionloss", "friction"
+
+    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+        """Return unit and scale of the friction."""
+        return joint.units[0], SMALL * joint.torque
+
+
+class JointArmature(OfJoint):
+    """Inertia of the rotor behind the gear of a joint, beyond that of the file (``joint/@armature``)."""
+
+    name = "joint-armature"
+    stage = "structure"
+    meaning = "inertia of a joint's motor and gear beyond the model's"
+    sources = ("MuJoCo documentation, XML reference, joint/armature",)
+    field, word = "dof_armature", "armature"
+
+    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+        """Return unit and scale of the inertia."""
+        return joint.units[2], 0.1 * float(model.compiled.dof_M0[joint.dof])
+
+
+class MjcfJointLocked(structure.JointLocked):
+    """Joint without an actuator that gains the stiffness ``K lock / (1 - lock)``.
+
+    K is its own stiffness, or that of :data:`~swimid.effects.structure.HELD_HZ`.
+    """
+
+    of_model = KIND
+
+    def variants(self, model: Any, trials: Trials) -> Effects:
+        """Return one form for each joint between the links that no actuator drives."""
+        compiled = model.compiled
+        driven = {
+            int(k)
+            for k, kind in zip(compiled.actuator_trnid[:, 0], compiled.actuator_trntype, strict=True)
+            if kind == 0
+        }
+        return [MjcfJointLocked(joint.name) for joint in joints(model, trials) if joint.number not in driven]
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that stiffen the joint."""
+        joint, lock = next(j for j in joints(model, [trial]) if j.name == self.column), float(values[0])
+
+        def change(fields: dict[str, Any]) -> None:
+            own = float(fields["jnt_stiffness"][joint.number])
+            own = own or float(model.compiled.dof_M0[joint.dof]) * (2.0 * math.pi * structure.HELD_HZ) ** 2
+            fields["jnt_stiffness"][joint.number] += own * lock / (1.0 - lock)
+
+        return Hooks(tables=(change,))
+
+
+class MjcfJointStiffness(structure.JointStiffness):
+    """Relative change of the stiffness of all springs, of joints and of tendons."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the file has a spring."""
+        compiled = model.compiled
+        return bool(np.any(compiled.jnt_stiffness > 0) or np.any(compiled.tendon_stiffness > 0))
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that multiply the stiffnesses."""
+
+        def change(fields: dict[str, Any]) -> None:
+            for name in ("jnt_stiffness", "tendon_stiffness"):
+                fields[name] *= 1.0 + values[0]
+
+        return Hooks(tables=(change,))
+
+
+class MjcfHardening(structure.Hardening):
+    """Springs ``-K (1 + h q^2) q`` that stiffen with the deflection q (``joint/@stiffnesspoly``)."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether a joint has a spring."""
+        return bool(np.any(model.compiled.jnt_stiffness > 0))
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the relative growth of the stiffness with the squared deflection, 1/rad^2."""
+        words = "relative growth of stiffness with squared deflection"
+        return (parameter("hardening_rad_2", "rad^-2", 2.0, words, -10.0, 60.0),)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that set the quadratic term of the stiffness."""
+
+        def change(fields: dict[str, Any]) -> None:
+            fields["jnt_stiffnesspoly"][:, 1] += values[0] * fields["jnt_stiffness"]
+
+        return Hooks(tables=(change,))
+
+
+class MjcfWaterIngress(structure.WaterIngress):
+    """Mass without weight that is added at the centre of mass of the heaviest body."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the base of the robot moves."""
+        return bool(drift_dofs(model.compiled))
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the mass of the water as a parameter, kg."""
+        size = 0.05 * model.scales(trials).inertia
+        return (parameter("mass_kg", "kg", size, "mass of the water inside", lower=0.0),)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that add the mass."""
+        body = heaviest(model.compiled)
+        return Hooks(tables=(lambda fields: carry(fields, body, float(values[0])),))
+
+
+class MjcfComOffset(structure.ComOffset):
+    """Displacement of the centre of mass of the heaviest body along the axes of the body."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the base of the robot moves."""
+        return bool(drift_dofs(model.compiled))
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the displacements along the axes of the body, m."""
+        compiled = model.compiled
+        size = 0.03 * float(np.sqrt(np.max(compiled.body_inertia) / np.max(compiled.body_mass)))
+        axes = "xyz" if np.any(compiled.opt.gravity) else "xy"
+        words = "displacement of the centre of mass along"
+        return tuple(parameter(f"{a}_m", "m", size, f"{words} {a}", -20.0 * size, 20.0 * size) for a in axes)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that move the centre of mass."""
+        body = heaviest(model.compiled)
+
+        def change(fields: dict[str, Any]) -> None:
+            fields["body_ipos"][body, : len(values)] += values
+
+        return Hooks(tables=(change,))
+
+
+class MjcfAddedMass(fluid.AddedMass):
+    """Added mass in acceleration, which the fluid forces of MuJoCo do not have.
+
+    Each body gains a share of the mean added mass and added inertia that MuJoCo computes for its ellipsoids
+    (Lamb 1932), or of the displaced water of its own mass if it has none. The mass has no direction.
+    """
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the file has a fluid, and the base of the robot moves."""
+        return in_fluid(model.compiled) and bool(drift_dofs(model.compiled))
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the share of the theoretical added mass, without unit."""
+        return (parameter("share", "1", 0.2, "added mass over that of theory", 0.0, 5.0),)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that add mass and inertia to the bodies."""
+        compiled, share = model.compiled, float(values[0])
+        shaped = compiled.geom_fluid[:, 0] > 0
+
+        def change(fields: dict[str, Any]) -> None:
+            if not shaped.any():
+                for body in range(1, compiled.nbody):
+                    carry(fields, body, share * float(compiled.body_mass[body]))
+            for geom in np.flatnonzero(shaped):
+                mass, inertia = (compiled.geom_fluid[geom, at : at + 3].mean() for at in (6, 9))
+                density = share * float(compiled.opt.density)
+                carry(fields, int(compiled.geom_bodyid[geom]), density * mass, density * inertia)
+
+        return Hooks(tables=(change,))
+
+
+class MjcfLinearDrag(fluid.LinearDrag):
+    """Linear drag ``-c v`` of the base in the world, equal in all directions (damping of its joints)."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the base of the robot moves."""
+        return bool(drift_dofs(model.compiled))
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the drag per speed as a parameter, N s/m."""
+        scales = model.scales(trials)
+        size = scales.inertia / max(scales.duration, 1e-9)
+        return (parameter("linear_N_s_m", "N s/m", size, "drag per speed", lower=0.0),)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that add to the damping of the base."""
+        dofs = drift_dofs(model.compiled)
+
+        def change(fields: dict[str, Any]) -> None:
+            fields["dof_damping"][dofs] += values[0]
+
+        return Hooks(tables=(change,))
+
+
+class MjcfQuadraticDrag(fluid.QuadraticDrag):
+    """Relative change of the drag coefficients of all ellipsoids; without them, of the fluid's density."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the file has a fluid."""
+        return in_fluid(model.compiled)
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the relative change of the drag, without unit."""
+        return (parameter("change", "1", 0.1, "relative change of the drag", -0.95, MAX_DRAG_CHANGE),)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that multiply the drag coefficients."""
+
+        def change(fields: dict[str, Any]) -> None:
+            if (fields["geom_fluid"][:, 0] > 0).any():
+                fields["geom_fluid"][:, 1:4] *= 1.0 + values[0]
+            else:
+                fields["opt.density"] *= 1.0 + values[0]
+
+        return Hooks(tables=(change,))
+
+
+class MjcfCurrent(environment.Current):
+    """Steady current of the fluid (``option/@wind``)."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the file has a fluid, and the base of the robot moves."""
+        return in_fluid(model.compiled) and bool(drift_dofs(model.compiled)) and bool(model.axes)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that set the velocity of the fluid."""
+        axes = ["xyz".index(axis) for axis in model.axes]
+
+        def change(fields: dict[str, Any]) -> None:
+            fields["opt.wind"][axes] += values
+
+        return Hooks(tables=(change,))
+
+
+class MjcfBuoyancy(environment.Buoyancy):
+    """Buoyancy of the heaviest body, as a share of its weight (``body/@gravcomp``)."""
+
+    of_model = KIND
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether gravity acts, and the base of the robot moves."""
+        return bool(np.any(model.compiled.opt.gravity)) and bool(drift_dofs(model.compiled))
+
+    def parameters(self, model: Any, trials: Trials) -> Parameters:
+        """Return the share of the weight that is lifted, without unit."""
+        return (parameter("share", "1", 0.02, "share of the weight that is lifted", -0.5, 0.5),)
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return hooks that lift the heaviest body."""
+        body = heaviest(model.compiled)
+
+        def change(fields: dict[str, Any]) -> None:
+            fields["body_gravcomp"][body] += values[0]
+
+        return Hooks(tables=(change,))

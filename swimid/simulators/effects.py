@@ -1,3 +1,0 @@
-"""Forms of effects that a file of MuJoCo can express."""
-from typing import Any
-FORMS: dict[str, Any] = {}
