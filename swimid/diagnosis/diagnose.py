@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import answer, evidence, nominal, power, readings, repaired, search
 from swimid.diagnosis.evidence import Diagnosis
-from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.power import DetectionPower
 from swimid.diagnosis.proposals import Limits
@@ -37,7 +36,7 @@ from swimid.simulation.compare_series import ChannelScore
 
 #: Text that says why a diagnosis without a parameter file cannot find a changed parameter.
 NOT_GIVEN = (
-    "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
+    "no parameter file was given: the refit began at the values of {}, of which nothing is taken "
     "as known, and no change of a parameter can be named"
 )
 #: Text that says why there is no proposed trial if the answer leaves no rival causes.
@@ -221,7 +220,8 @@ def diagnose(
         jobs = options.jobs or os.cpu_count() or 1
         study = Study(model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs)
         applicable = effect_catalogue.applicable(known, model, fitted)
-        given, reasons = ROBOT_FILE, [NOT_GIVEN]
+        given = experiment.values_from
+        reasons = [NOT_GIVEN.format(given)]
         if options.params is not None:
             given, reasons = str(parameters_format.place(options.params)), []
         about: dict[str, Any] = {

@@ -13,7 +13,6 @@ from swimid.diagnosis import verdict
 from swimid.diagnosis.gap_file import (
     HELD_OUT,
     READING,
-    ROBOT_FILE,
     Absorbed,
     Cause,
     Cell,
@@ -26,6 +25,7 @@ from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.verdict import interval_text, otherwise_text
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
+from swimid.fitting.fit_common import ROBOT_FILE, TRIALS_FILE
 from swimid.logs import log as log_format
 from swimid.logs.log import Log
 from swimid.results import evidence as ev
@@ -401,7 +401,7 @@ def answer_text(file: GapFile) -> str:
     names = [_named(c) for c in file.causes]
     if file.verdict == "none":
         said = "The model describes these trials as well as their noise allows."
-        if file.moved or file.params == ROBOT_FILE:
+        if file.moved or file.params in (ROBOT_FILE, TRIALS_FILE):
             said = "The refitted model describes these trials as well as their noise allows."
     elif file.verdict == "explained":
         alone = [_named(c, rivals=False) for c in file.causes]

@@ -24,8 +24,6 @@ HELD_OUT: dict[HeldOut | None, str] = {
     "trials": "in cross-validation over trials",
     "stretches": "in cross-validation over stretches of trials",
 }
-#: Value of the gap-file field ``params`` in a diagnosis without a parameter file.
-ROBOT_FILE = "the robot file"
 #: Prefix of the names of other interpretations of the robot. The rest of such a name is a value of the option
 #: ``--reading``.
 READING = "reading:"

@@ -62,6 +62,8 @@ OUTLIER = 8.0
 MIN_SHOWN_CHANGE = 1e-3
 #: Verdicts of a check that does not pass, indexed by whether it fails: a warning, or a failure.
 VERDICTS: tuple[Literal["warn"], Literal["fail"]] = ("warn", "fail")
+#: Sources of the values of a model without a parameter file: of a robot file, and of a simulator of the user.
+ROBOT_FILE, TRIALS_FILE = "the robot file", "the trials file"
 #: Names of the channels of angles that a camera may measure in addition to a position.
 ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
@@ -87,6 +89,8 @@ class Experiment:
     facts: Mapping[str, Any] = field(default_factory=dict)
     #: Path of the robot file; None if the result does not refer to it.
     robot_path: Path | None = None
+    #: Source of the values of the model, in words.
+    values_from: str = ROBOT_FILE
 
     @classmethod
     def of(

@@ -187,8 +187,10 @@ class Result:
             params = [place for name, place in given.items() if Path(name).name == Path(str(about)).name]
             if not given or ("{params}" in step and not params):
                 return ""
-            own = [place for place in given.values() if place.endswith(".py")]
-            trials = next(place for place in given.values() if place not in own)
+            code = [place for place in given.values() if place.endswith(".py")]
+            trials = next(place for place in given.values() if place not in code)
+            # the code of a simulator is named in the trials file
+            own = [] if getattr(self.document, "model", None) == "python" else code
             words |= {"trials": typed(trials), "params": "".join(map(typed, params[:1]))}
             words["own"] = "".join(f" --experiment {typed(place)}" for place in own)
         return step.format(**words)

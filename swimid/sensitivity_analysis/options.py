@@ -12,11 +12,11 @@ from swimid.swimmer import options as swimmers
 
 
 class SensitivityOptions(Options, command="sensitivity", section="Diagnose", makes="sensitivity"):
-    """Rank the coefficients of a swimmer by their effect on each output.
+    """Rank the coefficients of a model by their effect on each output.
 
-    TRIALS is a trials file of a free-swim or multibody experiment. All coefficients vary at once over their
-    ranges. Outputs are speeds, rates, and the root-mean-square error of each measured channel. A run that was
-    stopped continues when it is started again.
+    TRIALS is a trials file of any experiment. All coefficients vary at once over their ranges. Outputs are
+    the root-mean-square error of each measured channel, and for a robot with links speeds and rates. A run
+    that was stopped continues when it is started again.
 
     Examples:
       swimid sensitivity trials.yaml -o sens.yaml

@@ -19,7 +19,7 @@ from swimid.files import atomic, provenance, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.steps import choose_step
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
@@ -193,12 +193,13 @@ class Run:
     measured: Mapping[str, MeasuredChannel]
     values: Array
 
-    def outputs(self, model: Swimmer, values: Array, columns: Mapping[str, Array]) -> dict[str, Quantity]:
+    def outputs(self, model: Model, values: Array, columns: Mapping[str, Array]) -> dict[str, Quantity]:
         """Return the outputs of the simulated trial by name. They are NaN if the simulation breaks down."""
         outputs: dict[str, Quantity] = {}
         if self.swim is not None:
-            known, units = self.swim.quantities(model, values, columns, None), units_of(model)
-            for name in _swim_outputs(model, self.swim):
+            swimmer: Swimmer = model.swimmer
+            known, units = self.swim.quantities(swimmer, values, columns, None), units_of(swimmer)
+            for name in _swim_outputs(swimmer, self.swim):
                 outputs[name] = Quantity(known.get(name, math.nan), units[name])
         for name, channel in self.measured.items():
             error = math.nan
@@ -233,7 +234,7 @@ class Study:
         Quantity, trial and unit of each output, in order.
     """
 
-    model: Swimmer
+    model: Model
     ranges: Mapping[str, Range]
     runs: Sequence[Run]
     columns: Sequence[tuple[str, str, str]]
@@ -275,7 +276,7 @@ def sensitivity(
     output: Path | None = None,
     progress: Progress = silent,
 ) -> Sensitivity:
-    """Estimate the sensitivity of the outputs of a robot with links to its coefficients.
+    """Estimate the sensitivity of the outputs of a model to its coefficients.
 
     By default, the varied coefficients are those that a fit estimates and those with a given range. A
     parameter file supplies values, standard errors, initial states and noise. The indices are valid for the
@@ -284,7 +285,7 @@ def sensitivity(
     Parameters
     ----------
     trials : path or TrialSet
-        Trials file of a free-swim or multibody experiment, or the trials that :func:`swimid.load` returns.
+        Trials file of any experiment, or the trials that :func:`swimid.load` returns.
     output : Path, optional
         Sensitivity file to write. The evidence file is written next to it.
     progress : Progress
@@ -328,11 +329,7 @@ def sensitivity(
         if params is None and options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
         experiment, applied = catalogue.load(trials, options)
-        model = applied.model.swimmer
-        if model is None:
-            raise UsageError(
-                f"a study needs free-swim or multibody trials of a robot with links, not '{experiment.name}'"
-            )
+        model = applied.model
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
@@ -341,7 +338,7 @@ def sensitivity(
         model.prepare(progress)
         runs = [(applied.values(trial), trial) for trial in experiment.trials]
         chosen = choose_step(applied.model, runs, [applied.noise()] * len(runs))
-        applied, model = applied.at_step(chosen.model), chosen.model.swimmer
+        applied, model = applied.at_step(chosen.model), chosen.model
         study = _study(experiment, applied, over)
         estimates = sobol(
             study.outputs,
@@ -355,9 +352,11 @@ def sensitivity(
             progress=progress,
         )
         given = np.array([[r.value for r in over.values()]])
-        (centre,), (finer,) = study.outputs(given), replace(study, model=model.refined()).outputs(given)
-        vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
-        step_change = float(np.max(np.abs(finer - centre)[vary] / estimates.sd[vary], initial=0.0))
+        (centre,), step_change, finer = study.outputs(given), 0.0, model.refined()
+        if finer is not None:
+            vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
+            change = np.abs(replace(study, model=finer).outputs(given)[0] - centre)
+            step_change = float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
         file = SensitivityFile(
             verdict="caution",
             model=model.name,
@@ -380,7 +379,7 @@ def sensitivity(
         verdict=ev.judged(_answer(file), checks),
         facts={
             "Robot": file.robot,
-            "Parameters": file.params or "the robot file's",
+            "Parameters": file.params or f"those of {experiment.values_from}",
             "Trials": str(len(file.trials)),
             "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
         },
@@ -497,7 +496,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
 
     An error is raised if a simulation with the given coefficients breaks down.
     """
-    model: Swimmer = applied.model.swimmer
+    model = applied.model
     runs, columns = [], []
     for trial in experiment.trials:
         run = _run(applied, model, trial)
@@ -515,12 +514,12 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
     return Study(model, over, runs, columns)
 
 
-def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
+def _run(applied: Applied, model: Model, trial: Trial) -> Run:
     """Return a trial prepared for simulation, with its initial state and its measured channels."""
     values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
     swim, times = None, trial.time_s
-    if trial.swim.drive is not None:
-        swim = SwimRun.of(model, trial, trial.swim.drive.frequency_hz)
+    if model.swimmer is not None and trial.swim.drive is not None:
+        swim = SwimRun.of(model.swimmer, trial, trial.swim.drive.frequency_hz)
     if swim is not None:
         times = swim.trial.time_s
     measured, units, noise = {}, {c.name: c.unit for c in model.channels}, applied.noise()
@@ -532,7 +531,9 @@ def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
         if noise.get(name, 0.0) > 0:
             scale, unit = noise[name], "1"
         measured[name] = MeasuredChannel(trial.time_s[known], samples[known], scale, unit)
-    return Run(replace(trial, time_s=times, measured={}, inputs={}), swim, measured, values)
+    if swim is not None:
+        trial = replace(trial, time_s=times, measured={}, inputs={})
+    return Run(trial, swim, measured, values)
 
 
 def _outputs(study: Study, centre: Array, estimates: Sobol) -> list[Output]:

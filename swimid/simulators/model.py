@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Input
-from swimid.fitting.fit_common import Experiment, read_log
+from swimid.fitting.fit_common import TRIALS_FILE, Experiment, read_log
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial
 from swimid.logs import log as log_format
 from swimid.logs.experiments import TrialEntry, Trials
@@ -195,7 +195,8 @@ class SimulatorTrials(Trials):
     ) -> Experiment:
         """Return the experiment of the model with its trials."""
         inputs = list(sources) if self._in_memory else [path, *sources]
-        return Experiment(self.experiment, self.read_robot(path.parent), model, trials, inputs)
+        robot = self.read_robot(path.parent)
+        return Experiment(self.experiment, robot, model, trials, inputs, values_from=TRIALS_FILE)
 
     #: Trials with logs. Derived classes may have further keys of a trial.
     trials: Annotated[list[TrialEntry], Field(min_length=1)]

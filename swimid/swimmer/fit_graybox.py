@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swimid.errors import InputError, Interrupted, NoTrustworthyResult
+from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.executors import Rebuilt, on_cluster
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error, rivals
+from swimid.fitting.fit import fit
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.global_search import Start, agreeing, multistart
 from swimid.fitting.model import (
@@ -130,6 +131,10 @@ def fit_graybox(
     >>> round(fit["c_ma"].value, 1)
     1.0
     """
+    if not isinstance(trials, TrialSet):
+        trials = TrialSet.read(trials)
+    if not trials.entries.robot_form:
+        return _fit_simulator(trials, options, output, progress)
     with recorded(repeat=True) as notices:
         posed = Posed.of(trials, options, output)
         experiment, model, parameters = posed.experiment, posed.model, posed.parameters
@@ -177,6 +182,30 @@ def fit_graybox(
             search.checkpoint.done()
     _require_result(result, file, search, trials, output, explanation)
     return fitted
+
+
+def _fit_simulator(
+    trials: TrialSet, options: FitGrayboxOptions, output: Path | None, progress: Progress
+) -> Fitted:
+    """Fit the simulator of a user as the command ``fit`` does.
+
+    Raises
+    ------
+    UsageError
+        If an option is given that only a robot with links has.
+    """
+    used = {"fixed", "freed", "bounds"}
+    defaults = type(options)()
+    other = [
+        name
+        for name in type(options).model_fields
+        if name not in used | {"jobs"} and getattr(options, name) != getattr(defaults, name)
+    ]
+    if other:
+        flag = type(options).declared()[other[0]].flag
+        raise UsageError(f"{flag} has no effect on the model of the experiment '{trials.experiment}'")
+    given = {name: getattr(options, name) for name in used}
+    return fit(trials, output=output, progress=progress, **given)
 
 
 @dataclass(frozen=True)
