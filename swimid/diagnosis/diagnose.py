@@ -75,9 +75,15 @@ def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequen
 
 
 def _checked_place(
-    options: DiagnoseOptions, output: Path | None, inputs: Sequence[Input], allow: Callable[[Path], object]
+    options: DiagnoseOptions,
+    output: Path | None,
+    inputs: Sequence[Input],
+    allow: Callable[[Path], object],
+    ending: str,
 ) -> Path | None:
     """Check all outputs, and return the path of the parameter file with the causes; None if none is written.
+
+    The file of a user's simulator with the causes has the same path with its own ending.
 
     Raises
     ------
@@ -97,7 +103,10 @@ def _checked_place(
             raise UsageError(f"two outputs would be written to {place}", hint=hint)
         if any(isinstance(i, str | Path) and Path(i).resolve() == place.resolve() for i in inputs):
             raise UsageError(f"{place} is an input of this diagnosis", hint=hint)
-    for path in (output, place, options.next):
+    edited = None
+    if place is not None and ending:
+        edited = place.with_suffix(ending)
+    for path in (output, place, edited, options.next):
         if path is not None:
             allow(atomic.check_writable(path, inputs=inputs))
     return place
@@ -199,7 +208,7 @@ def diagnose(
         experiment = loaded.experiment
         model = experiment.model
         inputs = [*experiment.inputs, *options.own_effects]
-        place = _checked_place(options, output, inputs, allow)
+        place = _checked_place(options, output, inputs, allow, model.file_ending)
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # The noise is estimated with the whole catalogue, even if only some effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
@@ -260,6 +269,10 @@ def diagnose(
         repaired_file = repaired.parameters(
             found, file, loaded, folder, readings=options.readings, provenance=origin
         )
+        simulator = None
+        if repaired_file is not None and place is not None:
+            edited = repaired.simulator_file(loaded, repaired_file, place, options.own_effects)
+            simulator = edited and (model.file_ending, edited)
         if repaired_file is None and place is not None and place.exists():
             warn("SWM061", f"{place.name} belongs to an earlier run: this one found no cause to write to it")
         if options.next is not None and all(a.command is None for a in file.advice):
@@ -273,7 +286,7 @@ def diagnose(
     }
     file = file.model_copy(update=about)
     rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
-    made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file)
+    made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file, simulator=simulator)
     made = _written(made, output, place, options.next)
     keep.done()
     return made

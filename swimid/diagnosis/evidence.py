@@ -26,6 +26,7 @@ from swimid.diagnosis.verdict import interval_text, otherwise_text
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
 from swimid.fitting.fit_common import ROBOT_FILE, TRIALS_FILE
+from swimid.fitting.model import SimulatorFile
 from swimid.logs import log as log_format
 from swimid.logs.log import Log
 from swimid.results import evidence as ev
@@ -577,6 +578,8 @@ class Diagnosis(FileResult[GapFile]):
     """
 
     repaired: ParameterFile | None = field(default=None, repr=False)
+    #: User's file of a simulator with the causes, and its ending.
+    simulator: tuple[str, SimulatorFile] | None = field(default=None, repr=False)
 
     file_type = GapFile
     leads_page = True
@@ -624,8 +627,16 @@ class Diagnosis(FileResult[GapFile]):
         }  # fmt: skip
         fitted = Fitted.of(self.repaired, shown.model_copy(update=about)).save(path)
         said = f"The model with {names} is in {Path(path).name}: give it as --params to any command."
+        outputs = [*self.outputs, *fitted.outputs]
+        if self.simulator is not None:
+            ending, (text, left_out) = self.simulator
+            outputs.append(Path(path).with_suffix(ending))
+            atomic.write_text(outputs[-1], text)
+            said += f" The file of your simulator with them is {outputs[-1].name}."
+            if left_out:
+                said += f" It does not express: {'; '.join(left_out)}."
         noted = shown.model_copy(update={"notes": [*shown.notes, in_words_of_the_caller(said)]})
-        return replace(self, evidence=noted, outputs=[*self.outputs, *fitted.outputs])
+        return replace(self, evidence=noted, outputs=outputs)
 
     @property
     def next(self) -> Log | None:

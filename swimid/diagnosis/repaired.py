@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,11 @@ from swimid.diagnosis.study import Hypothesis, rms
 from swimid.effects.base import Effect
 from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
-from swimid.fitting.model import Array, Parameter
+from swimid.fitting.model import Array, Parameter, SimulatorFile
 from swimid.results import parameters as parameters_format
 from swimid.results.numbers import listed
 from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
-from swimid.simulation.catalogue import Loaded
+from swimid.simulation.catalogue import Applied, Loaded
 
 
 def parameters(
@@ -89,6 +90,18 @@ def parameters(
         made.delay, made.sample_time_s = known.delay, known.sample_time_s
     made._drag = experiment.facts.get("drag")
     return made
+
+
+def simulator_file(
+    loaded: Loaded, made: ParameterFile, place: Path, own_effects: Sequence[Path]
+) -> SimulatorFile | None:
+    """Return the user's file of a simulator with the causes; None if the model has no such file."""
+    model = copy.copy(loaded.experiment.model)
+    if model.acting:
+        model.parameters, model.acting = model.parameters[: model.acting[0].first], ()
+    trials = loaded.experiment.trials
+    applied = Applied(model, made, place, trials=trials, own_effects=own_effects)
+    return applied.model.simulator_file(applied.values(), trials[0], place)
 
 
 def _parameters_of(fit: Hypothesis, effect: Effect) -> list[Parameter]:

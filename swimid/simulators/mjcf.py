@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales, Trial
+from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales, SimulatorFile, Trial
 from swimid.simulators.model import SimulatorModel
 
 #: Number of simulations that are in memory at once.
@@ -32,7 +32,8 @@ FREE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 BALL = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
-class Place(NamedTuple):
+@dataclass(frozen=True)
+class Place:
     """Entries of an array of a compiled model that an attribute of the file sets.
 
     Attributes
@@ -129,7 +130,7 @@ class Output(NamedTuple):
 
     Attributes
     ----------
-    first, count : int
+    first, size : int
         Entries of ``sensordata``.
     part : str
         Component: ``x``, ``y``, ``z`` or ``value`` for an entry, else ``roll``, ``pitch`` or ``yaw``.
@@ -138,13 +139,13 @@ class Output(NamedTuple):
     """
 
     first: int
-    count: int
+    size: int
     part: str
     place: bool
 
     def of(self, data: Array) -> Array:
         """Return the output from sensor data, shape (..., entries)."""
-        part = data[..., self.first : self.first + self.count]
+        part = data[..., self.first : self.first + self.size]
         if self.part in ("x", "y", "z"):
             return np.asarray(part[..., "xyz".index(self.part)])
         if self.part == "value":
@@ -248,6 +249,7 @@ class MjcfModel(SimulatorModel):
     """
 
     name = "mjcf"
+    file_ending = ".xml"
 
     def __init__(
         self,
@@ -380,9 +382,9 @@ class MjcfModel(SimulatorModel):
         control[:] = self._rest[2]
         for k, (values, trial, hooks) in enumerate(runs):
             place[k], speed[k] = self._start(values)
-            times = float(trial.time_s[0]) + self.step_s * np.arange(steps)
+            times: Array = float(trial.time_s[0]) + self.step_s * np.arange(float(steps))
             for number, (actuator, column) in enumerate(zip(self.actuators, self.columns, strict=True)):
-                told = np.interp(times, trial.time_s, trial.inputs[column])
+                told: Array = np.array(np.interp(times, trial.time_s, trial.inputs[column]))
                 control[k, :, actuator] = hooks.actuated(times, told, number)
         batch.forward(stage=0)
         clock = int(module.mjtState.mjSTATE_TIME)
@@ -424,6 +426,12 @@ class MjcfModel(SimulatorModel):
             found[channel] = np.interp(at, grid, series)
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
+    def simulator_file(self, values: Array, trial: Trial, path: Path) -> SimulatorFile:
+        """Return the user's file with the values and effects (see :meth:`Model.simulator_file`)."""
+        from swimid.simulators.repaired import repaired_file
+
+        return repaired_file(self, values, trial, path)
+
     # -------------------------------------------------------- start of a trial
 
     def started(self, trial: Trial, state: str = "auto") -> Trial:
@@ -445,7 +453,7 @@ class MjcfModel(SimulatorModel):
         shown = {c: o for c, o in self.outputs.items() if o.place and c in trial.measured}
         first = {c: _first(trial.time_s, trial.measured[c]) for c in shown}
         shown = {c: o for c, o in shown.items() if first[c] is not None}
-        known = [first[c] for c in shown]
+        known = [begin for begin in first.values() if begin is not None]
         names = [p.name for p in self.parameters[len(self.attributes) :]]
         if not known:
             return replace(trial, held=tuple(names))

@@ -159,6 +159,7 @@ class SimulatorTrials(Trials):
     robot_form = ""
     commands = ("fit", "fit-graybox")
     robot: str = ""
+    trials: Any
 
     def read_robot(self, folder: Path) -> Robot:
         """Return a robot that has a name only. By default the name is that of the simulator."""
@@ -170,7 +171,7 @@ class SimulatorTrials(Trials):
 
     def read_trials(
         self, path: Path, inputs: Sequence[str], outputs: Sequence[str]
-    ) -> tuple[list[Trial], list[Input]]:
+    ) -> tuple[list[Trial], Sequence[Input]]:
         """Read the logs: the inputs, and those of the outputs that a log has.
 
         Raises
@@ -197,9 +198,6 @@ class SimulatorTrials(Trials):
         inputs = list(sources) if self._in_memory else [path, *sources]
         robot = self.read_robot(path.parent)
         return Experiment(self.experiment, robot, model, trials, inputs, values_from=TRIALS_FILE)
-
-    #: Trials with logs. Derived classes may have further keys of a trial.
-    trials: Annotated[list[TrialEntry], Field(min_length=1)]
 
 
 def _bridged(log: log_format.Log, name: str) -> Array:
