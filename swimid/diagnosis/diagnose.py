@@ -22,6 +22,7 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
+from swimid.fitting.fit_common import TRIALS_FILE
 from swimid.fitting.model import Model
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
@@ -39,6 +40,8 @@ NOT_GIVEN = (
     "no parameter file was given: the refit began at the values of {}, of which nothing is taken "
     "as known, and no change of a parameter can be named"
 )
+#: Text on an effect that has no form for a simulator of the user.
+CANNOT_ACT = "it has no form for this simulator, or none of its channels was measured"
 #: Text that says why there is no proposed trial if the answer leaves no rival causes.
 NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
 
@@ -278,6 +281,9 @@ def diagnose(
         if options.next is not None and all(a.command is None for a in file.advice):
             why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
             warn("SWM075", f"{options.next.name} is not written: {why[0]}")
+    if experiment.values_from == TRIALS_FILE:
+        found_forms = {e.name for e in applicable}
+        alike |= {e.name: CANNOT_ACT for e in known if e.stage != "rig" and e.name not in found_forms}
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
     about |= {
         "reasons": [*file.reasons, *reasons],

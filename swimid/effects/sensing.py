@@ -33,7 +33,7 @@ class CameraRotation(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that rotate the simulated positions about the start of the trial."""
-        first, second, _ = model.pose
+        first, second, _ = model.planar_pose
         origin = model.origin(trial)
         # Add the difference to the unrotated position, so that a zero angle changes nothing.
         turn = np.exp(1j * values[0]) - 1.0
@@ -47,7 +47,7 @@ class CameraRotation(Effect):
 
 def _both_measured(model: Model, trials: Trials) -> bool:
     """Return whether both coordinates of the position of a planar robot are measured."""
-    return len(base.select_measured(model.pose[:2], trials)) == 2
+    return len(base.select_measured(model.planar_pose[:2], trials)) == 2
 
 
 #: Number of Newton iterations that compute a position from its image by a distorting lens.
@@ -119,7 +119,7 @@ class _Lens(CameraScale):
         area, words = reach**2, "radial distortion of the picture"
         bend = parameter("distortion_1_m2", "1/m^2", 0.03 / area, words, -0.2 / area, 0.5 / area)
         size, far, words = 0.5 * reach, 3.0 * reach, "centre of the picture"
-        first, second = model.pose[:2]
+        first, second = model.planar_pose[:2]
         centre = [
             parameter(f"centre_{name}", "m", size, words, at - far, at + far, start=at)
             for name, at in ((first, middle.real), (second, middle.imag))
@@ -140,7 +140,7 @@ class _Lens(CameraScale):
         Speeds are multiplied by the scale at the centre of the image.
         """
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = model.pose[:2]
+        first, second = model.planar_pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
@@ -174,7 +174,7 @@ def _places(model: Model, trial: Trial) -> Array:
 
     The real and imaginary parts are the two coordinates.
     """
-    first, second = (trial.measured.get(name) for name in model.pose[:2])
+    first, second = (trial.measured.get(name) for name in model.planar_pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
@@ -301,10 +301,10 @@ class MarkerOffset(Effect):
 
         It applies to a robot that moves in a plane and whose pose or velocity is measured.
         """
-        if not (model.pose and super().applies(model, trials)):
+        if not (model.planar_pose and super().applies(model, trials)):
             return False
         speeds = () if model.body is None else model.body.velocity[:2]
-        return bool(base.select_measured((*model.pose, *speeds), trials))
+        return bool(base.select_measured((*model.planar_pose, *speeds), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the parameters of the tracked point.
@@ -322,7 +322,7 @@ class MarkerOffset(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that replace the simulated pose and velocity by those of the tracked point."""
         along, across, angle = (float(v) for v in values)
-        first, second, heading = model.pose
+        first, second, heading = model.planar_pose
         # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
         offset, turn = complex(along, across), np.exp(-1j * angle) - 1.0
 

@@ -674,7 +674,7 @@ class Model:
         return None
 
     @property
-    def pose(self) -> tuple[str, ...]:
+    def planar_pose(self) -> tuple[str, ...]:
         """Channels of two positions and the heading of a body that moves in a plane; empty otherwise."""
         if self.body is None or not self.body.free:
             return ()

@@ -277,7 +277,8 @@ class MjcfModel(SimulatorModel):
         for name, (entry, place, scaled) in parameters.items():
             attribute = find_attribute(self.compiled, place, path, scale_inertia=scaled)
             first = attribute.places[0]
-            start = float(base_array(self.compiled, first.field)[first.index]) / first.factor
+            entries = np.ravel(base_array(self.compiled, first.field)[first.index])
+            start = float(entries[0]) / first.factor
             self.attributes.append(attribute)
             made.append(entry.made(name, start=start, unit=attribute.unit, source=attribute.path))
         self.actuators = [self._element("actuator", name) for name in inputs]
@@ -594,7 +595,7 @@ def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool
         if JOINT[key].startswith("dof"):
             begin = int(compiled.jnt_dofadr[number])
             wide = {0: 6, 1: 3}.get(int(compiled.jnt_type[number]), 1)
-            at = slice(begin, begin + wide) if part is None else begin + part
+            at = slice(begin, begin + wide) if part is None and wide > 1 else begin + (part or 0)
         elif key == "springref":
             at = int(compiled.jnt_qposadr[number])
         return Attribute(place, (Place(JOINT[key], (at,)),), UNITS[key][int(angular)])

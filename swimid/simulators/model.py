@@ -16,7 +16,7 @@ from swimid.files.provenance import Input
 from swimid.fitting.fit_common import TRIALS_FILE, Experiment, read_log
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial
 from swimid.logs import log as log_format
-from swimid.logs.experiments import TrialEntry, Trials
+from swimid.logs.experiments import Trials
 from swimid.logs.log import longest_run
 from swimid.notices import warn
 from swimid.results.numbers import split_unit
@@ -103,7 +103,7 @@ class SimulatorModel(Model):
         )
 
     @property
-    def pose(self) -> tuple[str, ...]:
+    def planar_pose(self) -> tuple[str, ...]:
         """Channels of two positions and the heading; empty if the simulator lacks one of them."""
         names = {channel.name for channel in self.channels}
         return PLANE if names.issuperset(PLANE) else ()
