@@ -14,11 +14,10 @@ import numpy as np
 from swimid.effects import base, environment, fluid, structure
 from swimid.effects.base import Array, Effect, Effects, Parameters, Trial, Trials, parameter
 from swimid.fitting.model import Hooks
+from swimid.simulators.mjcf import HINGE, SLIDE, base_joints
 
 #: Kind of model of which the effects of this module are forms.
 KIND = "mjcf"
-#: Types of the joints that have one coordinate, in MuJoCo.
-SLIDE, HINGE = 2, 3
 #: Typical motion of a joint, m and rad, if the commands do not show it.
 USUAL = {SLIDE: 0.05, HINGE: base.USUAL_ANGLE}
 #: Damping and friction that a diagnosis tries first, as a fraction of the typical torque of the joint.
@@ -44,22 +43,11 @@ class Joint(NamedTuple):
         return ("N m", "N m s/rad", "kg m^2") if self.kind == HINGE else ("N", "N s/m", "kg")
 
 
-def in_base(compiled: Any) -> list[int]:
-    """Return the joints by which the robot moves in the world: free ones, and several of one first body."""
-    found = []
-    for k in range(compiled.njnt):
-        body = compiled.jnt_bodyid[k]
-        several = compiled.body_parentid[body] == 0 and compiled.body_jntnum[body] > 1
-        if several or compiled.jnt_type[k] not in (SLIDE, HINGE):
-            found.append(k)
-    return found
-
-
 def joints(model: Any, trials: Trials) -> list[Joint]:
     """Return the joints between the links of a robot."""
     compiled, omega = model.compiled, 2.0 * math.pi / base.typical_period(model, trials)
     found = []
-    for k in sorted({*range(compiled.njnt)} - {*in_base(compiled)}):
+    for k in sorted({*range(compiled.njnt)} - {*base_joints(compiled)}):
         dof, kind = int(compiled.jnt_dofadr[k]), int(compiled.jnt_type[k])
         stiffness = max(float(compiled.jnt_stiffness[k]), float(compiled.dof_M0[dof]) * omega**2)
         found.append(Joint(model.joint_names[k], k, dof, kind, stiffness * USUAL[kind], omega * USUAL[kind]))
@@ -69,7 +57,7 @@ def joints(model: Any, trials: Trials) -> list[Joint]:
 def drift_dofs(compiled: Any) -> list[int]:
     """Return the degrees of freedom in which the base is displaced in the world."""
     found: list[int] = []
-    for k in in_base(compiled):
+    for k in base_joints(compiled):
         first, kind = int(compiled.jnt_dofadr[k]), int(compiled.jnt_type[k])
         found += range(first, first + 3) if kind == 0 else [first] * (kind == SLIDE)
     return found

@@ -49,3 +49,29 @@ class SampleOptions(
       swimid sample
       swimid sample rig my-rig
     """
+
+
+class RobotOptions(
+    Options,
+    command="robot",
+    section="Start",
+    argument="FILE",
+    output="Robot file to write. Without it, the draft is only described.",
+    beside=(),
+    lock=False,
+):
+    """Draft a robot file from a file in MJCF or URDF.
+
+    FILE is a model of MuJoCo or a URDF of a robot that moves in a plane. The draft has its links, joints,
+    springs, servos and sites. If the file has a fluid, forces of the water are drafted with wide bounds. What
+    the file does not state is asked in comments. Without water, both models are simulated and compared.
+
+    Examples:
+      swimid robot fish.xml -o robot.yaml
+      swimid robot arm.urdf --fixed -o arm.yaml
+    """
+
+    density: float | None = option(
+        None, ge=0, metavar="KG_M3", help="Density of the water, kg/m3. Default: that of the file."
+    )
+    fixed: bool = option(False, help="Hold the root of a URDF in place.")

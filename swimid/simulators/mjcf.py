@@ -27,6 +27,8 @@ FIRST_SAMPLES = 8
 MOVES = 5.0
 #: Singular values of the derivatives of outputs below which a start offset has no effect, over the largest.
 NO_EFFECT = 1e-4
+#: Types of the joints that have one coordinate, in MuJoCo.
+SLIDE, HINGE = 2, 3
 #: Names of the degrees of freedom of free and ball joints.
 FREE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 BALL = ("roll_rad", "pitch_rad", "yaw_rad")
@@ -629,6 +631,17 @@ def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[Place, .
     if not gain or bias != -gain:
         raise InputError(f"'{place}': the actuator is no position servo", file=path, hint="use gainprm[0]")
     return Place("actuator_gainprm", (number, 0)), Place("actuator_biasprm", (number, 1), -1.0)
+
+
+def base_joints(compiled: Any) -> list[int]:
+    """Return the joints by which the robot moves in the world: free ones, and several of one first body."""
+    found = []
+    for k in range(compiled.njnt):
+        body = compiled.jnt_bodyid[k]
+        several = compiled.body_parentid[body] == 0 and compiled.body_jntnum[body] > 1
+        if several or compiled.jnt_type[k] not in (SLIDE, HINGE):
+            found.append(k)
+    return found
 
 
 def _dofs(compiled: Any, joints: Sequence[str]) -> list[str]:
