@@ -378,6 +378,22 @@ def test_mujoco_swims_as_far_as_the_model_with_added_mass_sideways_only(
     assert np.abs(found[2] - truth[2]).max() < math.radians(1.0)
 
 
+def test_the_difference_from_mujoco_is_stated(
+    tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any
+) -> None:
+    path = _write(tmp_path, SLENDER, {"c_a": 0.9})
+    out = tmp_path / "fish.xml"
+    ran = swimid(
+        "export", path, "--to", "mjcf", "--added-mass", "fold", "--servo-hz", "60", "-o", out, "--json"
+    )
+    stated = ran.json["result"]["compared"]
+    found, truth = _swims(mujoco, path, out.read_text(), 6.0, drives.Beat("sine", 1.0, math.radians(20)))
+    assert stated["way_m"] == pytest.approx(np.hypot(*truth[:2, -1]), rel=0.01)
+    # the two runs give MuJoCo the commands of the middle and of the start of a step
+    assert abs(stated["difference_m"] - np.hypot(*(found - truth)[:2, -1])) < 0.01 * stated["way_m"]
+    assert stated["difference_m"] < 0.01 * stated["way_m"]
+
+
 def test_mujoco_keeps_total_mass_and_centre(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -> None:
     path = _tfish(tmp_path)
     model = mujoco.MjModel.from_xml_string(_exported(swimid, path, "--to", "mjcf"))

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired
 
 import swimid
 from swimid.errors import InputError, UsageError
@@ -47,7 +47,7 @@ CONVENTIONS = (
 class ExportedText(Text):
     """Result of ``export``, whose ``document`` is the text of the exported file."""
 
-    keys = {"target": str, "limits": list[str]}
+    keys = {"target": str, "limits": list[str], "compared": NotRequired[dict[str, float]]}
 
 
 @takes(ExportOptions)
@@ -155,7 +155,20 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
     if limits:
         carried = f"{len(limits)} limits, see the warnings"
     summary = f"{source.robot.name} as {title}: {carried}"
+    summary += _compared(source, options, params, text, result)
     return ExportedText("export", summary, result, list(files), document=text)
+
+
+def _compared(source: Source, options: ExportOptions, params: Any, text: str, result: dict[str, Any]) -> str:
+    """Add the difference between MuJoCo and swimid to a result, and return it in words; empty without one."""
+    if options.to != "mjcf" or options.added_mass != "fold" or options.draw:
+        return ""
+    compared = mjcf.compare(source, params, text)
+    if compared is None:
+        return ""
+    result["compared"] = compared
+    difference, way = 1e3 * compared["difference_m"], compared["way_m"]
+    return f"; in MuJoCo with its callback it differs by {difference:.1f} mm after {way:.2f} m"
 
 
 def _format_of(source: Source, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:

@@ -20,6 +20,7 @@ from swimid.exporters.causes import FILTERS, Cause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
 from swimid.fitting.model import TRACEABLE, Force
+from swimid.notices import recorded
 from swimid.swimmer.tree import SYMMETRIC
 
 TITLE = "MuJoCo MJCF"
@@ -42,6 +43,8 @@ PREFIX, CAUSE = "water:", "water:cause:"
 #: Prefix of the names of the MuJoCo sites whose user data are an added mass that differs by direction: the
 #: upper triangle of :attr:`swimid.exporters.source.Link.directional`, row by row.
 MASS = "mass:"
+#: Beat with which an exported model is compared with swimid.
+COMPARED = {"frequency_hz": 1.0, "amplitude_deg": 20.0, "duration_s": 6.0}
 #: Time step of the exported MuJoCo model, s.
 STEP_S = 0.002
 #: Fractions into which the half-width of the play of a servo is divided. The first is the range of an
@@ -211,6 +214,50 @@ def _wires(source: Source) -> list[dict[str, Any]]:
         length = max(-constant, 0.0)
         wires.append({"name": name, "stiffness": law["spring"], "length": length, "ends": ends, "path": path})
     return wires
+
+
+def compare(source: Source, params: Any, text: str) -> dict[str, float] | None:
+    """Return the difference between MuJoCo with an exported file and swimid after a swim.
+
+    Both have the beat of :data:`COMPARED`, and MuJoCo has the callback :func:`water`. The result is None
+    without MuJoCo, and for a robot with causes, without a driven joint, or with a fixed base.
+
+    Returns
+    -------
+    dict or None
+        ``difference_m`` between the reference points at the end, and the ``way_m`` of swimid.
+    """
+    try:
+        import mujoco
+    except ImportError:
+        return None
+    from swimid.simulation.simulate import simulate
+
+    columns = [axis.column for axis in source.model.driven]
+    if source.causes or not columns or not source.model.free_base:
+        return None
+    with recorded():
+        log = simulate(params=params, sample_rate_hz=1.0 / STEP_S, **COMPARED).frame
+    before = mujoco.get_mjcb_passive()
+    mujoco.set_mjcb_passive(None)
+    model = mujoco.MjModel.from_xml_string(text)
+    data, side = mujoco.MjData(model), 2 if source.vertical else 1
+    along, across = model.numeric("swimid_reference").data
+    angles = log[columns].to_numpy()
+    mujoco.set_mjcb_passive(water(model))
+    try:
+        for k in range(len(log) - 1):
+            data.ctrl[: len(columns)] = 0.5 * (angles[k] + angles[k + 1])
+            mujoco.mj_step(model, data)
+        mujoco.mj_kinematics(model, data)
+    finally:
+        mujoco.set_mjcb_passive(before)
+    base = data.xmat[1].reshape(3, 3)
+    place = (data.xpos[1] + along * base[:, 0] + across * base[:, side])[[0, side]]
+    track = log[list(source.model.pose[:2])].to_numpy()
+    start = np.array([along, across])
+    off = (place - start) - (track[-1] - track[0])
+    return {"difference_m": float(np.hypot(*off)), "way_m": float(np.hypot(*(track[-1] - track[0])))}
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:

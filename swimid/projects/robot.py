@@ -591,7 +591,8 @@ def _told(draft: _Draft, differences: Mapping[str, float]) -> str:
         worst = max(differences, key=lambda name: differences[name])
         share = f"{100 * differences[worst]:.2g} % of its range"
         lines.append(
-            f"  without water, {worst} differs from MuJoCo (RK4) by {share} in {COMPARED_S:g} s; all others by less"
+            f"  without water, {worst} differs from MuJoCo (RK4) by {share} in {COMPARED_S:g} s; all others "
+            "by less"
         )
         if differences[worst] > ALIKE:
             lines.append(
