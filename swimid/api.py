@@ -142,7 +142,7 @@ def load(
             return trials
         return TrialSet.read(trials, own)
     if experiment is None:
-        raise UsageError("name the experiment of these trials")
+        raise UsageError("name the experiment and the robot of these trials")
     given: Any = trials
     if not isinstance(trials, Sequence):
         given, keys = [], {**keys, "table": trials}  # A cruise experiment has one table for all trials.

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from types import FunctionType
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -23,6 +25,7 @@ from swimid.logs.experiments import FreeSwimTrial, find_experiments
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.results.parameters import ParameterFile
+from swimid.simulators.model import SimulatorModel
 
 RATE_HZ = 20.0
 TIME = np.arange(0.0, 14.0, 1.0 / RATE_HZ)
@@ -230,8 +233,72 @@ READERS = {
         },
     ),
 }
+SIMULATED = {
+    "model.parameters.bounds": [0.0, 3.0],
+    "model.parameters.start": 0.5,
+    "model.parameters.unit": "N",
+    "model.parameters.scale": 0.7,
+    "model.parameters.per_trial": True,
+    "model.parameters.fixed": True,
+    "model.parameters.meaning": "a spring",
+    "model.parameters": {"k": {"path": "joint/x/damping", "bounds": [0.0, 2.0]}},
+}
+READERS |= {
+    "mjcf": Reader(
+        load_experiment,
+        {
+            **_trials(experiment="mjcf", robot=""),
+            "model": {
+                "mjcf": "slide.xml",
+                "parameters": {"k": {"path": "joint/x/stiffness", "bounds": [0.0, 2.0]}},
+                "inputs": {"push": "force_N"},
+                "outputs": {"x_m": "joint/x"},
+            },
+        },
+        {
+            **OF_TRIAL,
+            **LOG,
+            **SIMULATED,
+            "robot": "sled",
+            "trials.start_state": "rest",
+            "model.mjcf": "other.xml",
+            "model.keyframe": "away",
+            "model.parameters.path": "joint/x/damping",
+            "model.parameters.scale_inertia": True,
+            "model.inputs": {"push": "cmd1_rad"},
+            "model.outputs": {"x_m": "body/sled/x"},
+        },
+        same={"model.parameters.scale_inertia": "the parameter is no mass"},
+    ),
+    "python": Reader(
+        load_experiment,
+        {
+            **_trials(experiment="python", robot=""),
+            "model": {
+                "python": "sim.py:simulate",
+                "parameters": {"k": {"start": 1.0, "bounds": [0.0, 2.0]}},
+                "inputs": ["force_N"],
+                "outputs": ["x_m"],
+            },
+        },
+        {
+            **OF_TRIAL,
+            **LOG,
+            **SIMULATED,
+            "robot": "sled",
+            "model.parameters": {"other": {"start": 1.0}},
+            "model.python": "sim.py:other",
+            "model.inputs": ["cmd1_rad"],
+            "model.outputs": ["u_m_s"],
+        },
+    ),
+}
+SLIDE = """<mujoco><option gravity="0 0 0"/><worldbody><body name="sled">
+<joint name="x" type="slide" axis="1 0 0" stiffness="1" damping="0.3"/><geom size="0.1" mass="{}"/></body>
+</worldbody><actuator><motor name="push" joint="x"/></actuator><keyframe><key name="away" qpos="1"/></keyframe></mujoco>
+"""
 #: Keys that say what the file is, and what every test here changes the inside of.
-FRAME = {"format", "experiment", "trials", "trials.drive"}
+FRAME = {"format", "experiment", "trials", "trials.drive", "model"}
 
 
 def keys_of(model: type[BaseModel], prefix: str = "") -> set[str]:
@@ -256,12 +323,11 @@ def fingerprint(found: Any) -> str:
     with np.printoptions(threshold=100_000, precision=12):
         if isinstance(found, arma.Data):
             return repr((found.columns, found.fit, found.held_out, found.logs, found.robot))
-        model = {
-            k: v
-            for k, v in vars(found.model).items()
-            if isinstance(v, float | int | str | tuple | dict | list)
-        }
-        return repr((found.robot, found.trials, found.facts, sorted(model)))
+        parts = [found.robot, found.trials, found.facts]
+        if isinstance(found.model, SimulatorModel):
+            kept = float | int | str | tuple | dict | list | FunctionType
+            parts += [(k, v) for k, v in sorted(vars(found.model).items()) if isinstance(v, kept)]
+        return re.sub(r" at 0x[0-9a-f]+", "", repr(parts))
 
 
 def write_case(folder: Path, document: dict[str, Any]) -> Path:
@@ -270,6 +336,10 @@ def write_case(folder: Path, document: dict[str, Any]) -> Path:
     for name in ("one", "decay"):
         head, *rows = (folder / f"{name}.csv").read_text().splitlines()
         (folder / f"{name}-late.csv").write_text("\n".join([head, *rows[7:]]) + "\n")
+    for name, mass in (("slide.xml", 1.0), ("other.xml", 2.0)):
+        (folder / name).write_text(SLIDE.format(mass).replace('stiffness="1"', f'stiffness="{mass}"'))
+    code = "def simulate(parameters, inputs, times):\n    return {'x_m': times}\n"
+    (folder / "sim.py").write_text(code + code.replace("simulate", "other"))
     # another recording, not a copy: copies are told
     (folder / "other" / "decay.csv").write_text((folder / "decay.csv").read_text() + "\n")
     path = folder / "trials.yaml"
@@ -281,7 +351,9 @@ def changed(document: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     """The document with another value at a key of its first trial, or of itself."""
     found = copy.deepcopy(document)
     first, *rest = key.split(".")
-    place = found["trials"][0] if first == "trials" else found
+    place = found["trials"][0] if first == "trials" else found.get(first) if rest else found
+    if rest[:1] == ["parameters"] and len(rest) > 1:
+        place, rest = place["parameters"]["k"], rest[1:]
     names = rest or [first]
     for name in names[:-1]:
         place = place[name]

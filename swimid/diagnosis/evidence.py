@@ -26,7 +26,6 @@ from swimid.diagnosis.verdict import interval_text, otherwise_text
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
 from swimid.fitting.fit_common import ROBOT_FILE, TRIALS_FILE
-from swimid.fitting.model import SimulatorFile
 from swimid.logs import log as log_format
 from swimid.logs.log import Log
 from swimid.results import evidence as ev
@@ -34,6 +33,7 @@ from swimid.results import numbers
 from swimid.results.numbers import listed, number, percent, probability_text
 from swimid.results.parameters import Fitted, ParameterFile
 from swimid.results.result import FileResult
+from swimid.simulators.repaired import SimulatorFile
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -18,11 +18,13 @@ from swimid.diagnosis.study import Hypothesis, rms
 from swimid.effects.base import Effect
 from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
-from swimid.fitting.model import Array, Parameter, SimulatorFile
+from swimid.fitting.model import Array, Parameter
 from swimid.results import parameters as parameters_format
 from swimid.results.numbers import listed
 from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
 from swimid.simulation.catalogue import Applied, Loaded
+from swimid.simulators.mjcf import MjcfModel
+from swimid.simulators.repaired import SimulatorFile, repaired_file
 
 
 def parameters(
@@ -97,11 +99,13 @@ def simulator_file(
 ) -> SimulatorFile | None:
     """Return the user's file of a simulator with the causes; None if the model has no such file."""
     model = copy.copy(loaded.experiment.model)
+    if not isinstance(model, MjcfModel):
+        return None
     if model.acting:
         model.parameters, model.acting = model.parameters[: model.acting[0].first], ()
     trials = loaded.experiment.trials
     applied = Applied(model, made, place, trials=trials, own_effects=own_effects)
-    return applied.model.simulator_file(applied.values(), trials[0], place)
+    return repaired_file(applied.model, applied.values(), trials[0], place)
 
 
 def _parameters_of(fit: Hypothesis, effect: Effect) -> list[Parameter]:

@@ -15,8 +15,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import numpy as np
 from numba.core.errors import NumbaExperimentalFeatureWarning
@@ -536,20 +535,6 @@ Request = tuple[Array, Trial, Hooks]
 # ---------------------------------------------------------------- model
 
 
-class SimulatorFile(NamedTuple):
-    """File of a user's simulator with other values and with effects.
-
-    Attributes
-    ----------
-    text : str
-    left_out : list of str
-        Changes that the file cannot express.
-    """
-
-    text: str
-    left_out: list[str]
-
-
 class Acting:
     """Effect that acts in the simulations of a model.
 
@@ -893,19 +878,6 @@ class Model:
 
     def coarser(self) -> Model | None:
         """Return the model with twice the integration step, for searches; None if that saves no time."""
-        return None
-
-    def simulator_file(self, values: Array, trial: Trial, path: Path) -> SimulatorFile | None:
-        """Return the user's file of a simulator with given values; None if the model has no such file.
-
-        Parameters
-        ----------
-        values : ndarray
-            Parameters of the model, with those of its effects.
-        trial : Trial
-        path : Path
-            Parameter file with the values.
-        """
         return None
 
     # -------------------------------------------------------- parameters

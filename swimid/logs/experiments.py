@@ -186,6 +186,11 @@ class Trials(yamlio.Document):
         """Return whether a log or a table with these columns may be one of the experiment."""
         return all(any(fnmatch.filter(columns, name) for name in group) for group in cls.usual)
 
+    @classmethod
+    def names_robot(cls) -> bool:
+        """Return whether the key ``robot`` names a robot file. Otherwise it is a name for reports."""
+        return cls.model_fields["robot"].is_required()
+
     def read_robot(self, folder: Path) -> Robot:
         """Return the robot of the trials, by built-in name or by a path relative to a folder."""
         return robot_format.read(self.robot, folder)

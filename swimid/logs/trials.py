@@ -122,13 +122,13 @@ class TrialSet:
                         raise missing_column(column, list(held.columns), held.path, None)
             logs.append(held)
             plain.append(entry)
-        if robot is None and kind.model_fields["robot"].is_required():
-            raise UsageError("name the robot of these trials")
         given = {"format": FORMAT, "experiment": kind.title, **keys}
         if robot is not None:
             given["robot"] = robot
-            if kind.robot_form:
-                robot_format.locate(robot)
+        if kind.names_robot():
+            if robot is None:
+                raise UsageError("name the experiment and the robot of these trials")
+            robot_format.locate(robot)
         if plain:
             given["trials"] = plain
         table = given.get("table")
@@ -206,7 +206,7 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
         raise _not_allowed(data, path, names, command, commands)
     trials: Any = held or yamlio.validate(data, kind, path)
     trials._data = data
-    if kind.robot_form or trials.robot:
+    if kind.names_robot():
         line = yamlio.line_of(data, ["robot"])
         robot_format.locate(trials.robot, path.parent, {"file": path, "line": line, "column": "robot"})
     if kind.uses is not None:

@@ -119,6 +119,12 @@ def robot(file: str | Path, *, options: RobotOptions, output: Path | None = None
     ----------
     .. [1] H. Lamb, *Hydrodynamics*, 6th edition, 1932, section 114: added mass of ellipsoids.
     .. [2] S. F. Hoerner, *Fluid-Dynamic Drag*, 1965: drag coefficients to start from.
+
+    Examples
+    --------
+    >>> made = robot("sample_logs/simulator/fish.xml")  # doctest: +SKIP
+    >>> max(made.data["differences"].values()) < 1e-3  # doctest: +SKIP
+    True
     """
     path = Path(file)
     if output is not None:

@@ -1,6 +1,6 @@
-"""Simulators of the user as models: a file of MuJoCo (``mjcf``), or a function in Python (``python``).
+"""Simulators of the user as models: a file of MuJoCo, or a function in Python.
 
 ``model`` has the interface that both share: parameters of the trials file, inputs from the log, and outputs.
-``effects`` has the forms of effects that a file of MuJoCo can express, and ``repaired`` writes them into the
-user's file.
+``mjcf`` simulates a file of MuJoCo in batches, and ``python`` calls a function of the user. ``repaired``
+writes values and effects into the user's file.
 """

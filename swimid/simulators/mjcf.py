@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales, SimulatorFile, Trial
+from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales, Trial
 from swimid.simulators.model import SimulatorModel
 
 #: Number of simulations that are in memory at once.
@@ -428,12 +428,6 @@ class MjcfModel(SimulatorModel):
                 series = np.where(np.logical_or.accumulate(stopped), np.nan, series)
             found[channel] = np.interp(at, grid, series)
         return hooks.seen(found, trial.time_s) if hooks.output else found
-
-    def simulator_file(self, values: Array, trial: Trial, path: Path) -> SimulatorFile:
-        """Return the user's file with the values and effects (see :meth:`Model.simulator_file`)."""
-        from swimid.simulators.repaired import repaired_file
-
-        return repaired_file(self, values, trial, path)
 
     # -------------------------------------------------------- start of a trial
 

@@ -13,11 +13,25 @@ from xml.parsers import expat
 
 import numpy as np
 
-from swimid.fitting.model import Array, Hooks, SimulatorFile, Trial
+from swimid.fitting.model import Array, Hooks, Trial
 from swimid.simulators.mjcf import MjcfModel, base_array, mujoco
 
 #: Relative difference of an array of the changed file to the wanted one that counts as none.
 SAME = 1e-7
+
+
+class SimulatorFile(NamedTuple):
+    """File of a user's simulator with other values and with effects.
+
+    Attributes
+    ----------
+    text : str
+    left_out : list of str
+        Changes that the file cannot express.
+    """
+
+    text: str
+    left_out: list[str]
 
 
 class Edited(NamedTuple):
