@@ -295,7 +295,8 @@ READERS |= {
 }
 SLIDE = """<mujoco><option gravity="0 0 0"/><worldbody><body name="sled">
 <joint name="x" type="slide" axis="1 0 0" stiffness="1" damping="0.3"/><geom size="0.1" mass="{}"/></body>
-</worldbody><actuator><motor name="push" joint="x"/></actuator><keyframe><key name="away" qpos="1"/></keyframe></mujoco>
+</worldbody><actuator><motor name="push" joint="x"/></actuator>
+<keyframe><key name="away" qpos="1"/></keyframe></mujoco>
 """
 #: Keys that say what the file is, and what every test here changes the inside of.
 FRAME = {"format", "experiment", "trials", "trials.drive", "model"}

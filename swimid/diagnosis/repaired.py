@@ -105,6 +105,7 @@ def simulator_file(
         model.parameters, model.acting = model.parameters[: model.acting[0].first], ()
     trials = loaded.experiment.trials
     applied = Applied(model, made, place, trials=trials, own_effects=own_effects)
+    assert isinstance(applied.model, MjcfModel)
     return repaired_file(applied.model, applied.values(), trials[0], place)
 
 

@@ -110,6 +110,8 @@ class Project:
         Inertial logs, each with the recording of the same trial and its mapping.
     optional : list of str
         Commands for recordings that the fits do not need.
+    robot_text : str
+        Robot file that is drafted from a file in MJCF or URDF; empty without one.
     """
 
     folder: Path
@@ -123,6 +125,7 @@ class Project:
     missing: list[str] = field(default_factory=list)
     inertial: list[tuple[Path, Path, str]] = field(default_factory=list)
     optional: list[str] = field(default_factory=list)
+    robot_text: str = ""
 
     def relative(self, path: Path) -> str:
         """Return a path relative to the folder of the project, with slashes."""
@@ -235,7 +238,7 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
         joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for group in groups for name in group.columns]
         count = max((int(hit[1]) for hit in joints if hit), default=1)
         links = ["body", *(f"segment{k}" for k in range(1, count)), "tail"]
-        project.files["robot.yaml"] = rendered(
+        project.files["robot.yaml"] = project.robot_text or rendered(
             "robot.yaml", rigid="body" in forms, linked="links" in forms, links=links
         )
 

@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from swimid.errors import UsageError, suggestion
+from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import atomic
 from swimid.files.yamlio import ASK
 from swimid.logs.experiments import find_experiments
@@ -17,6 +17,7 @@ from swimid.options import takes
 from swimid.projects import drafts
 from swimid.projects.drafts import RUN, Project
 from swimid.projects.options import InitOptions
+from swimid.projects.robot import find_robot
 from swimid.projects.survey import Recording, survey
 from swimid.results.evidence import Table
 from swimid.results.result import Result, table_text
@@ -107,6 +108,8 @@ def init(
     project = Project(target, robot, experiment, kinds)
     if own:
         project.experiment_file = Path(str(options.experiment))
+    if robot is None:
+        _add_robot(project, source)
     written: list[Path] = []
     with atomic.together():
         if output is not None:
@@ -117,6 +120,19 @@ def init(
             written = _write(project)
             data["next"] = f"cd {shlex.quote(str(target))}"
     return Drafted("init", _told(project, data), data, written, document=project)
+
+
+def _add_robot(project: Project, source: Path) -> None:
+    """Take the robot from a file in MJCF or URDF in the folder, if there is one and MuJoCo is installed."""
+    try:
+        found = find_robot(source)
+    except (InputError, UsageError) as error:
+        project.missing.append(f"robot.yaml is not drafted from the robot's model: {error}")
+        return
+    if found is not None:
+        path, project.robot_text, asks = found
+        words = f"robot.yaml is drafted from {path.name}"
+        project.missing += [f"{words}: {ask}" for ask in asks] or [f"{words}: check it"]
 
 
 def _drafted(

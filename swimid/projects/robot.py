@@ -7,6 +7,7 @@ models are simulated with the same commands, and the difference is stated.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +25,8 @@ from swimid.robots.file import Robot, schema_of
 from swimid.simulators.mjcf import HINGE, base_joints, mujoco, read_spec
 from swimid.swimmer.planar.model import MultilinkModel
 
+#: Root element of a file in MJCF or URDF.
+ROOT = re.compile(r"<(mujoco|robot)[\s>]")
 #: Part of a robot file that is drafted.
 PARTS = frozenset({"multilink"})
 #: Duration (s) and step (s) of the comparison without water, and frequency of its commands, Hz.
@@ -129,6 +132,38 @@ def robot(file: str | Path, *, options: RobotOptions, output: Path | None = None
     path = Path(file)
     if output is not None:
         atomic.check_writable(output, inputs=[path])
+    draft, text, differences = _drafted(path, options)
+    outputs = []
+    if output is not None:
+        atomic.write_text(output, text)
+        outputs.append(output)
+    data = {
+        "robot": path.stem, "plane": draft.plane, "asks": draft.asks, "left_out": draft.left_out,
+        "differences": differences,
+    }  # fmt: skip
+    return DraftedRobot("robot", _told(draft, differences), data, outputs)
+
+
+def find_robot(folder: Path) -> tuple[Path, str, list[str]] | None:
+    """Return the only file in MJCF or URDF in a folder, the robot file drafted from it, and its questions.
+
+    The result is None if there is no such file, or several.
+
+    Raises
+    ------
+    InputError
+        If no robot file can be drafted from the file.
+    """
+    paths = [path for ending in ("xml", "urdf") for path in sorted(folder.rglob(f"*.{ending}"))]
+    paths = [path for path in paths if ROOT.search(path.read_text(encoding="utf-8", errors="replace"))]
+    if len(paths) != 1:
+        return None
+    draft, text, _ = _drafted(paths[0], RobotOptions())
+    return paths[0], text, draft.asks
+
+
+def _drafted(path: Path, options: RobotOptions) -> tuple[_Draft, str, dict[str, float]]:
+    """Return the draft of a file, its text, and its differences from MuJoCo without water."""
     draft = _Draft(path, options)
     document = draft.document()
     try:
@@ -136,16 +171,7 @@ def robot(file: str | Path, *, options: RobotOptions, output: Path | None = None
     except ValueError as error:
         raise InputError(f"no robot file can be made of it: {error}", file=path) from error
     differences = _compare(draft, made)
-    text = draft.text(document, differences)
-    outputs = []
-    if output is not None:
-        atomic.write_text(output, text)
-        outputs.append(output)
-    data = {
-        "robot": made.name, "plane": draft.plane, "asks": draft.asks, "left_out": draft.left_out,
-        "differences": differences,
-    }  # fmt: skip
-    return DraftedRobot("robot", _told(draft, differences), data, outputs)
+    return draft, draft.text(document, differences), differences
 
 
 class _Draft:

@@ -9,6 +9,7 @@ from tests.generators import (
     cruise,
     gap_trials,
     longfin,
+    mujoco_robots,
     polled_camera,
     pool_video,
     rig,
@@ -29,6 +30,7 @@ def main(folder: Path) -> None:
     polled_camera.write_sample(folder / "camera")
     sealion.write_sample(folder / "sealion")
     tutorial_films.write_sample(folder / "tutorial")
+    mujoco_robots.write_sample(folder / "simulator")
 
 
 if __name__ == "__main__":
