@@ -484,5 +484,5 @@ class TestDiagnosis:
         size = ran.json["result"]["causes"][0]["parameters"]["backlash_rad"]
         assert size["value"] == pytest.approx(0.08, abs=0.01)
         text = (tmp_path / "repaired.xml").read_text()
-        assert "servo-backlash acts outside the file" in text
+        assert "servo-backlash, which acts outside the file" in text
         assert mujoco.MjModel.from_xml_string(text).joint("fin").stiffness[0] == pytest.approx(0.06, rel=0.1)

@@ -632,9 +632,8 @@ class Diagnosis(FileResult[GapFile]):
             ending, (text, left_out) = self.simulator
             outputs.append(Path(path).with_suffix(ending))
             atomic.write_text(outputs[-1], text)
-            said += f" The file of your simulator with them is {outputs[-1].name}."
-            if left_out:
-                said += f" It does not express: {'; '.join(left_out)}."
+            said += f" The file of the simulator with it is {outputs[-1].name}"
+            said += f", without {listed(left_out)}." if left_out else "."
         noted = shown.model_copy(update={"notes": [*shown.notes, in_words_of_the_caller(said)]})
         return replace(self, evidence=noted, outputs=outputs)
 

@@ -409,16 +409,20 @@ def free_decay(
     if rotation:
         force, mass, kind, loss = "N m", "kg m^2", "inertia", "damping"
     rate = math.sqrt(guess / inertia)
-    damping, speed = 0.01 * inertia * rate, amplitude * rate
-    quadratic, known, spring = damping / speed, stiffness is not None, stiffness
+    known, spring, whole = stiffness is not None, stiffness, inertia
     if spring is None:
         spring = guess - gravity
+    else:
+        # the inertia with which the known stiffness has the period of the decay
+        whole = max((spring + gravity) / rate**2, inertia)
+    damping, speed = 0.01 * whole * rate, amplitude * rate
+    quadratic = damping / speed
     restoring = f"{force}/{unit}"
     cubic = guess / (6.0 * amplitude**2)
     meaning = "m g l of a restoring moment m g l sin(angle)"
     pendulum = _parameter("gravity_stiffness", restoring, gravity, guess, meaning, free=False)
     parameters = (
-        _parameter(f"added_{kind}", mass, 0.0, 0.3 * inertia, f"added {kind}", free=known),
+        _parameter(f"added_{kind}", mass, whole - inertia, 0.3 * whole, f"added {kind}", free=known),
         _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),
         _parameter(f"linear_{loss}", f"{force} s/{unit}", damping, damping, "linear damping"),
         _parameter("stiffness", restoring, spring, guess, "stiffness of a linear spring", free=not known),

@@ -347,6 +347,6 @@ def repaired_file(model: MjcfModel, values: Array, trial: Trial, path: Path) -> 
         for acting in model.acting
         if not acting.hooks(values, trial).tables and acting.adds_to is None
     ]
-    left_out = [*edited.left_out, *(f"{name} acts outside the file" for name in outside)]
+    left_out = [*edited.left_out, *(f"{name}, which acts outside the file" for name in outside)]
     said = [f"{model.path.name} with the values and effects of {path.name}"]
     return SimulatorFile(with_comment(edited._replace(left_out=left_out), said), left_out)

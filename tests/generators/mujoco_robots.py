@@ -173,7 +173,6 @@ ROBOTS = {
             "arm",
             {
                 "d_shoulder": {"path": "joint/shoulder/damping", "bounds": [0.0, 2.0]},
-                "d_elbow": {"path": "joint/elbow/damping", "bounds": [0.0, 2.0]},
             },
             {"shoulder": "cmd_shoulder_rad", "elbow": "cmd_elbow_rad"},
             {"shoulder_rad": "joint/shoulder", "elbow_rad": "joint/elbow"},
@@ -187,7 +186,6 @@ ROBOTS = {
         _block(
             "cart",
             {
-                "d_slide": {"path": "joint/slide/damping", "bounds": [0.0, 20.0]},
                 "d_swing": {"path": "joint/swing/damping", "bounds": [0.0, 1.0]},
             },
             {"push": "cmd_push_N"},
@@ -203,7 +201,6 @@ ROBOTS = {
             "leg",
             {
                 "k_knee": {"path": "joint/knee/stiffness", "bounds": [0.1, 30.0]},
-                "d_knee": {"path": "joint/knee/damping", "bounds": [0.0, 1.0]},
                 "d_hip": {"path": "joint/hip/damping", "bounds": [0.0, 2.0]},
             },
             {"hip": "cmd_hip_rad"},
