@@ -432,3 +432,34 @@ class TestCommand:
         p = swimid("fit-drag", tmp_path / "tow.yaml", "--json").json["result"]["parameters"]
         for name, true in (("added_mass", 1.0), ("quadratic_drag", 5.0)):
             assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name
+
+
+def test_a_bifilar_swing_gives_an_inertia_that_is_far_from_the_known_one(
+    swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    # 1.4 kg on two threads of 1 m at a distance of 0.3 m; the exact moment of the threads, not its linear part
+    mass, distance, length, inertia = 1.4, 0.30, 1.0, 0.020
+    time = np.arange(0.0, 20.0, 0.02)
+
+    def rates(_: float, y: np.ndarray) -> list[float]:
+        height = np.sqrt(length**2 - 0.5 * distance**2 * (1.0 - np.cos(y[0])))
+        moment = mass * 9.81 * 0.25 * distance**2 * np.sin(y[0]) / height
+        return [y[1], (-moment - 0.0008 * y[1]) / inertia]
+
+    rows = ["format: swimid-trials/1", "experiment: free-decay", "robot: hung.yaml", "trials:"]
+    for k, start in enumerate((0.08, 0.06)):
+        angle = solve_ivp(rates, (0.0, 20.0), [start, 0.0], t_eval=time, rtol=1e-9, atol=1e-12).y[0]
+        noisy = angle + rng.normal(0.0, 0.001, len(time))
+        table = np.column_stack([time, noisy])
+        np.savetxt(tmp_path / f"{k}.csv", table, "%.6f", ",", header="t_s,yaw_rad", comments="")
+        rows.append(f"  - {{log: {k}.csv}}")
+    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
+    stiffness = mass * 9.81 * distance**2 / (4.0 * length)
+    (tmp_path / "hung.yaml").write_text(
+        "format: swimid-robot/1\nname: hung\nbody: {yaw_inertia_kg_m2: 0.001}\n"
+        f"rig: {{yaw_stiffness_N_m_rad: {stiffness}}}\n"
+    )
+    found = swimid("fit-drag", tmp_path / "trials.yaml", "--json").json["result"]["parameters"]
+    added = found["added_inertia"]
+    assert added["value"] == pytest.approx(inertia - 0.001, abs=3.0 * added["stderr"])
+    assert added["stderr"] < 0.002 * inertia

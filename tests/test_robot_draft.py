@@ -125,6 +125,19 @@ def test_the_drafted_fish_swims_with_its_commands(swimid, tmp_path, monkeypatch)
     assert "not expressed" not in ran.out.replace("contacts", "")
 
 
+def test_init_takes_the_only_file_of_the_folder(swimid, tmp_path, samples):
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "fish.xml").write_text(FISH)
+    for log in ("f10a20.csv", "f14a25.csv"):
+        (lab / log).write_text((samples / "tfish" / log).read_text())
+    ran = swimid("init", lab, "-o", tmp_path / "project", "--experiment", "free-swim")
+    assert ran.status == 0, ran.err
+    assert "robot.yaml is drafted from fish.xml" in ran.out
+    links = robot_format.read(str(tmp_path / "project" / "robot.yaml")).multilink.links
+    assert [link.name for link in links] == ["head", "peduncle", "fin"]
+
+
 @pytest.mark.parametrize(
     "change, text",
     [
