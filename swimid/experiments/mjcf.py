@@ -114,7 +114,9 @@ def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:
             file=model.path,
             hint="a smaller timestep, or the integrator implicitfast, may help",
         )
-    ranges = {name: float(np.ptp(series)) for name, series in whole.items()}
+    # a channel that hardly moves has the noise of its measurement as range
+    measured = {name: np.ptp(v[np.isfinite(v)]) for name, v in trial.measured.items() if np.isfinite(v).any()}
+    ranges = {name: max(float(np.ptp(v)), float(measured.get(name, 0.0))) for name, v in whole.items()}
     changes = {
         name: float(np.max(np.abs(half[name] - whole[name]))) / span
         for name, span in ranges.items()

@@ -621,7 +621,7 @@ def _told(draft: _Draft, differences: Mapping[str, float]) -> str:
     lines += [f"  not expressed: {one}" for one in draft.left_out]
     if differences:
         worst = max(differences, key=lambda name: differences[name])
-        share = f"{100 * differences[worst]:.2g} % of its range"
+        share = f"{100 * differences[worst]:.3g} % of its range"
         lines.append(
             f"  without water, {worst} differs from MuJoCo (RK4) by {share} in {COMPARED_S:g} s; all others "
             "by less"
