@@ -16,6 +16,7 @@ from swimid.effects.catalogue import applicable, catalogue
 from swimid.errors import InputError
 from swimid.fitting.fit_common import load_experiment
 from swimid.simulators.repaired import edit
+from tests.generators import mujoco_robots
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -33,35 +34,9 @@ PENDULUM = """<mujoco model="pendulum">
 </mujoco>
 """
 
-FISH = """<mujoco model="fish">
-  <!-- a fish with a servo and a passive fin -->
-  <option timestep="0.004" integrator="implicitfast" density="1000" viscosity="0.001" gravity="0 0 0"/>
-  <default>
-    <geom type="ellipsoid" fluidshape="ellipsoid" contype="0" conaffinity="0" density="1000"/>
-    <joint type="hinge" axis="0 0 1" damping="0.001"/>
-  </default>
-  <worldbody>
-    <body name="head">
-      <joint name="x" type="slide" axis="1 0 0" damping="0"/>
-      <joint name="y" type="slide" axis="0 1 0" damping="0"/>
-      <joint name="turn" damping="0"/>
-      <geom name="head" size="0.11 0.035 0.05" pos="-0.10 0 0"/>
-      <site name="led" pos="0.02 0.01 0.05"/>
-      <body name="peduncle" pos="-0.21 0 0">
-        <joint name="servo"/>
-        <geom name="peduncle" size="0.05 0.015 0.04" pos="-0.045 0 0"/>
-        <body name="fin" pos="-0.09 0 0">
-          <joint name="fin" stiffness="0.06" damping="0.0015"/>
-          <geom name="fin" size="0.05 0.004 0.055" pos="-0.05 0 0"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <position name="servo" joint="servo" kp="6" kv="0.05"/>
-  </actuator>
-</mujoco>
-"""
+#: Fish with a servo and a passive fin, and its light off the axis.
+FISH = mujoco_robots.FISH.replace('timestep="0.002"', 'timestep="0.004"')
+FISH = FISH.replace('pos="0 0 0.05"', 'pos="0.02 0.01 0.05"')
 
 
 def written(folder: Path, text: str, name: str, model: dict[str, Any], logs: list[Any], **keys: Any) -> Path:
@@ -296,7 +271,7 @@ class TestRepaired:
         hooks = acted.hooks(values, experiment.trials[0])
         edited = edit(acted, values[: acted.acting[0].first], hooks)
         assert edited.left_out == []
-        assert "<!-- a fish with a servo and a passive fin -->" in edited.text
+        assert "<!-- A fish with a servo in the peduncle" in edited.text
         compiled = mujoco.MjModel.from_xml_string(edited.text)
         assert compiled.joint("fin").stiffness[0] == 0.09
         assert compiled.joint("fin").frictionloss[0] == 0.002
