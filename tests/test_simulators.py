@@ -196,6 +196,8 @@ class TestEffects:
             ("quadratic-drag", 1.0, 'density="1000"/>', 'density="1000" fluidcoef="1 0.5 3 1 1"/>'),
             ("water-ingress", 0.2, 'pos="0.02 0.01 0.05"/>', 'pos="0.02 0.01 0.05"/><geom type="sphere" '
              'size="0.001" mass="0.2" fluidshape="none" pos="-0.1 0 0"/>'),
+            ("water-ingress", (0.2, 0.06), 'pos="0.02 0.01 0.05"/>', 'pos="0.02 0.01 0.05"/>'
+             '<geom type="sphere" size="0.001" mass="0.2" fluidshape="none" pos="-0.04 0 0"/>'),
             ("current", 0.05, 'viscosity="0.001"', 'viscosity="0.001" wind="0.05 0 0"'),
             ("com-offset", 0.01, 'axis="1 0 0" damping="0"/>', 'axis="1 0 0" damping="0"/>INERTIAL'),
         ],
@@ -225,7 +227,8 @@ class TestEffects:
         acted = model.with_effects([form], [trial])
         values = np.array([trial.starts.get(p.name, p.start) for p in acted.parameters])
         plain = acted.run(values, trial)
-        values[len(model.parameters)] = value
+        own = np.atleast_1d(value)
+        values[len(model.parameters) : len(model.parameters) + len(own)] = own
         simulated = acted.run(values, trial)
         for name in ("x_m", "y_m", "fin_rad"):
             error = np.max(np.abs(simulated[name] - log[name]))
@@ -265,8 +268,8 @@ class TestRepaired:
         values = np.array([p.start for p in acted.parameters])
         values[:3] = 0.09, 0.7, 5.0
         named = {p.name: k for k, p in enumerate(acted.parameters)}
-        for name, value in (("water-ingress/mass_kg", 0.3), ("current/cx_m_s", 0.04),
-                            ("joint-friction/fin_friction_N_m", 0.002)):  # fmt: skip
+        sizes = {"water-ingress/mass_kg": 0.3, "water-ingress/along_m": 0.05, "current/cx_m_s": 0.04}
+        for name, value in {**sizes, "joint-friction/fin_friction_N_m": 0.002}.items():
             values[named[name]] = value
         hooks = acted.hooks(values, experiment.trials[0])
         edited = edit(acted, values[: acted.acting[0].first], hooks)

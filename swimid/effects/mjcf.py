@@ -10,6 +10,7 @@ from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from swimid.effects import base, environment, fluid, structure
 from swimid.effects.base import Array, Effect, Effects, Parameters, Trial, Trials, parameter
@@ -81,6 +82,28 @@ def carry(fields: Any, body: int, mass: float, inertia: float = 0.0) -> None:
     )
     fields["body_mass"][body] = before + mass
     fields["body_inertia"][body] += inertia
+
+
+def gyration(compiled: Any) -> float:
+    """Return the largest radius of gyration of the heaviest body, m."""
+    body = heaviest(compiled)
+    return float(np.sqrt(np.max(compiled.body_inertia[body]) / compiled.body_mass[body]))
+
+
+def load(fields: Any, body: int, mass: float, offset: Array) -> None:
+    """Add a point mass (kg) without weight to a body, at an offset (m) from its centre of mass."""
+    before = float(fields["body_mass"][body])
+    turn = Rotation.from_quat(fields["body_iquat"][body], scalar_first=True).as_matrix()
+    inertia = turn @ np.diag(fields["body_inertia"][body]) @ turn.T
+    # the inertia about the common centre of mass (reduced mass), in the axes of the body
+    reduced = before * mass / (before + mass)
+    inertia += reduced * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
+    carry(fields, body, mass)
+    fields["body_ipos"][body] += mass / (before + mass) * offset
+    moments, axes = np.linalg.eigh(inertia)
+    axes *= np.sign(np.linalg.det(axes))
+    fields["body_inertia"][body] = moments
+    fields["body_iquat"][body] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
 
 
 class OfJoint(Effect):
@@ -244,7 +267,7 @@ class MjcfHardening(structure.Hardening):
 
 
 class MjcfWaterIngress(structure.WaterIngress):
-    """Mass without weight that is added at the centre of mass of the heaviest body."""
+    """Mass without weight that is added to the heaviest body at a place along its x axis."""
 
     of_model = KIND
 
@@ -253,14 +276,18 @@ class MjcfWaterIngress(structure.WaterIngress):
         return bool(drift_dofs(model.compiled))
 
     def parameters(self, model: Any, trials: Trials) -> Parameters:
-        """Return the mass of the water as a parameter, kg."""
-        size = 0.05 * model.scales(trials).inertia
-        return (parameter("mass_kg", "kg", size, "mass of the water inside", lower=0.0),)
+        """Return the mass of the water (kg), and its distance ahead of the centre of mass of the body (m)."""
+        size, radius = 0.05 * model.scales(trials).inertia, 3.0 * gyration(model.compiled)
+        words = "where it collects, ahead of the body's centre of mass"
+        return (
+            parameter("mass_kg", "kg", size, "mass of the water inside", lower=0.0),
+            parameter("along_m", "m", 0.3 * radius, words, -radius, radius),
+        )
 
     def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
         """Return hooks that add the mass."""
-        body = heaviest(model.compiled)
-        return Hooks(tables=(lambda fields: carry(fields, body, float(values[0])),))
+        body, (mass, along) = heaviest(model.compiled), (float(v) for v in values)
+        return Hooks(tables=(lambda fields: load(fields, body, mass, np.array([along, 0.0, 0.0])),))
 
 
 class MjcfComOffset(structure.ComOffset):
@@ -275,7 +302,7 @@ class MjcfComOffset(structure.ComOffset):
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the displacements along the axes of the body, m."""
         compiled = model.compiled
-        size = 0.03 * float(np.sqrt(np.max(compiled.body_inertia) / np.max(compiled.body_mass)))
+        size = 0.03 * gyration(compiled)
         axes = "xyz" if np.any(compiled.opt.gravity) else "xy"
         words = "displacement of the centre of mass along"
         return tuple(parameter(f"{a}_m", "m", size, f"{words} {a}", -20.0 * size, 20.0 * size) for a in axes)

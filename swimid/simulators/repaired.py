@@ -262,18 +262,18 @@ def _with_attribute(text: str, change: Change) -> str | None:
 def _with_masses(model: MjcfModel, text: str, wanted: dict[str, Any]) -> tuple[str, list[str]]:
     """Return a text in which bodies with another mass, inertia or centre of mass state them."""
     compiled, said = model.compiled, []
+    parts = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
     for body in range(1, compiled.nbody):
-        names = [n for n in ("body_mass", "body_inertia", "body_ipos") if n in wanted]
+        names = [n for n in parts if n in wanted]
         if all(np.array_equal(base_array(compiled, n)[body], wanted[n][body]) for n in names):
             continue
-        own = {n: np.asarray(wanted[n] if n in wanted else base_array(compiled, n))[body] for n in
-               ("body_mass", "body_inertia", "body_ipos")}  # fmt: skip
+        own = {n: np.asarray(wanted[n] if n in wanted else base_array(compiled, n))[body] for n in parts}
         name = _name(model, "body", body)
         element = _find(text, "body", name) if name else None
         if element is None:
             continue
         inertial = (
-            f'<inertial pos="{_words(own["body_ipos"])}" quat="{_words(compiled.body_iquat[body])}" '
+            f'<inertial pos="{_words(own["body_ipos"])}" quat="{_words(own["body_iquat"])}" '
             f'mass="{_words(own["body_mass"])}" diaginertia="{_words(own["body_inertia"])}"/>'
         )
         raw = text.encode()
