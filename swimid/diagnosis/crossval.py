@@ -170,11 +170,14 @@ def _own_precision(
     if not is_effect.any():
         return 0.0, np.eye(len(mine))
     weight = study.expected(fit.problem)[1][mine]
-    seen = study.noise.whiten(fit.problem, k, fit.columns(k, mine)) / weight
-    normal = seen.T @ seen + np.eye(len(mine))
-    rest = np.ix_(~is_effect, ~is_effect)
-    ratio = float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(normal[rest])[1])
-    return ratio, solved(normal, np.eye(len(mine)))
+    seen = np.linalg.qr(study.noise.whiten(fit.problem, k, fit.columns(k, mine)) / weight, mode="r")
+    # By singular values, because a prior beside large derivatives of few samples is lost in normal equations.
+    _, sizes, axes = np.linalg.svd(seen)
+    gained = np.zeros(len(mine))
+    gained[: len(sizes)] = sizes**2
+    others = np.linalg.svd(seen[:, ~is_effect], compute_uv=False) ** 2
+    ratio = float(np.log1p(gained).sum() - np.log1p(others).sum())
+    return ratio, (axes.T / (1.0 + gained)) @ axes
 
 
 def deviances(equations: NormalEquations) -> tuple[Array, Array]:

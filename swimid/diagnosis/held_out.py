@@ -119,11 +119,12 @@ class Rows:
         basis = determined(own)
         free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
         r, uncertain = free[:, 0], free[:, 1:]
-        inner = np.eye(count - 1) + uncertain.T @ uncertain
-        along = uncertain.T @ r
-        squared = float(r @ r) - float(along @ crossval.solved(inner, along[:, None])[:, 0])
+        # By singular values, because the noise beside a large uncertainty is lost in products of columns.
+        axes, sizes, _ = np.linalg.svd(uncertain, full_matrices=False)
+        gained = sizes**2
+        squared = float(r @ r) - float((axes.T @ r) ** 2 @ (gained / (1.0 + gained)))
         expected = len(r) - basis.shape[1]
-        deviance = squared + float(np.linalg.slogdet(inner)[1])
+        deviance = squared + float(np.log1p(gained).sum())
         values = crossval.solved(own.T @ own, own.T @ seen[:, -1:])[:, 0]
         left = np.full(len(chosen), np.nan)
         left[chosen] = (usual - self.own @ values)[chosen]
