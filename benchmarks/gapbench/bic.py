@@ -74,7 +74,7 @@ def _nominal(bench: Study) -> tuple[Study, Hypothesis]:
 def _beside(bench: Study, base: Hypothesis, effect: Effect) -> Hypothesis:
     """The optimum with one more effect, from the best of the sizes it is tried at."""
     effects = (*base.effects, effect)
-    own = bench.affected(effects).own[-1]
+    own = bench.affected(effects).acting[-1].parameters
     starts = []
     for point in [*effect.tries(own), np.array([p.start for p in own])]:
         named = {f"{effect.name}/{p.name}": float(v) for p, v in zip(own, point, strict=False)}

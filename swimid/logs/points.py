@@ -432,7 +432,8 @@ def _perspective(seen: Complex, used: Flags, pairs: list[tuple[int, int]]) -> fl
     """
     parts = []
     for i, j in pairs:
-        rows = np.flatnonzero(used[:, i] & used[:, j])
+        # labels on one place have no direction
+        rows = np.flatnonzero(used[:, i] & used[:, j] & (seen[:, i] != seen[:, j]))
         if len(rows) < MIN_FRAMES:
             continue
         line, middle = seen[rows, i] - seen[rows, j], 0.5 * (seen[rows, i] + seen[rows, j])
