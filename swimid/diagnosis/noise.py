@@ -245,6 +245,11 @@ def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
     return known, fit
 
 
+def has_repeats(trials: Sequence[Trial]) -> bool:
+    """Return whether a setting was repeated."""
+    return len({repeated(t) for t in trials}) < len(trials)
+
+
 def reweigh(study: Study, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with weights from the residuals of a fit.
 
@@ -272,7 +277,7 @@ def possible(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> list[D
     """
     model, trials = study.model, study.trials
     value = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
-    is_repeated = len({repeated(t) for t in trials}) < len(trials)
+    is_repeated = has_repeats(trials)
     tried: list[tuple[str, Effect, int, float, float]] = []
     for effect in (e for e in effects if e.scatters):
         for j, p in enumerate(effect.parameters(model, trials)):

@@ -566,7 +566,9 @@ class Search:
         """
         study, fit = self.study, leading
         self.prepare([fit.effects])
-        if any(trial.stamps_uncertain for trial in study.trials):
+        uncertain = any(trial.stamps_uncertain for trial in study.trials)
+        # Repeats show the error of the stamps by themselves.
+        if uncertain and not noise.has_repeats(study.trials):
             study = study.with_noise(noise.reweigh(study, fit))
             fit = self._moved(leading, study, leading)
         terms = remainder.generic_terms(study, fit)
@@ -841,9 +843,10 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
         search.learn(max(search.best(size + 1)[:PARENTS], key=search.likelihood))
         search.compare()
         if len(search.base.names) <= size:
-            # With the noise of the larger set, that set is not needed.
-            search.change(search.study.with_noise(before))
-            search.compare()
+            # With the noise of the larger set, that set is not needed. Go back, unless no gap is left then.
+            if search.posterior.none < SURE:
+                search.change(search.study.with_noise(before))
+                search.compare()
             break
     best = search.base
     for effect in best.effects if len(best.names) > 1 else ():
