@@ -192,7 +192,8 @@ def test_the_readme_shows_the_diagnosis_of_the_sample(sample: tuple[Path, Ran]) 
         r"\$ swimid diagnose sample_logs/gap/\S+ --params \S+ -o gap\.yaml\n(.*?)```", text, re.S
     )
     assert shown is not None
-    said, expected = sample[1].out.strip(), shown.group(1).strip()
+    # a rounded digit changes the widths of the columns
+    said, expected = (re.sub(" +", " ", text.strip()) for text in (sample[1].out, shown.group(1)))
     number = re.compile(r"\d+(?:\.\d+)?")
     assert number.sub("#", said) == number.sub("#", expected)
     # processors round differently, and a floor read off a hundred independent samples is good to 1/sqrt(200)

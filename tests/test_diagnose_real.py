@@ -53,7 +53,8 @@ def test_a_simulator_without_viscosity_lacks_roll_damping(
     fixed = ("--fix", "quadratic_damping=0", "--fix", f"linear_damping={damping:.5f}")
     assert swimid("fit-drag", simulated, *fixed, "-o", nominal).status == 0
     gap = diagnosed(swimid, measured, nominal)
-    assert gap["verdict"] in ("explained", "ambiguous")
+    # the real decay leaves more than noise beside any one form of damping
+    assert gap["verdict"] in ("explained", "ambiguous", "partial")
     assert gap["causes"][0]["effect"] in ("linear-drag", "quadratic-drag")
     assert answer(gap) <= {"linear-drag", "quadratic-drag", "pulley-friction", "load-friction"}
     assert gap["causes"][0]["probability"] > 0.7
