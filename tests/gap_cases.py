@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis import gap_file
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -31,6 +30,7 @@ from swimid.diagnosis.gap_file import (
     Where,
 )
 from swimid.diagnosis.held_out import Piece
+from swimid.fitting import fit_common
 from swimid.fitting.model import Trial
 from swimid.results import evidence as ev
 from swimid.simulation.compare_series import ChannelScore
@@ -390,7 +390,7 @@ SOFTER = Cause(
 _OFF = {"u_m_s": ChannelScore(unit="m/s", rmse=0.042, nrmse=0.19, samples=900)}
 CHANGED = replace(_BRIEF, causes=[SOFTER], as_given=_OFF, facts=facts(SOFTER.effect))
 MOVED = replace(NONE, moved=SOFTER.parameters, as_given=_OFF)
-NOT_GIVEN = replace(NONE, params=gap_file.ROBOT_FILE)
+NOT_GIVEN = replace(NONE, params=fit_common.ROBOT_FILE)
 BLACK_BOX = replace(UNEXPLAINED, facts=facts(no_gap=0.9, unreproduced={"u_m_s": 0.003}))
 #: The cause closes three quarters of the gap, and a cause outside the catalogue is likely.
 PARTIAL = replace(

@@ -132,7 +132,7 @@ def fit_graybox(
     1.0
     """
     if not isinstance(trials, TrialSet):
-        trials = TrialSet.read(trials)
+        trials = TrialSet(trials_format.read(trials, "fit-graybox"), Path(trials))
     if not trials.entries.robot_form:
         return _fit_simulator(trials, options, output, progress)
     with recorded(repeat=True) as notices:

@@ -330,7 +330,8 @@ def write(folder: Path, robot: Robot, logs: Sequence[dict[str, np.ndarray]]) -> 
     rows = []
     for k, log in enumerate(logs):
         table = np.column_stack(list(log.values()))
-        np.savetxt(folder / f"run{k}.csv", table, "%.6g", ",", header=",".join(log), comments="")
+        header = f"# source: simulated (tests/generators/mujoco_robots.py)\n{','.join(log)}"
+        np.savetxt(folder / f"run{k}.csv", table, "%.6g", ",", header=header, comments="")
         rows.append({"log": f"run{k}.csv"} | ({"role": "validate"} if k == len(logs) - 1 else {}))
     document = {"format": "swimid-trials/1", "experiment": "mjcf", "model": robot.model, "trials": rows}
     path = folder / "trials.yaml"
