@@ -69,7 +69,14 @@ def proposed(search: Search, found: Round) -> Proposed:
     shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
     alone = share.get(name, 0.0) + sum(share.get(n, 0.0) for n in found.same)
     own = any(p.per_trial for p in found.ranked[0].added.parameters)
-    return Proposed(equivalent=shown[1:], alone=alone, crowded=len(alike) > SET, per_trial=own)
+    fit = search.base
+    at_bound = any(
+        label.rpartition("/")[0] == name and not inside
+        for label, inside in zip(fit.labels, fit.inside, strict=True)
+    )
+    return Proposed(
+        equivalent=shown[1:], alone=alone, crowded=len(alike) > SET, per_trial=own, at_bound=at_bound
+    )
 
 
 def answer(

@@ -170,7 +170,8 @@ def _own_precision(
     if not is_effect.any():
         return 0.0, np.eye(len(mine))
     weight = study.expected(fit.problem)[1][mine]
-    seen = np.linalg.qr(study.noise.whiten(fit.problem, k, fit.columns(k, mine)) / weight, mode="r")
+    rows = study.noise.whiten(fit.problem, k, fit.columns(k, mine)) / weight
+    seen: Array = np.asarray(np.linalg.qr(rows, mode="r"))
     # By singular values, because a prior beside large derivatives of few samples is lost in normal equations.
     _, sizes, axes = np.linalg.svd(seen)
     gained = np.zeros(len(mine))

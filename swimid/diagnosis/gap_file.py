@@ -173,6 +173,8 @@ class Proposed(yamlio.Document):
     crowded: bool = False
     #: Whether the effect has values of its own in each trial.
     per_trial: bool = False
+    #: Whether a parameter of the effect lies at its bound.
+    at_bound: bool = False
 
 
 class Facts(yamlio.Document):

@@ -158,9 +158,11 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     found = f"{probability_text(share)} of the probability of a gap"
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
     _, before, after, _ = _sums(facts.held_out)
-    # An effect with values of its own in each trial also fits those of a held-out trial.
+    # An effect with values of its own in each trial also fits those of a held-out trial. An effect at its
+    # bound stands in for a cause outside.
     left = remaining_share(facts, as_given=_is_change(facts))
-    closes = left is not None and left <= 1.0 - MOST and not first.per_trial
+    is_stretched = any(one.at_bound for one in facts.proposed.values())
+    closes = left is not None and left <= 1.0 - MOST and not first.per_trial and not is_stretched
     lowers = share > 0.5 or closes or (share > UNSURE and after <= before and is_imitated(facts))
     otherwise: Verdict = "partial" if lowers else "unexplained"
     yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, otherwise, lowers, reason)

@@ -106,7 +106,6 @@ def test_a_black_box_of_unrelated_noise_describes_nothing(case: Case, swimid: Ru
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="named PARTIAL, with a loss at its bound, beside 90 % for a cause outside")
 def test_a_rate_loop_that_a_black_box_does_not_follow_stays_unexplained(case: Case, swimid: Run) -> None:
     folder = case("r-diagnose-none-unfit", "make.py")
     made = swimid("rwls", "fit.yaml", "--na", "3", "--nb", "2", "-o", "arx.yaml")
