@@ -138,6 +138,18 @@ def test_init_takes_the_only_file_of_the_folder(swimid, tmp_path, samples):
     assert [link.name for link in links] == ["head", "peduncle", "fin"]
 
 
+def test_init_keeps_the_questions_of_a_rig_beside_such_a_file(swimid, tmp_path, samples):
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "fish.xml").write_text(FISH)
+    for log in ("w10.csv", "w20.csv"):
+        (lab / log).write_text((samples / "rig" / log).read_text())
+    ran = swimid("init", lab, "-o", tmp_path / "project", "--experiment", "falling-weight")
+    assert ran.status == 0, ran.err
+    assert "drafted from fish.xml" not in ran.out
+    assert "ASK" in (tmp_path / "project" / "robot.yaml").read_text()
+
+
 @pytest.mark.parametrize(
     "change, text",
     [

@@ -286,6 +286,19 @@ class TestRepaired:
         # every other line is as it was
         assert len(set(FISH.splitlines()) - set(edited.text.splitlines())) <= 5
 
+    def test_a_gain_without_an_attribute_of_its_own_is_named(self, tmp_path):
+        text = FISH.replace(
+            '<position name="servo" joint="servo" kp="6" kv="0.05"/>',
+            '<general name="servo" joint="servo" gainprm="6" biastype="affine" biasprm="0 -6 -0.05"/>',
+        )
+        model = fish_model(gain="actuator/servo/gainprm[0]", k_fin="joint/fin/stiffness")
+        experiment = load_experiment(written(tmp_path, text, "fish.xml", model, [swum(text, 1.0)]))
+        values = np.array([p.start for p in experiment.model.parameters])
+        values[:2] = 5.0, 0.09
+        edited = edit(experiment.model, values, experiment.model.hooks(values, experiment.trials[0]))
+        assert mujoco.MjModel.from_xml_string(edited.text).joint("fin").stiffness[0] == 0.09
+        assert any("kp of the actuator 'servo'" in one for one in edited.left_out)
+
 
 SIMULATOR = '''"""A boat with thrust and drag."""
 import numpy as np

@@ -128,13 +128,9 @@ class OfJoint(Effect):
         """Return one form for each joint between the links."""
         return [type(self)(joint.name) for joint in joints(model, trials)]
 
-    def found(self, model: Any, trials: Trials) -> Joint:
-        """Return the joint."""
-        return next(joint for joint in joints(model, trials) if joint.name == self.joint)
-
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the value that is added for the joint. The sum is not negative."""
-        joint = self.found(model, trials)
+        joint = next(joint for joint in joints(model, trials) if joint.name == self.joint)
         unit, size = self.measure(joint, model)
         least = -float(getattr(model.compiled, self.field)[joint.dof])
         ending = unit.replace(" ", "_").replace("/", "_").replace("^", "")
@@ -147,7 +143,7 @@ class OfJoint(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
         """Return hooks that add to the array of the compiled model."""
-        dof = self.found(model, [trial]).dof
+        dof = int(model.compiled.jnt_dofadr[model.joint_names.index(self.joint)])
 
         def change(fields: dict[str, Any]) -> None:
             fields[self.field][dof] += values[0]
@@ -213,12 +209,13 @@ class MjcfJointLocked(structure.JointLocked):
 
     def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
         """Return hooks that stiffen the joint."""
-        joint, lock = next(j for j in joints(model, [trial]) if j.name == self.column), float(values[0])
+        compiled, number, lock = model.compiled, model.joint_names.index(self.column), float(values[0])
+        inertia = float(compiled.dof_M0[compiled.jnt_dofadr[number]])
 
         def change(fields: dict[str, Any]) -> None:
-            own = float(fields["jnt_stiffness"][joint.number])
-            own = own or float(model.compiled.dof_M0[joint.dof]) * (2.0 * math.pi * structure.HELD_HZ) ** 2
-            fields["jnt_stiffness"][joint.number] += own * lock / (1.0 - lock)
+            own = float(fields["jnt_stiffness"][number])
+            own = own or inertia * (2.0 * math.pi * structure.HELD_HZ) ** 2
+            fields["jnt_stiffness"][number] += own * lock / (1.0 - lock)
 
         return Hooks(tables=(change,))
 

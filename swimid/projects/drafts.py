@@ -111,7 +111,9 @@ class Project:
     optional : list of str
         Commands for recordings that the fits do not need.
     robot_text : str
-        Robot file that is drafted from a file in MJCF or URDF; empty without one.
+        Robot file with links that is drafted from a file in MJCF or URDF; empty without one.
+    robot_asks : list of str
+        Questions of this robot file.
     """
 
     folder: Path
@@ -126,6 +128,7 @@ class Project:
     inertial: list[tuple[Path, Path, str]] = field(default_factory=list)
     optional: list[str] = field(default_factory=list)
     robot_text: str = ""
+    robot_asks: list[str] = field(default_factory=list)
 
     def relative(self, path: Path) -> str:
         """Return a path relative to the folder of the project, with slashes."""
@@ -238,7 +241,11 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
         joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for group in groups for name in group.columns]
         count = max((int(hit[1]) for hit in joints if hit), default=1)
         links = ["body", *(f"segment{k}" for k in range(1, count)), "tail"]
-        project.files["robot.yaml"] = project.robot_text or rendered(
+        if forms == {"links"} and project.robot_text:
+            project.files["robot.yaml"] = project.robot_text
+            project.missing += project.robot_asks
+            return
+        project.files["robot.yaml"] = rendered(
             "robot.yaml", rigid="body" in forms, linked="links" in forms, links=links
         )
 

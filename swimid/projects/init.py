@@ -132,7 +132,7 @@ def _add_robot(project: Project, source: Path) -> None:
     if found is not None:
         path, project.robot_text, asks = found
         words = f"robot.yaml is drafted from {path.name}"
-        project.missing += [f"{words}: {ask}" for ask in asks] or [f"{words}: check it"]
+        project.robot_asks = [f"{words}: {ask}" for ask in asks] or [f"{words}: check it"]
 
 
 def _drafted(

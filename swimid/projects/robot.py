@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NotRequired
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from swimid.options import takes
 from swimid.projects.options import RobotOptions
 from swimid.results.result import Result
 from swimid.robots.file import Robot, schema_of
-from swimid.simulators.mjcf import HINGE, base_joints, mujoco, read_spec
+from swimid.simulators.mjcf import HINGE, base_joints, compile_spec, element_name, mujoco, read_spec
 from swimid.swimmer.planar.model import MultilinkModel
 
 #: Root element of a file in MJCF or URDF.
@@ -64,11 +64,11 @@ class DraftedRobot(Result):
 
     keys = {
         "robot": str, "plane": str, "asks": list[str], "left_out": list[str],
-        "differences": dict[str, float], "output": NotRequired[str],
+        "differences": dict[str, float],
     }  # fmt: skip
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
-        """Return the command that simulates the drafted robot."""
+        """Return no command: a fit needs trials, which the draft does not know."""
         return ""
 
 
@@ -86,7 +86,6 @@ class _Body:
     width: float
     joint: int | None
     parent: _Body | None = None
-    entries: dict[str, Any] = field(default_factory=dict)
 
     def local(self, point: Array) -> Array:
         """Return forward and sideward coordinates of a point of the plane from the front end, m."""
@@ -187,10 +186,7 @@ class _Draft:
             root = spec.worldbody.first_body()
             if root is not None and not list(root.joints):
                 root.add_freejoint()
-        try:
-            self.compiled = mujoco().MjSpec.compile(spec)
-        except ValueError as error:
-            raise InputError(f"MuJoCo cannot compile it: {error}", file=path) from error
+        self.compiled = compile_spec(spec, path)
         self.data = mujoco().MjData(self.compiled)
         mujoco().mj_forward(self.compiled, self.data)
         self.base = base_joints(self.compiled)
@@ -204,8 +200,7 @@ class _Draft:
 
     def name(self, kind: str, number: int) -> str:
         """Return the name of an element, or a name made of its kind and index."""
-        found = mujoco().mj_id2name(self.compiled, getattr(mujoco().mjtObj, f"mjOBJ_{kind.upper()}"), number)
-        return str(found) if found else f"{kind}{number}"
+        return element_name(self.compiled, kind, number) or f"{kind}{number}"
 
     def _hinges(self) -> list[int]:
         return [k for k in range(self.compiled.njnt) if k not in self.base]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 import multiprocessing
 import os
@@ -185,6 +186,7 @@ def base_array(compiled: Any, name: str) -> Array:
     )
 
 
+@functools.cache
 def mujoco() -> Any:
     """Return the module of MuJoCo.
 
@@ -223,6 +225,20 @@ def read_spec(path: Path) -> Any:
         text = str(error).strip().replace("\n", " ")
         line = re.search(r"line (\d+)", text)
         raise InputError(f"MuJoCo cannot read it: {text}", file=path, line=line and int(line[1])) from error
+
+
+def compile_spec(spec: Any, path: Path) -> Any:
+    """Return the compiled model of a specification.
+
+    Raises
+    ------
+    InputError
+        If MuJoCo cannot compile it.
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(f"MuJoCo cannot compile it: {error}", file=path) from error
 
 
 class MjcfModel(SimulatorModel):
@@ -268,10 +284,7 @@ class MjcfModel(SimulatorModel):
             # the centre of mass of a body counts as fixed otherwise
             body.simple = False
         sensors = {channel: _add_sensor(spec, source, path) for channel, source in outputs.items()}
-        try:
-            self.compiled = spec.compile()
-        except ValueError as error:
-            raise InputError(f"MuJoCo cannot compile it: {error}", file=path) from error
+        self.compiled = compile_spec(spec, path)
         self.step_s = float(self.compiled.opt.timestep)
         self.outputs = {channel: _output(self.compiled, *sensor) for channel, sensor in sensors.items()}
         self.attributes: list[Attribute] = []
@@ -291,8 +304,7 @@ class MjcfModel(SimulatorModel):
             module.mj_resetDataKeyframe(self.compiled, data, self._key)
         self._rest = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()
         joints = range(self.compiled.njnt)
-        given = [module.mj_id2name(self.compiled, module.mjtObj.mjOBJ_JOINT, k) for k in joints]
-        self.joint_names = [name or f"joint{k}" for k, name in enumerate(given)]
+        self.joint_names = [element_name(self.compiled, "joint", k) or f"joint{k}" for k in joints]
         self.dofs = _dofs(self.compiled, self.joint_names)
         super().__init__(made, tuple(inputs.values()), tuple(outputs))
         units = {name: "m" if name.endswith("_m") else "rad" for name in self.dofs}
@@ -536,6 +548,13 @@ def _independent(slopes: Array) -> NDArray[np.intp]:
 # ---------------------------------------------------------------- elements of a file
 
 
+def element_name(compiled: Any, kind: str, number: int) -> str | None:
+    """Return the name of an element of a compiled model; None if it has none."""
+    module = mujoco()
+    name = module.mj_id2name(compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), number)
+    return str(name) if name else None
+
+
 def find_element(compiled: Any, kind: str, name: str, path: Path) -> int:
     """Return the index of an element of a compiled model.
 
@@ -549,13 +568,8 @@ def find_element(compiled: Any, kind: str, name: str, path: Path) -> int:
     if number < 0:
         count = {"key": compiled.nkey, "joint": compiled.njnt, "actuator": compiled.nu}.get(kind)
         count = getattr(compiled, f"n{kind}") if count is None else count
-        names = [
-            module.mj_id2name(compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), k)
-            for k in range(count)
-        ]
-        raise InputError(
-            f"has no {kind} '{name}'", file=path, hint=suggestion(name, [n for n in names if n], "it has")
-        )
+        names = [known for k in range(count) if (known := element_name(compiled, kind, k))]
+        raise InputError(f"has no {kind} '{name}'", file=path, hint=suggestion(name, names, "it has"))
     return int(number)
 
 
@@ -646,6 +660,8 @@ def _dofs(compiled: Any, joints: Sequence[str]) -> list[str]:
     return [f"{name}_{end}" for name, kind in kinds for end in ends[int(kind)]]
 
 
+#: Components of an output that is an angle of a body or of a site.
+TURNS = ("roll", "pitch", "yaw")
 #: Sensors of MuJoCo by kind and component of an output.
 SENSORS = {
     ("site", "xyz"): "framepos",
@@ -684,7 +700,7 @@ def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
             name, component = rest, "value"
         group = component
     else:
-        group = "xyz" if component in ("x", "y", "z") else "turn" if component in BALL_WORDS else ""
+        group = "xyz" if component in ("x", "y", "z") else "turn" if component in TURNS else ""
     if (kind, group) not in SENSORS:
         forms = "site/NAME/x, body/NAME/yaw, joint/NAME, joint/NAME/rate, tendon/NAME or sensor/NAME/0"
         raise InputError(f"'{source}' is no output", file=path, hint=f"an output is {forms}")
@@ -700,9 +716,6 @@ def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
         objname=name,
     )
     return own, component, component != "rate"
-
-
-BALL_WORDS = ("roll", "pitch", "yaw")
 
 
 def _output(compiled: Any, sensor: str, component: str, place: bool) -> Output:

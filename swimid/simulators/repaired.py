@@ -14,7 +14,7 @@ from xml.parsers import expat
 import numpy as np
 
 from swimid.fitting.model import Array, Hooks, Trial
-from swimid.simulators.mjcf import MjcfModel, base_array, mujoco
+from swimid.simulators.mjcf import MjcfModel, base_array, element_name, mujoco
 
 #: Relative difference of an array of the changed file to the wanted one that counts as none.
 SAME = 1e-7
@@ -71,7 +71,7 @@ class Change(NamedTuple):
     new: Array
 
 
-#: Tags of elements by kind, or the element around them.
+#: Tags of elements by kind. Actuators and tendons have many.
 TAGS = {
     "joint": ("joint", "freejoint"),
     "body": ("body",),
@@ -79,10 +79,13 @@ TAGS = {
     "site": ("site",),
     "option": ("option",),
 }
+#: Element around the elements of a kind.
 AROUND = dict.fromkeys(("joint", "body", "geom", "site"), "worldbody") | {
     "actuator": "actuator",
     "tendon": "tendon",
 }
+#: Tags of actuators that have the gains of a servo as attributes.
+SERVOS = {"kp": ("position",), "kv": ("position", "velocity", "intvelocity")}
 #: Attribute and columns of an array, by kind of element. None stands for all columns.
 WRITTEN: tuple[tuple[str, str, str, slice | None], ...] = (
     ("jnt_stiffness", "joint", "stiffness", None),
@@ -126,7 +129,9 @@ def edit(model: MjcfModel, values: Array, hooks: Hooks) -> Edited:
     for change in changes:
         changed = _with_attribute(text, change)
         if changed is None:
-            left_out.append(f"{change.kind} '{change.element}' is not in {model.path.name} itself")
+            left_out.append(
+                f"{change.attribute} of the {change.kind} '{change.element}', which has no such place"
+            )
             continue
         text = changed
         said.append(
@@ -152,7 +157,7 @@ def _changes(model: MjcfModel, wanted: dict[str, Any]) -> tuple[list[Change], li
         for row in np.flatnonzero(np.any((old != new).reshape(len(old), -1), axis=1)):
             number = int(model.compiled.dof_jntid[row]) if field.startswith("dof") else int(row)
             part = columns or slice(None)
-            name = _name(model, kind, number)
+            name = element_name(model.compiled, kind, number)
             before, after = (np.atleast_1d(a[row])[part] for a in (old, new))
             if name and attribute == "dynprm":
                 left_out.append(f"dynprm of the actuator '{name}'")
@@ -168,7 +173,7 @@ def _servos(model: MjcfModel, wanted: dict[str, Any]) -> list[Change]:
     """Return the changed gains of position servos."""
     compiled, changes = model.compiled, []
     for k in range(compiled.nu):
-        name = _name(model, "actuator", k)
+        name = element_name(compiled, "actuator", k)
         for field, column, attribute, sign in (
             ("actuator_gainprm", 0, "kp", 1.0), ("actuator_biasprm", 2, "kv", -1.0),
         ):  # fmt: skip
@@ -179,12 +184,6 @@ def _servos(model: MjcfModel, wanted: dict[str, Any]) -> list[Change]:
                         Change("actuator", name, attribute, np.array([sign * old]), np.array([sign * new]))
                     )
     return changes
-
-
-def _name(model: MjcfModel, kind: str, number: int) -> str | None:
-    module = mujoco()
-    found = module.mj_id2name(model.compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), number)
-    return None if found is None else str(found)
 
 
 def _words(values: Sequence[float] | Array) -> str:
@@ -254,6 +253,8 @@ def _with_attribute(text: str, change: Change) -> str | None:
         return (raw[: root.end] + new.encode() + raw[root.end :]).decode()
     if element is None or element.tag == "freejoint":
         return None
+    if change.kind == "actuator" and element.tag not in SERVOS.get(change.attribute, (element.tag,)):
+        return None
     tag = raw[element.first : element.end].decode()
     tag = _set(tag, change.attribute, _words(change.new))
     return (raw[: element.first] + tag.encode() + raw[element.end :]).decode()
@@ -268,7 +269,7 @@ def _with_masses(model: MjcfModel, text: str, wanted: dict[str, Any]) -> tuple[s
         if all(np.array_equal(base_array(compiled, n)[body], wanted[n][body]) for n in names):
             continue
         own = {n: np.asarray(wanted[n] if n in wanted else base_array(compiled, n))[body] for n in parts}
-        name = _name(model, "body", body)
+        name = element_name(compiled, "body", body)
         element = _find(text, "body", name) if name else None
         if element is None:
             continue
