@@ -449,6 +449,13 @@ class TestErrors:
         assert ran.status == 2
         assert text in ran.err
 
+    def test_of_a_function_with_noise_of_its_own(self, swimid, tmp_path):
+        noisy = SIMULATOR.replace('{"x_m": way', '{"x_m": way + 0.002 * np.random.normal(size=len(way))')
+        ran = swimid("fit", written(tmp_path, noisy, "sim.py", BOAT, [sailed(1, 1.0, 6.0, 0.0)]))
+        assert ran.status == 3
+        assert "returns other values for equal arguments" in ran.err
+        assert "seed its random numbers" in ran.err
+
     def test_of_an_input(self, tmp_path):
         log = swum(FISH, 1.0)
         log.loc[10:20, "cmd_rad"] = np.nan

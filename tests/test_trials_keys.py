@@ -339,7 +339,7 @@ def write_case(folder: Path, document: dict[str, Any]) -> Path:
         (folder / f"{name}-late.csv").write_text("\n".join([head, *rows[7:]]) + "\n")
     for name, mass in (("slide.xml", 1.0), ("other.xml", 2.0)):
         (folder / name).write_text(SLIDE.format(mass).replace('stiffness="1"', f'stiffness="{mass}"'))
-    code = "def simulate(parameters, inputs, times):\n    return {'x_m': times}\n"
+    code = "def simulate(parameters, inputs, times):\n    return {'x_m': times, 'u_m_s': times}\n"
     (folder / "sim.py").write_text(code + code.replace("simulate", "other"))
     # another recording, not a copy: copies are told
     (folder / "other" / "decay.csv").write_text((folder / "decay.csv").read_text() + "\n")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from swimid.errors import InputError
@@ -73,4 +74,14 @@ class Python(SimulatorTrials):
             raise at_key(path, self._data, ["model", "parameters"], error) from error
         model = PythonModel(simulate, parameters, entry.inputs, entry.outputs)
         trials, sources = self.read_trials(path, entry.inputs, entry.outputs)
+        values = np.array([p.start for p in parameters])
+        once, again = model.run_many([(values, trials[0])] * 2)
+        if any(not np.array_equal(once[name], again[name], equal_nan=True) for name in once):
+            raise InputError(
+                f"{entry.python} returns other values for equal arguments, so that it has no derivatives",
+                file=path,
+                line=yamlio.line_of(self._data, ["model", "python"]),
+                column="model.python",
+                hint="seed its random numbers in each call, or leave its noise out",
+            )
         return self.posed(path, model, trials, [file, *sources] if file else sources)
