@@ -53,6 +53,18 @@ def test_a_drag_coefficient_that_changed(swimid: Run, first_day: Path, tmp_path:
     assert file.as_given["x_m"].nrmse > 20 * cause.shrinkage[0].after
 
 
+def test_changed_parameters_that_are_not_requested_are_stated(
+    swimid: Run, first_day: Path, tmp_path: Path
+) -> None:
+    trials = write_falls(tmp_path / "second", np.random.default_rng(12), drag_coefficient=SECOND)
+    file, said = diagnosed(swimid, trials, "--params", first_day, "--effects", "string-stretch")
+    missing = "Changes of parameters were not requested, and are not tried: "
+    assert missing + "drag_coefficient, added_mass and pulley_friction." in " ".join(said.split())
+    assert "tried 1 effect" in said
+    assert {score.effect for score in file.scores} == {"string-stretch"}
+    assert file.verdict != "explained"
+
+
 @pytest.mark.slow
 def test_the_same_rig_on_another_day(swimid: Run, first_day: Path, tmp_path: Path) -> None:
     trials = write_falls(tmp_path / "second", np.random.default_rng(13), drag_coefficient=FIRST)

@@ -174,7 +174,7 @@ def test_the_other_verdicts_in_words() -> None:
     assert "follows the trials it is fitted to, but not the validation trials." in follows
     assert "f10a15 has 22 times the squared error that noise and uncertain parameters explain" in follows
     assert "together explain the gap" in said("pair")
-    assert "The model has a gap, and no effect of the catalogue closes it." in said("unexplained")
+    assert "The model has a gap, and no effect that was tried closes it." in said("unexplained")
     assert "Do not rely on it: no gap has a probability of 0.1 % only" in said("unexplained")
 
 

@@ -30,6 +30,7 @@ from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
+from swimid.results.numbers import listed
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
@@ -42,6 +43,8 @@ NOT_GIVEN = (
 )
 #: Text on an effect that has no form for a simulator of the user.
 CANNOT_ACT = "it has no form for this simulator, or none of its channels was measured"
+#: Text on changed parameters that are not among the requested effects.
+NOT_REQUESTED = "changes of parameters were not requested, and are not tried: {}"
 #: Text that says why there is no proposed trial if the answer leaves no rival causes.
 NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
 
@@ -285,6 +288,13 @@ def diagnose(
         found_forms = {e.name for e in applicable}
         alike |= {e.name: CANNOT_ACT for e in known if e.stage != "rig" and e.name not in found_forms}
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
+    omitted = [
+        c.name.removeprefix(nominal.PREFIX)
+        for c in begun.changes
+        if asked is not None and c.name not in asked
+    ]
+    if omitted:
+        reasons.append(NOT_REQUESTED.format(listed(omitted)))
     about |= {
         "reasons": [*file.reasons, *reasons],
         "left_out": left_out | file.left_out,

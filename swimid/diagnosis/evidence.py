@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -107,7 +107,7 @@ def evidence(
     about = {
         "Trials": f"{len(file.trials)} against {file.params}",
         "Model": file.model,
-        "Effects tried": str(len({s.effect for s in file.scores}) or ""),
+        "Tried": _tried_text(file),
     }
     if file.facts.no_gap is not None:
         about["Probability"] = otherwise_text(file.facts)
@@ -130,6 +130,19 @@ def evidence(
         references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
         provenance=dict(file.provenance),
     )
+
+
+def _tried_text(file: GapFile) -> str:
+    """Return the numbers of effects, changed parameters and other readings that were tried."""
+    names = {s.effect for s in file.scores}
+    changes = {name for name in names if name.startswith(PREFIX)}
+    other = {name for name in names if name.startswith(READING)}
+    counted = (
+        ("effect", "effects", names - changes - other),
+        ("changed parameter", "changed parameters", changes),
+        ("other reading", "other readings", other),
+    )
+    return listed([f"{len(of)} {plural(one, several, of)}" for one, several, of in counted if of])
 
 
 # ---------------------------------------------------------------- checks
@@ -423,7 +436,7 @@ def answer_text(file: GapFile) -> str:
     elif (file.facts.no_gap or 0.0) > 0.5 and file.held_out == "validation":
         said = "The model follows the trials it is fitted to, but not the validation trials."
     else:
-        said = "The model has a gap, and no effect of the catalogue closes it."
+        said = "The model has a gap, and no effect that was tried closes it."
     return f"{said} {_closed_text(file)}".rstrip()
 
 
@@ -447,8 +460,8 @@ def _closed_text(file: GapFile) -> str:
     return f"{where[0].upper()}{where[1:]} the squared error {parts}."
 
 
-def plural(one: str, several: str, things: Sequence[object]) -> str:
-    """Return the text ``one`` if the list has one entry, otherwise the text ``several``."""
+def plural(one: str, several: str, things: Collection[object]) -> str:
+    """Return the text ``one`` if the collection has one entry, otherwise the text ``several``."""
     return one if len(things) == 1 else several
 
 

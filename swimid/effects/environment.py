@@ -144,7 +144,7 @@ class SurfaceBreach(Effect):
         """Return the effect if the model is a free swimmer in the vertical plane with a measured height."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
         body = base.free_body(model)
-        if body is None or not body.vertical or not heights:
+        if body is None or not body.vertical or not heights or is_in_gas(model):
             return []
         values = np.concatenate(heights)
         return [SurfaceBreach(tuple(float(q) for q in np.nanquantile(values, (0.85, 0.5, 0.97))))]
@@ -421,6 +421,17 @@ DEPTH = 0.5
 MOST = 0.5
 
 
+#: Minimum density of a fluid with a free surface, kg/m^3. Liquids in which robots swim have at least half the
+#: density of water, gases at the pressure of a laboratory have at most a hundredth of it.
+MIN_LIQUID_DENSITY = 100.0
+
+
+def is_in_gas(model: Model) -> bool:
+    """Return whether the robot moves in a gas, which has no free surface and therefore no waves."""
+    density = model.fluid_density_kg_m3
+    return density is not None and density < MIN_LIQUID_DENSITY
+
+
 class Waves(Effect):
     """Waves: orbital water velocity ``a cos(2 pi f t) + b sin(2 pi f t)`` along one axis fixed to the ground.
 
@@ -449,10 +460,10 @@ class Waves(Effect):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return one form of the effect for each axis and each strong spectral line of the tracks.
 
-        The result is empty for a model without motion in time.
+        The result is empty for a model without motion in time, and in a gas.
         """
         # A model of averages over beats or courses has no motion within the period of a wave.
-        if "force" not in model.offers:
+        if "force" not in model.offers or is_in_gas(model):
             return []
         found: list[Waves] = []
         tracked = len(model.axes) == 2 and all(

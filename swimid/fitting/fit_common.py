@@ -129,6 +129,7 @@ class Experiment:
         if not entries._in_memory:
             inputs.insert(0, path)
         robot = robot or robot_format.read(entries.robot, path.parent)
+        model.fluid_density_kg_m3 = robot.fluid.density_kg_m3
         return cls(entries.experiment, robot, model, trials, inputs, **more)
 
 

@@ -615,6 +615,8 @@ class Model:
         stroke cycle after the other.
     file_ending : str
         Ending of the user's file of a simulator; empty if the model has no such file.
+    fluid_density_kg_m3 : float or None
+        Density of the fluid in the robot file; None if unknown.
     acting : tuple of Acting
         Effects that act on the model.
 
@@ -641,6 +643,7 @@ class Model:
     has_gaps: bool = False
     in_space: bool = False
     file_ending: str = ""
+    fluid_density_kg_m3: float | None = None
     acting: tuple[Acting, ...] = ()
 
     @property
