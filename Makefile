@@ -16,7 +16,7 @@ export PYTHONUTF8 := 1
 # Files of tests stay whole: what their tests share is made once.
 SPREAD := -n 2 --dist loadfile
 
-.PHONY: demo test check-all lowest lint types bench blind coverage faults mutants samples pictures docs reproduction hooks \
+.PHONY: demo test check-all lowest lint types bench blind coverage faults mutants evidence samples pictures docs reproduction hooks \
     clean
 
 demo: $(VENV)/.ready
@@ -79,6 +79,10 @@ coverage: $(VENV)/.ready-dev
 # Small errors put into the package on purpose: the share that the tests notice. A run is taken up again.
 mutants: $(VENV)/.ready-dev
 	$(BIN)/python -m tests.mutants
+
+# Prints all measured evidence from docs/measured, and writes its tables into the pages.
+evidence: $(VENV)/.ready-dev
+	$(BIN)/python docs/evidence.py
 
 # Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
 samples: $(VENV)/.ready-dev

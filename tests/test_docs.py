@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import importlib.util
 import os
 import re
@@ -16,7 +17,9 @@ from typing import Any
 
 import click
 import pytest
+from ruamel.yaml import YAML
 
+from docs import evidence
 from swimid.api import NAMES
 from swimid.cli.main import main
 from swimid.commands import found
@@ -73,6 +76,26 @@ def test_the_readme_shows_what_the_command_prints(
     )
     assert shown is not None
     assert swimid("fit-drag", shown.group(1)).out.strip() == shown.group(2).strip()
+
+
+@pytest.mark.parametrize("name", sorted(evidence.TABLES))
+def test_the_measured_tables_of_a_page_are_those_of_the_files(name: str) -> None:
+    page, made = evidence.TABLES[name]
+    text = (DOCS / page).read_text(encoding="utf-8")
+    assert evidence.replaced(text, name, made()) == text, "run: make evidence"
+
+
+def test_a_new_output_of_a_measurement_replaces_its_table(tmp_path: Path) -> None:
+    shutil.copy(evidence.MEASURED / "sources.yaml", tmp_path)
+    printed = (
+        "attacks\n| attack | inputs |\n|---|---|\n| a film | 40 |\n| a log | 2 |\n\n| b |\n|---|\n| 1 |\n"
+    )
+    evidence.take("faults", printed, tmp_path)
+    assert (tmp_path / "faults.csv").read_text() == "attack,inputs\na film,40\na log,2\n"
+    today = datetime.date.today().isoformat()
+    assert YAML(typ="safe").load((tmp_path / "sources.yaml").read_text())["faults"]["date"] == today
+    with pytest.raises(ValueError, match="no table"):
+        evidence.take("faults", "no findings", tmp_path)
 
 
 def test_nothing_of_the_workshop_is_left() -> None:

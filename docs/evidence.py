@@ -1,0 +1,202 @@
+"""Print all measured evidence as tables, and write them into the pages that show them.
+
+python docs/evidence.py
+python docs/evidence.py --take coverage printed.txt
+
+The tables are computed from the files in docs/measured. Each of these is the table that a command of
+docs/measured/sources.yaml printed. ``--take`` replaces one of them by a new output of its command. Two
+comments in a page mark the place of a table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import pandas as pd
+from ruamel.yaml import YAML
+
+DOCS = Path(__file__).parent
+MEASURED = DOCS / "measured"
+#: Word in the quantity of a row of coverage.csv that counts false alarms.
+ALARM = "alarm: "
+
+Figures = list[tuple[str, str]]
+
+
+def read(name: str) -> pd.DataFrame:
+    """Return a table of docs/measured as texts, with the first column as index."""
+    return pd.read_csv(MEASURED / f"{name}.csv", dtype=str, keep_default_na=False, index_col=0)
+
+
+def sources() -> dict[str, dict[str, str]]:
+    """Return what each table measures, its command, and its date."""
+    found: dict[str, dict[str, str]] = YAML(typ="safe").load((MEASURED / "sources.yaml").read_text())
+    return found
+
+
+def take(name: str, printed: str, folder: Path = MEASURED) -> None:
+    """Write the first Markdown table of a printed text to the folder, with the date of today.
+
+    Raises
+    ------
+    ValueError
+        If the text has no table.
+    """
+    tables = re.findall(r"(?:^\|.*\|$\n?){3,}", printed, re.MULTILINE)
+    if not tables:
+        raise ValueError("the text has no table")
+    head, _, *body = (re.split(r"\s*\|\s*", line.strip("| ")) for line in tables[0].splitlines())
+    pd.DataFrame(body, columns=head).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+    yaml, path = YAML(), folder / "sources.yaml"
+    content = yaml.load(path.read_text())
+    content[name]["date"] = datetime.date.today().isoformat()
+    yaml.dump(content, path)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(map(str, row))} |" for row in lines)
+
+
+def share(part: float, whole: float) -> str:
+    """Return a count and its share in per cent."""
+    return f"{part:g} of {whole:g}, {100 * part / whole:.0f} %"
+
+
+# ---------------------------------------------------------------- figures of each measurement
+
+
+def real() -> Figures:
+    """Return how often the known cause of a real gap is named."""
+    data = read("real")
+    wrong = (data["right"] == "no") & (data["verdict"] == "explained")
+    return [
+        ("the known cause is in the answer", share((data["right"] == "yes").sum(), len(data))),
+        ("`explained`, with another cause", share(wrong.sum(), len(data))),
+    ]
+
+
+def blind() -> Figures:
+    """Return the figures of blind cases that matter most to a user."""
+    values = read("blind")["value"]
+    names = (
+        "a changed parameter: named first",
+        "one effect: another cause named",
+        "clean: a cause named",
+        "two effects, of which the noise-free data exclude each single one: both named",
+        "closed share in the stated interval",
+    )
+    return [(name, values[name]) for name in names]
+
+
+def simulators() -> Figures:
+    """Return the figures of blind cases with models of MuJoCo."""
+    data = read("simulators")[["cases", "in the answer", "none"]].astype(int)
+    clean, hidden = data.loc["clean"], data.drop("clean").sum()
+    return [
+        ("the hidden cause is in the answer", share(hidden["in the answer"], hidden["cases"])),
+        ("clean: a cause named", share(clean["cases"] - clean["none"], clean["cases"])),
+    ]
+
+
+def coverage() -> Figures:
+    """Return how many rates of coverage, and of false alarms, lie in their wanted ranges."""
+    data = read("coverage")
+    is_alarm = data.index.str.contains(ALARM)
+    found = []
+    for text, rows in (
+        ("coverage of 95 % intervals", data[~is_alarm]),
+        ("false alarms of checks", data[is_alarm]),
+    ):
+        counts = [int((rows["verdict"] == word).sum()) for word in ("ok", "too few repeats")]
+        rest = f"; {counts[1]} with too few repeats" if counts[1] else ""
+        found.append((f"{text}: rows in the wanted range", share(counts[0], len(rows)) + rest))
+    return found
+
+
+def mutants() -> Figures:
+    """Return the share of small errors that the tests notice."""
+    row = read("mutants").loc["all"]
+    return [("noticed by the tests", share(int(row["noticed"]), int(row["drawn"]) - int(row["equivalent"])))]
+
+
+def faults() -> Figures:
+    """Return how many damaged inputs end badly."""
+    data = read("faults")[["inputs", "findings"]].astype(int).sum()
+    return [("traceback, crash, partial file, or no end", share(data["findings"], data["inputs"]))]
+
+
+FIGURES: tuple[Callable[[], Figures], ...] = (blind, simulators, coverage, mutants, faults)
+
+
+# ---------------------------------------------------------------- tables in pages
+
+
+def summary() -> str:
+    """Return the table with one line for each figure, its command and its date."""
+    rows, known = [], sources()
+    for figures in FIGURES:
+        source = known[figures.__name__]
+        about = [source["what"], f"`{source['command']}`", source["date"]]
+        for text, value in figures():
+            rows.append([about[0], text, value, *about[1:]])
+            about = ["", "", ""]
+    return table(["measured on", "figure", "result", "command", "date"], rows)
+
+
+def whole(name: str) -> Callable[[], str]:
+    """Return a function that returns all rows of a file of docs/measured."""
+
+    def made() -> str:
+        data = read(name)
+        return table([data.index.name, *data.columns], data.reset_index().to_numpy())
+
+    return made
+
+
+#: Page and function of each table, by the name in the comments of the page.
+TABLES: dict[str, tuple[str, Callable[[], str]]] = {
+    "summary": ("trust.md", summary),
+    "mutants": ("trust.md", whole("mutants")),
+    "blind": ("diagnose-method.md", whole("blind")),
+    "simulators": ("your-simulator.md", whole("simulators")),
+}
+
+
+def replaced(text: str, name: str, made: str) -> str:
+    """Return the text of a page with a table between its comments.
+
+    Raises
+    ------
+    ValueError
+        If the page has not exactly one place for the table.
+    """
+    begin, end = f"<!-- table {name} -->\n", f"<!-- end of table {name} -->"
+    text, count = re.subn(f"{begin}.*?{end}", lambda _: f"{begin}{made}\n{end}", text, flags=re.DOTALL)
+    if count != 1:
+        raise ValueError(f"the page has {count} places for the table {name}: one is needed")
+    return text
+
+
+def main() -> None:
+    """Print all tables and write them into their pages."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "--take", nargs=2, metavar=("NAME", "FILE"), help="use a new output of the command of a table"
+    )
+    chosen = parser.parse_args()
+    if chosen.take:
+        take(chosen.take[0], Path(chosen.take[1]).read_text(encoding="utf-8"))
+    for name, (page, made) in TABLES.items():
+        path, text = DOCS / page, made()
+        print(f"{name} ({page})\n\n{text}\n")
+        path.write_text(replaced(path.read_text(encoding="utf-8"), name, text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
