@@ -476,13 +476,16 @@ def distance_change(run: Run, one: str, other: str) -> float | None:
         apart = np.log(np.maximum(np.hypot(*np.diff(_rectified(points, view), axis=1)[:, 0]), 1e-9))
         return np.asarray(apart - np.median(apart))
 
-    bound = np.array([0.7, 0.7, 0.6, 0.6])[: 4 if turns else 2]
-    view = least_squares(scatter_of, np.zeros(len(bound)), bounds=(-bound, bound), loss="soft_l1").x
+    bound, limit = np.array([0.7, 0.7, 0.6, 0.6])[: 4 if turns else 2], frames.MAX_DISTANCE_SD[1]
+    # A loss that is bounded in practice, because another object may stand in for a marker in some frames.
+    robust: dict[str, Any] = {"bounds": (-bound, bound), "loss": "cauchy", "f_scale": limit}
+    view = least_squares(scatter_of, np.zeros(len(bound)), **robust).x
     left = scatter_of(view)
-    place = points.mean(axis=1)
+    alike = np.abs(left) <= 3.0 * limit
+    place = points.mean(axis=1)[:, alike]
     shrunk = -1.5 * np.log1p(view[:2] @ place)
-    size = 0.5 * np.log(track.area[[i, j]][:, both].sum(axis=0))
-    design = np.column_stack([np.ones(both.sum()), *place])
+    size = 0.5 * np.log(track.area[[i, j]][:, both].sum(axis=0))[alike]
+    design = np.column_stack([np.ones(alike.sum()), *place])
     smooth, unshared = (design @ np.linalg.lstsq(design, v, rcond=None)[0] for v in (size, size + shrunk))
     # The outline of a patch is known to one pixel. Therefore the areas of small markers are uncertain, and
     # this part of their change is not counted.
