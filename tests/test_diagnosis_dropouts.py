@@ -54,6 +54,12 @@ def test_readings_that_are_rounded_do_not_fail_at_slow_motion() -> None:
         assert looked(stopped).count >= end - 105
 
 
+def test_a_model_that_sticks_and_slips_is_no_failure_of_the_marker(tracked: np.ndarray) -> None:
+    """A model with too much friction stands still for most of the time, and runs away in between."""
+    slips = np.cumsum(np.where(np.arange(len(TIME)) % 20 == 10, 0.5, 0.0))
+    assert looked(tracked, slips).count == 0
+
+
 def test_a_frozen_marker_is_detected(tracked: np.ndarray) -> None:
     hit = (TIME >= 4.0) & (TIME < 5.0)
     tracked[hit] = tracked[np.argmax(hit)]

@@ -31,6 +31,9 @@ FROZEN, MOVED = 4, 6.0
 CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 #: Minimum number of samples of a channel in which failed samples are detected.
 FEWEST = 60
+#: Maximum fraction of jumped and displaced samples of a channel in a trial. Their detection
+#: rests on medians, which break down with more than half of outliers. The model causes a larger fraction.
+MAX_JUMPED_SHARE = 0.5
 #: Minimum offset of the residuals of a displaced segment, in robust standard deviations of the differences
 #: between successive residuals.
 OFF = 6.0
@@ -116,6 +119,8 @@ def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> D
                 continue
             kinds = _failed(values, model[channel])
             mask = kinds != ""
+            if (mask & (kinds != "frozen")).sum() > MAX_JUMPED_SHARE * np.isfinite(values).sum():
+                continue
             if mask.any():
                 masks.setdefault(trial.id, {})[channel] = mask
             for rows in _runs(mask):
