@@ -96,7 +96,7 @@ def evidence(
     tests = list(checks(file))
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
-        tests.append(ev.check("logs agree with their metadata", "no", False, reason=against))
+        tests.insert(0, ev.check("logs agree with their metadata", "no", False, reason=against))
     said = answer_text(file)
     verdict = ev.judged(said, tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
