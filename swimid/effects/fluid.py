@@ -265,9 +265,9 @@ class ThrustLoss(Effect):
     """Thrust that falls with the speed of advance, ``T = T_0 - c sqrt(|T_0|) u``.
 
     T_0 is the thrust at rest, and u the velocity of the thruster through the water along its force. The law
-    follows from a thrust coefficient that is linear in the advance ratio, ``K_T = k_0 - k_1 J``. The rate n of
-    the propeller is eliminated by ``T_0 = rho D^4 k_0 n |n|``, which gives ``c = k_1 D sqrt(rho / k_0)``. It
-    holds for both signs of T_0 and of u.
+    follows from a thrust coefficient that is linear in the advance ratio, ``K_T = k_0 - k_1 J``. The rate n
+    of the propeller is eliminated by ``T_0 = rho D^4 k_0 n |n|``, which gives ``c = k_1 D sqrt(rho / k_0)``.
+    It holds for both signs of T_0 and of u.
     """
 
     name = "thrust-loss"

@@ -177,7 +177,8 @@ class Rows:
         ]
         shares = [1.0 - Polynomial.of(e) for e in (element.thrust_deduction, element.wake_fraction)]
         jet = 8.0 / (math.pi * self.density_kg_m3 * size**2)
-        row = [*point, *axis, *gains, *shares, jet]
+        growth = [Polynomial.of(element.wake_port) - 1.0, Polynomial.of(element.wake_starboard) - 1.0]
+        row = [*point, *axis, *gains, *shares, jet, element.wake_decay, *growth]
         self.add("propeller", element.link, row, self.row_of(element.input))
 
     def add_rudder(self, element: RudderLaw, points: Row) -> None:

@@ -6,7 +6,8 @@ of a simulator without viscosity (10.17632/2stvkyngj9.1, MIT licence), a drive w
 forgi86/sysid-neural-continuous, Apache 2.0 licence), two tanks in a cascade
 (forgi86/sysid-neural-structures-fitting, MIT licence), zig-zags of a model of the tanker KVLCC2 by MARIN
 (SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), a block on a ramp, from
-tracked films (PhysTrack, GPL 2 licence), and tracked points of a tendon-driven fish (srl-ethz/fishsim, MIT licence).
+tracked films (PhysTrack, GPL 2 licence), and tracked points of a tendon-driven fish (srl-ethz/fishsim,
+MIT licence).
 As a program it writes all of them, the ramp where its films are tracked:
 ``python -m tests.generators.real_logs DATA FOLDER``.
 """

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ship:
-    """KVLCC2 as a model of 7 m (Tables 1 to 4 of the source). The wake fraction is constant."""
+    """KVLCC2 as a model of 7 m (Tables 1 to 4 of the source)."""
 
     rho: float = 1000.0
     length: float = 7.0
@@ -34,9 +34,13 @@ class Ship:
     diameter: float = 0.204
     open_water: tuple[float, float, float] = (0.3242, -0.2209, -0.1490)
     wake: float = 0.40
+    #: C_1, and C_2 for a negative and a positive drift angle of the propeller.
+    wake_change: tuple[float, float, float] = (2.0, 1.1, 1.6)
+    propeller: float = -3.386
     deduction: float = 0.22
     rudder_area: float = 0.0539
     rudder_lift: float = 2.747
+    #: The rudder is as high as the share 0.591 that the example file states for the propeller's diameter.
     rudder_height: float = 0.204 / 0.591
     ratio: float = 1.09
     gain: float = 0.5
@@ -62,7 +66,10 @@ def forces(ship: Ship, u: float, v: float, r: float, rudder: float, rate: float)
     )
     products = np.array([lateral, turn, lateral**3, lateral**2 * turn, lateral * turn**2, turn**3])
     hull = np.array([hull_x, y @ products, ship.length * (n @ products)]) * scale
-    inflow = u * (1.0 - ship.wake)
+    # the sine of the drift angle of the propeller, with its own speed
+    aside = -(v + ship.propeller * r) / np.hypot(u, v + ship.propeller * r)
+    decay, growth = ship.wake_change[0], ship.wake_change[1 + int(aside > 0.0)]
+    inflow = u * (1.0 - ship.wake) * (1.0 + (1.0 - np.exp(-decay * abs(aside))) * (growth - 1.0))
     advance = inflow / (rate * ship.diameter)
     thrust_coefficient = np.polyval(ship.open_water[::-1], advance)
     thrust = ship.rho * rate**2 * ship.diameter**4 * thrust_coefficient
@@ -70,8 +77,8 @@ def forces(ship: Ship, u: float, v: float, r: float, rudder: float, rate: float)
     # the source's effective inflow angle holds for small drift angles, whose sine is -v / U
     rudder_angle = np.sin(beta) - ship.inflow * turn
     across = speed * ship.straightening[int(rudder_angle > 0.0)] * rudder_angle
-    growth = 1.0 + ship.gain * (np.sqrt(1.0 + 8.0 * thrust_coefficient / (np.pi * advance**2)) - 1.0)
-    along = ship.ratio * inflow * np.sqrt(covered * growth**2 + 1.0 - covered)
+    faster = 1.0 + ship.gain * (np.sqrt(1.0 + 8.0 * thrust_coefficient / (np.pi * advance**2)) - 1.0)
+    along = ship.ratio * inflow * np.sqrt(covered * faster**2 + 1.0 - covered)
     attack = rudder - np.arctan2(across, along)
     normal = 0.5 * ship.rho * ship.rudder_area * (along**2 + across**2) * ship.rudder_lift * np.sin(attack)
     share, place = ship.hull

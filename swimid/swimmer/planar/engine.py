@@ -103,7 +103,21 @@ LOAD = ("x", "y", "force_x", "force_y", "moment", "world", "loss")
 #: Columns of the input array ``propeller``: point and axis, the coefficients of :func:`thrust_of`, and the
 #: factors on the thrust (1 - t) and on the velocity of advance (1 - w). With the thrust T, the slipstream far
 #: behind the propeller has the square of the velocity ``u_a^2 + jet T``.
-PROPELLER = ("x", "y", "axis_x", "axis_y", "static", "slope", "curve", "share", "wake", "jet")
+PROPELLER = (
+    "x",
+    "y",
+    "axis_x",
+    "axis_y",
+    "static",
+    "slope",
+    "curve",
+    "share",
+    "wake",
+    "jet",
+    "wake_decay",
+    "wake_port",
+    "wake_starboard",
+)
 #: Columns of the input array ``rudder``: points of the force on the rudder, of the force on the hull, and of
 #: the inflow, and the coefficients of :func:`rudder_force`.
 RUDDER = (
@@ -395,12 +409,33 @@ def rudder_force(along, aside, lift, port, starboard, sine, cosine):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def wake_growth(aside, speed, decay, port, starboard):  # type: ignore[no-untyped-def]
+    """Return the factor on 1 - w of a propeller in oblique motion (Yasukawa and Yoshimura 2015, Eq 18).
+
+    It is ``1 + (1 - exp(-C_1 |b_P|)) (C_2 - 1)``, with the sine of the drift angle of the propeller for b_P.
+
+    Parameters
+    ----------
+    aside, speed : float, m/s
+        Velocity of the propeller to port, and its speed.
+    decay : float
+        C_1.
+    port, starboard : float
+        C_2 - 1 for motion to port and to starboard.
+    """
+    angle = abs(aside) / max(speed, LEAST_SPEED)
+    return 1.0 + (1.0 - math.exp(-decay * angle)) * positive(aside, port, starboard)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
     """Return velocity of advance (m/s) and thrust (N) of propeller ``e``."""
     i, n = propeller_link[e, 0], row[propeller_link[e, 1], 0]
     r = work[i, 4]
     vx, vy = work[i, 2] - r * propeller[e, 1], work[i, 3] + r * propeller[e, 0]
-    advance = propeller[e, 8] * (vx * propeller[e, 2] + vy * propeller[e, 3])
+    aside, speed = vy * propeller[e, 2] - vx * propeller[e, 3], math.sqrt(vx * vx + vy * vy)
+    growth = wake_growth(aside, speed, propeller[e, 10], propeller[e, 11], propeller[e, 12])
+    advance = growth * propeller[e, 8] * (vx * propeller[e, 2] + vy * propeller[e, 3])
     return advance, thrust_of(n, advance, propeller[e, 4], propeller[e, 5], propeller[e, 6])
 
 

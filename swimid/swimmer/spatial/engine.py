@@ -42,6 +42,7 @@ from swimid.swimmer.planar.engine import (
     rudder_force,
     solve,
     thrust_of,
+    wake_growth,
     weakened,
 )
 
@@ -75,7 +76,10 @@ FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
 LOAD = (*"xyz", *(f"force_{c}" for c in "xyz"), *(f"moment_{c}" for c in "xyz"), "world", "loss")
 #: Columns of the input arrays ``propeller``, ``rudder`` and ``term``, as in the plane. ``side`` is the
 #: direction across the hull in which the rudder pushes at a negative angle.
-PROPELLER = (*"xyz", *(f"axis_{c}" for c in "xyz"), "static", "slope", "curve", "share", "wake", "jet")
+PROPELLER = (
+    *"xyz", *(f"axis_{c}" for c in "xyz"), "static", "slope", "curve", "share", "wake", "jet", "wake_decay",
+    "wake_port", "wake_starboard",
+)  # fmt: skip
 RUDDER = (
     *"xyz", *(f"hull_{c}" for c in "xyz"), *(f"inflow_{c}" for c in "xyz"), *(f"side_{c}" for c in "xyz"),
     "lift", "drag_share", "hull_share", "straightening_port", "straightening_starboard", "ratio", "gain",
@@ -354,7 +358,12 @@ def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-u
     """Return velocity of advance (m/s) and thrust (N) of propeller ``e``."""
     n = row[propeller_link[e, 1], 0]
     velocity = _moving(work[propeller_link[e, 0]], _at(propeller[e], 0))
-    advance = propeller[e, 10] * _dot(velocity, _at(propeller[e], 3))
+    along = _dot(velocity, _at(propeller[e], 3))
+    # oblique motion counts in the direction horizontally to port of the axis
+    aside = velocity[1] * propeller[e, 3] - velocity[0] * propeller[e, 4]
+    speed = math.sqrt(along * along + aside * aside)
+    growth = wake_growth(aside, speed, propeller[e, 12], propeller[e, 13], propeller[e, 14])
+    advance = growth * propeller[e, 10] * along
     return advance, thrust_of(n, advance, propeller[e, 6], propeller[e, 7], propeller[e, 8])
 
 
