@@ -170,3 +170,57 @@ def test_faults_of_steered_robots(old, new, said, tmp_path):
         robot_model(str(tmp_path / "ship.yaml"))
 
     assert said in str(caught.value) + str(caught.value.hint)
+
+
+@pytest.mark.parametrize("target", ["json", "mjcf", "gazebo"])
+@pytest.mark.parametrize("kind", ["plane", "space"])
+def test_export_names_the_elements_that_it_leaves_out(kind, target, swimid, tmp_path):
+    path = tmp_path / "ship.yaml"
+    if kind == "plane":
+        path.write_text(EXAMPLE.read_text())
+    elif target != "gazebo":
+        pytest.skip("robots in space are exported for Gazebo only")
+    else:
+        in_space(path)
+    name = "multilink" if kind == "plane" else "multibody"
+    (tmp_path / "params.yaml").write_text(
+        f"format: swimid-parameters/1\nmodel: {name}\nrobot: ship.yaml\n"
+        "parameters:\n  y_v: {value: -0.3, stderr: 0.001, unit: '1', status: estimated}\n"
+    )
+
+    ran = swimid("export", "-v", tmp_path / "params.yaml", "--to", target, "-o", tmp_path / "out.xml")
+
+    assert ran.status == 0, ran.err
+    said = " ".join(ran.err.split())
+    assert "hydrodynamic derivatives (kind: derivatives) are left out" in said
+    assert "screw" in said
+    assert "helm" in said
+
+
+def test_load_along_the_axes_of_the_world_is_a_variable_buoyancy():
+    """A displaced volume as an input moves a tilted vehicle as a larger volume in the robot file."""
+    robot, model = robot_model("bluerov2")
+    body = robot.multibody
+    assert body is not None
+    at, more = (0.0, 0.0, 0.01), 2e-4
+    lift = {"input": "thruster1", "at_m": at, "force_N": (0.0, 0.0, 1000.0 * 9.82), "frame": "world"}
+    load = body.elements[-1].model_copy(update=lift)
+    quiet = [e for e in body.elements if e.kind != "load"]
+    larger = [
+        e.model_copy(update={"volume_m3": 0.0134 + more}) if e.kind == "hydrostatics" else e for e in quiet
+    ]
+    time = np.linspace(0.0, 4.0, 81)
+    inputs = {name: (lambda t: np.zeros(len(t))) for name in body.inputs}
+    swim = SwimInput(
+        inputs={**inputs, "thruster1": lambda t: np.full(len(t), more)}, pose=(0.0, 0.0, 0.0, 0.3, 0.9, 0.5)
+    )
+    found = []
+    for elements in ([*quiet, load], larger):
+        own = body.model_copy(update={"elements": elements})
+        lifted = type(model)(robot.model_copy(update={"multibody": own}))
+        values = np.array([p.start for p in lifted.parameters])
+        found.append(lifted.simulate(values, Trial("run", "fit", time, {}, swim=swim)))
+
+    assert np.ptp(found[1]["z_m"]) > 0.05
+    for name in ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad"):
+        assert found[0][name] == pytest.approx(found[1][name], abs=1e-9)

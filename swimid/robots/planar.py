@@ -458,8 +458,8 @@ class PropellerLaw(OnLink):
     thrust_coefficients: Annotated[list[Quantity], Field(min_length=1, max_length=3)]
     #: Wake fraction w: the water behind a hull moves with the hull by this share of its velocity.
     wake_fraction: Quantity = 0.0
-    #: Growth of 1 - w in oblique motion, by the factor ``1 + (1 - exp(-C_1 |sin b|)) (C_2 - 1)`` with the drift
-    #: angle b of the propeller: C_1, and C_2 for a propeller that moves to port and to starboard.
+    #: Growth of 1 - w in oblique motion: ``1 + (1 - exp(-C_1 |sin b|)) (C_2 - 1)``. The drift angle b is that
+    #: of the propeller. The entries are C_1, and C_2 for motion of the propeller to port and to starboard.
     wake_decay: Quantity = 0.0
     wake_port: Quantity = 1.0
     wake_starboard: Quantity = 1.0
