@@ -56,6 +56,9 @@ class Lifted(Assembly):
         for name, (owner, table) in rows.items():
             found[f"{name}_link"] = np.array(owner, dtype=np.int64)
             found[name] = np.array(table).reshape(len(table), len(getattr(engine, name.upper())))
+        for name, count in engine.INTEGERS.items():
+            found[f"{name}_link"] = np.empty((0, count), dtype=np.int64)
+            found[name] = np.empty((0, len(getattr(engine, name.upper()))))
         found["load_input"] = flat["load_input"]
         found["surface"], found["free_base"] = NOWHERE, self.free_base
         return found
@@ -98,7 +101,7 @@ class Lifted(Assembly):
 
     def _load(self, row: Array) -> Array:
         return np.concatenate(
-            [self._point(row[0], row[1]), self._point(row[2], row[3]), row[4] * self.normal]
+            [self._point(row[0], row[1]), self._point(row[2], row[3]), row[4] * self.normal, row[5:]]
         )
 
 

@@ -44,7 +44,9 @@ multilink:
 """
 
 
-def wrench(angle: np.ndarray, rate: np.ndarray, bend: np.ndarray, *, wet: bool = True) -> np.ndarray:
+def wrench(
+    angle: np.ndarray, rate: np.ndarray, bend: np.ndarray, *, wet: bool = True, added: float = ADDED
+) -> np.ndarray:
     """Return force along x and y and torque about the front of the block that the plate exerts, shape (3, n).
 
     The plate points backwards, so that a point at the distance r moves with the velocity -r rate along the
@@ -56,13 +58,13 @@ def wrench(angle: np.ndarray, rate: np.ndarray, bend: np.ndarray, *, wet: bool =
     torque = -(INERTIA + MASS * CENTRE**2) * bend
     fluid = np.zeros_like(solid)
     if wet:
-        # the momentum of the water, -ADDED r rate n, turns with the plate
-        fluid = ADDED * REACH * (bend * n - rate**2 * t)
+        # the momentum of the water, -added r rate n, turns with the plate
+        fluid = added * REACH * (bend * n - rate**2 * t)
         across = -0.06 * rate
         fluid = fluid - DRAG * np.abs(across) * across * n
         edge = -0.1 * rate
         fluid = fluid + 0.5 * SHED * edge**2 * t
-        torque = torque - ADDED * REACH**2 * bend + 0.06 * DRAG * np.abs(across) * across
+        torque = torque - added * REACH**2 * bend + 0.06 * DRAG * np.abs(across) * across
     force = solid + fluid
     # the axis lies 0.05 m behind the reference point
     return np.array([force[0], force[1], torque - 0.05 * force[1]])
@@ -80,7 +82,9 @@ def behind_the_holder(time: np.ndarray, force: np.ndarray) -> np.ndarray:
     return np.asarray(found.y[0])
 
 
-def write(folder: Path, rng: np.random.Generator, frequencies: tuple[float, ...]) -> Path:
+def write(
+    folder: Path, rng: np.random.Generator, frequencies: tuple[float, ...], *, added: float = ADDED
+) -> Path:
     (folder / "plate.yaml").write_text(ROBOT)
     rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: plate.yaml", "trials:"]
     time = np.arange(0.0, 4.0, 0.005)
@@ -98,7 +102,7 @@ def write(folder: Path, rng: np.random.Generator, frequencies: tuple[float, ...]
         angle = size * ease * wave
         rates = size * (ease * rate + slope * wave)
         bends = size * (ease * bend + 2.0 * slope * rate + curve * wave)
-        seen = [behind_the_holder(time, force) for force in wrench(angle, rates, bends)]
+        seen = [behind_the_holder(time, force) for force in wrench(angle, rates, bends, added=added)]
         noise = (0.02, 0.02, 0.002)
         offsets, drifts = rng.normal(0.0, (0.5, 0.5, 0.05)), rng.normal(0.0, (0.02, 0.02, 0.002))
         seen = [
@@ -169,6 +173,26 @@ multilink:
   elements:
     - {kind: load, link: block, input: propeller, forward_N: k}
 """
+
+
+@pytest.mark.slow
+def test_diagnosis_of_a_plate_on_a_load_cell(swimid, tmp_path):
+    """Only the drive moves the robot, so that no parameter affects the motion."""
+    (tmp_path / "now").mkdir()
+    before = write(tmp_path, np.random.default_rng(8), (0.9, 1.4, 2.1))
+    assert swimid("fit-graybox", before, "-o", tmp_path / "plate_fit.yaml").status == 0
+    trials = write(tmp_path / "now", np.random.default_rng(9), (0.8, 1.2, 1.6, 2.0), added=2.0 * ADDED)
+
+    ran = swimid(
+        "diagnose", trials, "--params", tmp_path / "plate_fit.yaml", "-o", tmp_path / "gap.yaml", "--json"
+    )
+
+    found = ran.json["result"]
+    assert found["verdict"] == "explained"
+    (cause,) = found["causes"]
+    assert cause["effect"] == "parameter:m_a"
+    estimate = cause["parameters"]["m_a"]
+    assert estimate["value"] == pytest.approx(2.0 * ADDED, abs=4.0 * estimate["stderr"])
 
 
 def test_static_law_of_a_thruster(swimid, tmp_path):

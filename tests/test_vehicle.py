@@ -135,6 +135,11 @@ CHANGES = {
         {"cx_m_s": 0.1, "cy_m_s": -0.05},
     ),
     "lag": (replace(UPRIGHT, lag_s=0.15), "servo-lag", {"time_constant_s": 0.15}),
+    "advance": (
+        replace(UPRIGHT, slope=0.35),
+        "thrust-loss",
+        {"loss_kg05_m05": 0.35 * vehicle.DIAMETER_M * np.sqrt(1000.0 / vehicle.K_0)},
+    ),
     "none": (UPRIGHT, None, {}),
 }
 

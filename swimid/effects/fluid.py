@@ -10,7 +10,7 @@ import numpy as np
 from swimid.effects import base
 from swimid.effects.base import Effect, Effects, Parameters, Trials, parameter
 from swimid.errors import UsageError
-from swimid.fitting.model import Array, Hooks, Model, Trial, traceable
+from swimid.fitting.model import Array, Hooks, Model, Trial, traceable, typical
 from swimid.logs.log import FREQUENCY_RTOL
 
 #: Minimum inertia that must remain if the added mass is negative, as a fraction of the rigid body's inertia.
@@ -259,6 +259,50 @@ class QuadraticDrag(base.RigCoefficient):
         scales = model.scales(trials)
         size = scales.brake / scales.speed**2
         return (parameter(name, unit, size, "drag per squared speed", lower=-scales.quadratic),)
+
+
+class ThrustLoss(Effect):
+    """Thrust that falls with the speed of advance, ``T = T_0 - c sqrt(|T_0|) u``.
+
+    T_0 is the thrust at rest, and u the velocity of the thruster through the water along its force. The law
+    follows from a thrust coefficient that is linear in the advance ratio, ``K_T = k_0 - k_1 J``. The rate n
+    of the propeller is eliminated by ``T_0 = rho D^4 k_0 n |n|``, which gives ``c = k_1 D sqrt(rho / k_0)``.
+    It holds for both signs of T_0 and of u.
+    """
+
+    name = "thrust-loss"
+    meaning = "thrust that falls with the speed of advance"
+    sources = (
+        "Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 9.1",
+        "Bachmayer, Whitcomb and Grosenbaugh 2000, IEEE J. Oceanic Eng. 25:146",
+    )
+    smooth = True
+
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Return whether the effect applies: the model must be a free swimmer with thrusters."""
+        swimmer = model.swimmer
+        if swimmer is None or not swimmer.free_base:
+            return False
+        return len(swimmer.thrusters(swimmer.tree.tables(swimmer.start_coefficients))[0]) > 0
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """Return c as a parameter, (kg/m)^0.5.
+
+        Its scale is the value that takes a twentieth of the typical thrust at the typical speed, as that of
+        ``amplitude-loss`` does. At its upper bound, no thrust is left there.
+        """
+        swimmer = model.swimmer
+        _, inputs, forces = swimmer.thrusters(swimmer.tree.tables(swimmer.start_coefficients))
+        sizes = [np.abs(swimmer.acting_inputs(trial)[:, inputs]) * forces for trial in trials]
+        typical_N = typical([float(np.median(size[size > 0.0])) for size in sizes if size.any()], 1.0)
+        whole = math.sqrt(typical_N) / model.scales(trials).speed
+        words = "loss of thrust per speed of advance and per square root of the thrust"
+        return (parameter("loss_kg05_m05", "kg^0.5/m^0.5", 0.05 * whole, words, 0.0, whole),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return hooks that let the thrust fall with the speed of advance."""
+        loss = float(values[0])
+        return Hooks(tables=(lambda tables: model.swimmer.lose_thrust(tables, loss),))
 
 
 #: Maximum added mass per length at the trailing edge, divided by that of a square plate of the link's length.

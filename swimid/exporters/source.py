@@ -174,8 +174,15 @@ class Source:
 
     @property
     def input_limits(self) -> list[str]:
-        """Sentences on the inputs of the robot, whose loads no format has."""
-        return [f"the loads of the input {name} are left out" for name in self.model.inputs]
+        """Sentences on the inputs and hydrodynamic derivatives of the robot, whose forces no format has."""
+        limits = [f"the loads of the input {name} are left out" for name in self.model.inputs]
+        return [*limits, *self.derivative_limits]
+
+    @property
+    def derivative_limits(self) -> list[str]:
+        """Sentence on the forces that are products of velocities, which no format has; empty without them."""
+        count = len(self.tables["term"])
+        return [f"{count} hydrodynamic derivatives (kind: derivatives) are left out"] * (count > 0)
 
     @cached_property
     def model(self) -> MultilinkModel:

@@ -20,7 +20,7 @@ from swimid.exporters.gazebo import DART_ONLY
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import NO_ERRORS, Exported, Source, xml_text
 from swimid.fitting.model import Array
-from swimid.swimmer.spatial.engine import DAMPING, DRAG
+from swimid.swimmer.spatial.engine import DAMPING, DRAG, LOAD
 from swimid.swimmer.spatial.model import Assembly, MultibodyModel, centre_of_mass, cross_matrix, full
 
 #: Letters of forces and moments, and of velocities, in the tags of the plugin Hydrodynamics.
@@ -79,6 +79,10 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
         limits.append(f"--added-mass {options.added_mass} has no effect: the added mass of SDF is exact")
     if len(source.tables["foil"]):
         limits.append(f"{len(source.tables['foil'])} foils are left out")
+    for name in ("propeller", "rudder"):
+        inputs = [list(body.inputs)[row] for row in source.tables[f"{name}_link"][:, 1]]
+        limits += [f"the {name} of the input {own} is left out" for own in inputs]
+    limits += source.derivative_limits
     limits += [
         f"{cause.name} acts on the commands of the thrusters, and is left out"
         for cause in source.causes
@@ -159,9 +163,14 @@ def _propellers(source: Source, centre: Array) -> tuple[list[dict[str, Any]], li
     for k, (row, number) in enumerate(loads):
         name, law, force = names[number], laws[number], row[3:6]
         gain = float(np.linalg.norm(force))
-        if not gain or row[6:].any():
+        if not gain or row[6:9].any():
             limits.append(f"the moment of the input {name} is left out")
             continue
+        if row[LOAD.index("world")]:
+            limits.append(f"the force of the input {name} along the axes of the world is left out")
+            continue
+        if row[LOAD.index("loss")]:
+            limits.append(f"the thrust of {name}_{k} does not fall with the speed of advance")
         propellers.append({"name": f"{name}_{k}", "place": row[:3] - centre, "axis": force / gain})
         is_plain = law == type(law)(column=law.column, measured=law.measured)
         if not is_plain or abs(gain - 1.0) > 1e-5:

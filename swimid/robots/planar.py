@@ -426,9 +426,9 @@ class Force(OnLink):
 
 
 class Load(OnLink):
-    """Force and moment on a link that are proportional to an input, with components in the axes of the link.
+    """Force and moment on a link that are proportional to an input.
 
-    Examples are a thruster, a towing line with a load cell, and a measured force.
+    Examples are a thruster, a towing line with a load cell, a measured force, and a variable buoyancy.
     """
 
     kind: Literal["load"]
@@ -439,12 +439,167 @@ class Load(OnLink):
     forward_N: Quantity = 0.0
     port_N: Quantity = 0.0
     moment_N_m: Quantity = 0.0
+    #: Axes of the force: those of the link, or those of the world, as for a buoyancy.
+    frame: Literal["link", "world"] = "link"
+
+
+class PropellerLaw(OnLink):
+    """Law of a propeller: ``T = rho n^2 D^4 K_T(J)`` with the advance ratio ``J = u_a / (n D)``.
+
+    The input is the rate n, 1/s. ``u_a`` is 1 - w times the velocity of the propeller through the water along
+    its axis. The force on the link is (1 - t) T along the axis. The polynomial K_T also holds for negative J.
+    A propeller that turns backwards has the thrust of its mirror image, ``T(-n, -u_a) = -T(n, u_a)``.
+    """
+
+    kind: Literal["propeller"]
+    input: str
+    diameter_m: PositiveFloat
+    #: Coefficients k_0, k_1, k_2 of ``K_T = k_0 + k_1 J + k_2 J^2``. The last ones may be omitted.
+    thrust_coefficients: Annotated[list[Quantity], Field(min_length=1, max_length=3)]
+    #: Wake fraction w: the water behind a hull moves with the hull by this share of its velocity.
+    wake_fraction: Quantity = 0.0
+    #: Growth of 1 - w in oblique motion: ``1 + (1 - exp(-C_1 |sin b|)) (C_2 - 1)``. The drift angle b is that
+    #: of the propeller. The entries are C_1, and C_2 for motion of the propeller to port and to starboard.
+    wake_decay: Quantity = 0.0
+    wake_port: Quantity = 1.0
+    wake_starboard: Quantity = 1.0
+    #: Thrust deduction fraction t: the suction of the propeller on the hull, as a share of its thrust.
+    thrust_deduction: Quantity = 0.0
+
+
+class Propeller(PropellerLaw):
+    """Propeller at a point of a link of a robot in a plane."""
+
+    at_m: Quantity
+    offset_m: Quantity = 0.0
+    #: Angle from the x axis of the link to the direction of a positive thrust, counter-clockwise, degrees.
+    axis_deg: float = 0.0
+
+
+class RudderLaw(OnLink):
+    """Law of a rudder of the MMG model (Yasukawa and Yoshimura 2015, J. Mar. Sci. Technol. 20:37-52).
+
+    The input is the rudder angle d, rad. A positive angle turns a hull ahead of the rudder to port. The
+    normal force is ``F_N = rho / 2 A_R f_a U_R^2 sin(a_R)``. The inflow along the hull is
+    ``u_R = e sqrt(h (u_P + k (u_inf - u_P))^2 + (1 - h) u_P^2)`` with the far slipstream
+    ``u_inf = sqrt(u_P^2 + 8 T / (pi rho D^2))`` of the propeller. The inflow across is g times the velocity
+    of the hull there. The forces are ``-(1 - t_R) F_N sin d`` forward and ``-F_N cos d`` to port at the
+    rudder, and ``-a_H F_N cos d`` to port at a point of the hull.
+    """
+
+    kind: Literal["rudder"]
+    input: str
+    #: Name of the propeller whose slipstream meets the rudder; empty for a rudder in open water.
+    propeller: str = ""
+    area_m2: Quantity
+    #: Slope f_a of the normal force coefficient with the sine of the angle of attack.
+    lift_slope: Quantity
+    #: Velocity of the inflow divided by that at the propeller (e).
+    inflow_ratio: Quantity = 1.0
+    #: Share k of the far slipstream's growth of velocity that is reached at the rudder.
+    slipstream_gain: Quantity = 1.0
+    #: Share h of the rudder's height in the slipstream: propeller diameter divided by rudder height.
+    slipstream_share: Quantity = 1.0
+    #: Flow straightening coefficient g if the hull moves to port at the point of the inflow.
+    straightening: Quantity = 1.0
+    #: Flow straightening coefficient g for motion to starboard; by default that for motion to port.
+    straightening_starboard: Quantity | None = None
+    #: Steering resistance deduction t_R.
+    resistance_deduction: Quantity = 0.0
+    #: Lateral force a_H on the hull that the rudder induces, as a share of that on the rudder.
+    hull_force: Quantity = 0.0
+
+
+class Rudder(RudderLaw):
+    """Rudder of a robot in a plane."""
+
+    at_m: Quantity
+    offset_m: Quantity = 0.0
+    #: Station at which the induced lateral force acts on the hull; by default that of the rudder.
+    hull_force_at_m: Quantity | None = None
+    #: Station whose lateral velocity is that of the inflow (the length l_R); by default that of the rudder.
+    inflow_at_m: Quantity | None = None
+
+
+#: Pattern of the name of a hydrodynamic derivative: a component, velocities with or without absolute value,
+#: and divisions by the speed.
+DERIVATIVE = re.compile(r"([XYZKMN])_((?:[uvwpqrU]|\|[uvwpqr]\|)+)((?:/U)*)")
+#: Maximum number of velocities in a hydrodynamic derivative.
+MAX_FACTORS = 6
+
+
+def derivative_parts(name: str) -> tuple[str, list[str]]:
+    """Split the name of a hydrodynamic derivative into its component and its velocities.
+
+    >>> derivative_parts("Y_v|v|r/U")
+    ('Y', ['v', '|v|', 'r', '/U'])
+
+    Raises
+    ------
+    ValueError
+        If the name has another form or more than :data:`MAX_FACTORS` velocities.
+    """
+    found = DERIVATIVE.fullmatch(name)
+    if found is None:
+        raise ValueError(
+            f"'{name}' is no hydrodynamic derivative: write a component (X, Y, Z, K, M, N), '_' and "
+            "velocities (u, v, w, p, q, r, |v|, the speed U, /U), such as Y_v, N_vvr, Y_v|v| or N_Uv"
+        )
+    factors = re.findall(r"\|.\||/?\w", found[2] + found[3])
+    if len(factors) > MAX_FACTORS:
+        raise ValueError(f"'{name}' has {len(factors)} velocities; at most {MAX_FACTORS} are possible")
+    return found[1], factors
+
+
+def _derivatives(terms: dict[str, Quantity]) -> dict[str, Quantity]:
+    for name in terms:
+        derivative_parts(name)
+    return terms
+
+
+class DerivativeTerms(OnLink):
+    """Force and moment of a link as a sum of products of velocities: hydrodynamic derivatives (SNAME 1950).
+
+    X, Y, Z are forces and K, M, N moments along x, y, z. u, v, w are velocities and p, q, r right-handed
+    rates along and about the same axes, and U is the speed. The terms act at a point of the link, whose
+    velocities they contain.
+    """
+
+    kind: Literal["derivatives"]
+    #: Coefficients by name: ``{Y_v: -12, N_vvr: c_nvvr, X_u|u|: -3, Y_vvv/U: -40}``, in SI units.
+    terms: Annotated[dict[str, Quantity], Field(min_length=1), AfterValidator(_derivatives)]
+
+
+class Derivatives(DerivativeTerms):
+    """Hydrodynamic derivatives of a link of a robot in a plane.
+
+    The horizontal plane has X, Y, N and u, v, r. The vertical plane has X, Z, M and u, w, q, with q positive
+    nose up.
+    """
+
+    #: Station of the point at which the terms act; by default the centre of mass.
+    at_m: Quantity | None = None
+    offset_m: Quantity = 0.0
 
 
 Element = Annotated[
-    AddedMass | Drag | Damping | SlenderBody | Foil | TrailingEdge | Hydrostatics | Force | Load,
+    AddedMass
+    | Drag
+    | Damping
+    | SlenderBody
+    | Foil
+    | TrailingEdge
+    | Hydrostatics
+    | Force
+    | Load
+    | Propeller
+    | Rudder
+    | Derivatives,
     Field(discriminator="kind"),
 ]
+
+#: Components and velocities of hydrodynamic derivatives in each plane of motion.
+PLANE_LETTERS = {"horizontal": ("XYN", "uvr"), "vertical": ("XZM", "uwq")}
 
 
 class Reference(yamlio.Document):
@@ -491,3 +646,17 @@ class Multilink(yamlio.Document):
     links: Annotated[list[Link], Field(min_length=1)]
     joints: list[Joint] = []
     elements: list[Element] = []
+
+    @model_validator(mode="after")
+    def _letters(self) -> Multilink:
+        components, velocities = PLANE_LETTERS[self.plane]
+        for element in self.elements:
+            for name in element.terms if isinstance(element, DerivativeTerms) else ():
+                component, factors = derivative_parts(name)
+                used = {factor.strip("|") for factor in factors} - {"U", "/U"}
+                if component not in components or not used <= set(velocities):
+                    raise ValueError(
+                        f"the derivative '{name}' is not in the {self.plane} plane, which has the components "
+                        f"{', '.join(components)} and the velocities {', '.join(velocities)}"
+                    )
+        return self

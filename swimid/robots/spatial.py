@@ -15,7 +15,18 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import Actuator, Coefficients, Connection, Holder, Input, OnLink, Quantity
+from swimid.robots.planar import (
+    Actuator,
+    Coefficients,
+    Connection,
+    DerivativeTerms,
+    Holder,
+    Input,
+    OnLink,
+    PropellerLaw,
+    Quantity,
+    RudderLaw,
+)
 
 #: Type of a vector with three physical quantities as components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -211,9 +222,9 @@ class Force(OnLink):
 
 
 class Load(OnLink):
-    """Force and moment on a link that are proportional to an input, with components in the axes of the link.
+    """Force and moment on a link that are proportional to an input.
 
-    Examples are a thruster, a towing line with a load cell, and a measured force.
+    Examples are a thruster, a towing line with a load cell, a measured force, and a variable buoyancy.
     """
 
     kind: Literal["load"]
@@ -221,11 +232,60 @@ class Load(OnLink):
     at_m: Vector = ZERO
     #: Force and moment divided by the value of the input after the law of its actuator.
     force_N: Vector = ZERO
+    #: Moment in the axes of the link.
     moment_N_m: Vector = ZERO
+    #: Axes of the force: those of the link, or those of the world, as for a buoyancy.
+    frame: Literal["link", "world"] = "link"
+
+
+class Propeller(PropellerLaw):
+    """Propeller at a point of a link, which pushes along its axis."""
+
+    at_m: Vector
+    axis: Axis = (1.0, 0.0, 0.0)
+
+
+class Rudder(RudderLaw):
+    """Rudder or fin of a link that moves along its x axis. Its lateral force is along ``side``.
+
+    With a positive angle, the force on the rudder is opposite to ``side``.
+    """
+
+    at_m: Vector
+    #: Direction across the hull and normal to the axis about which the rudder turns.
+    side: Axis = (0.0, 1.0, 0.0)
+    #: Point at which the induced lateral force acts on the hull; by default that of the rudder.
+    hull_force_at_m: Vector | None = None
+    #: Point whose lateral velocity is that of the inflow (the length l_R); by default that of the rudder.
+    inflow_at_m: Vector | None = None
+
+    @model_validator(mode="after")
+    def _across(self) -> Rudder:
+        if abs(self.side[0]) > 1e-6 * math.hypot(*self.side):
+            raise ValueError("'side' must be perpendicular to the x axis of the link")
+        return self
+
+
+class Derivatives(DerivativeTerms):
+    """Hydrodynamic derivatives of a link at a point."""
+
+    at_m: Vector = ZERO
 
 
 Element = Annotated[
-    AddedMass | Spheroid | Plate | Drag | Damping | Foil | Hydrostatics | Water | Force | Load,
+    AddedMass
+    | Spheroid
+    | Plate
+    | Drag
+    | Damping
+    | Foil
+    | Hydrostatics
+    | Water
+    | Force
+    | Load
+    | Propeller
+    | Rudder
+    | Derivatives,
     Field(discriminator="kind"),
 ]
 

@@ -633,6 +633,8 @@ class Room:
 #: coordinate frame (``placed`` of the engine), and for each force: 1 or 0 (whether the force acts), its point
 #: and its constants.
 ACTING = "acting"
+#: Elements whose input array of integers has the row of their input in its second column.
+STEERED = ("propeller", "rudder")
 #: Number of entries for the coordinate frame in the input array :data:`ACTING`.
 FRAME = 7
 
@@ -719,8 +721,8 @@ class Kernel:
             for place in np.argwhere(np.isnan(fixed)):
                 entries[tuple(place)], count = tracer.symbol(kind, count), count + 1
             tables[name] = entries if entries.ndim else entries.item()
-        inputs = self._example["load_input"].max(initial=-1)
-        driven = int(max(self._example["topology"][:, 1].max(), inputs)) + 1
+        inputs = [self._example["load_input"], *(self._example[f"{n}_link"][:, 1] for n in STEERED)]
+        driven = int(max(self._example["topology"][:, 1].max(), np.concatenate(inputs).max(initial=-1))) + 1
         state = array(tracer, "state", (self.size,))
         row = array(tracer, "row", (driven, 5))
         scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]

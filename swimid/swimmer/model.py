@@ -333,6 +333,38 @@ class Swimmer(Model, ABC):
         """
         yield from self.joints.commands(trial)
 
+    def acting_inputs(self, trial: Trial) -> Array:
+        """Return the inputs behind the laws of their actuators during a trial, shape (n, inputs)."""
+        values = np.array([p.start for p in self.parameters])
+        grid = self._grid(values, trial, NONE)
+        return self.joints.motion(values, trial, grid, 0.0, NONE).table[:, len(self.driven) :, 0]
+
+    def thrusters(self, tables: Mapping[str, Any]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Return the loads that are thrusters: forces in the axes of a link that follow a command.
+
+        Returns
+        -------
+        rows : ndarray of int, shape (thrusters,)
+            Rows of the loads in the input array ``load``.
+        inputs : ndarray of int, shape (thrusters,)
+            Indices of their inputs.
+        forces_N : ndarray, shape (thrusters,)
+            Their forces for an input of 1.
+        """
+        columns = self.engine.LOAD
+        along = [i for i, name in enumerate(columns) if name.startswith("force_")]
+        forces = np.linalg.norm(tables["load"][:, along], axis=1)
+        inputs = tables["load_input"] - len(self.driven)
+        measured = np.array([law.measured for law in self.inputs.values()], dtype=bool)
+        commanded = ~measured[inputs] & (tables["load"][:, columns.index("world")] == 0.0)
+        rows = np.flatnonzero(commanded & (forces > 0.0))
+        return rows, inputs[rows], forces[rows]
+
+    def lose_thrust(self, tables: dict[str, Any], loss: float) -> None:
+        """Let the thrust T of each thruster fall by ``loss sqrt(|T|)`` per velocity along it, (kg/m)^0.5."""
+        rows, _, forces = self.thrusters(tables)
+        tables["load"][rows, self.engine.LOAD.index("loss")] = loss / forces**1.5
+
     def yielding(self) -> list[str]:
         """Return the names of the coefficients in the laws of the passive joints, such as their stiffness."""
         entries = [entry for axis in self.passive for entry in law_of(axis.joint)]

@@ -19,7 +19,18 @@ import numpy as np
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Array, Parameter
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Actuator, Coefficient, Connection, Driven, factors
+from swimid.robots.planar import (
+    MAX_FACTORS,
+    Actuator,
+    Coefficient,
+    Connection,
+    DerivativeTerms,
+    Driven,
+    PropellerLaw,
+    RudderLaw,
+    derivative_parts,
+    factors,
+)
 from swimid.swimmer.planar.engine import PASSIVE
 
 #: Maximum number of coefficient vectors whose input arrays are cached.
@@ -119,29 +130,90 @@ class Rows:
         Names of the inputs, in the order of their rows in the drive array.
     loads : list of int
         Index of the input of each load.
+    first_input : int
+        Row of the first input in the drive array, after the driven joints.
+    propellers : sequence of str
+        Names of the propellers, in the order of their rows.
     """
 
     density_kg_m3: float
     gravity_m_s2: float
     index: Mapping[str, int]
     inertia: list[Row]
-    elements: dict[str, list[tuple[int, Row]]]
+    elements: dict[str, list[tuple[tuple[int, ...], Row]]]
     inputs: Sequence[str] = ()
     loads: list[int] = field(default_factory=list)
+    first_input: int = 0
+    propellers: Sequence[str] = ()
 
     def add_inertia(self, link: str, terms: Row) -> None:
         """Add terms to the row of a link in the ``inertia`` input array."""
         row = self.inertia[self.index[link]]
         row[:] = [Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)]
 
-    def add(self, table: str, link: str, row: Row) -> None:
-        """Add a row to the input array ``table``, for an element of a link."""
-        self.elements[table].append((self.index[link], row))
+    def add(self, table: str, link: str, row: Row, *integers: int) -> None:
+        """Add a row to the input array ``table``, for an element of a link.
+
+        Further integers of the element follow the index of the link (``INTEGERS`` of the engine).
+        """
+        self.elements[table].append(((self.index[link], *integers), row))
 
     def add_load(self, link: str, name: str, row: Row) -> None:
         """Add a row to the input array ``load``, for a load on a link that is proportional to an input."""
         self.add("load", link, row)
         self.loads.append(self.inputs.index(name))
+
+    def row_of(self, name: str) -> int:
+        """Return the row of an input in the drive array."""
+        return self.first_input + self.inputs.index(name)
+
+    def add_propeller(self, element: PropellerLaw, point: Row, axis: Row) -> None:
+        """Add a propeller at a point of its link, with the unit vector of its axis."""
+        size = element.diameter_m
+        padded = [*element.thrust_coefficients, 0.0, 0.0][:3]
+        gains = [
+            self.density_kg_m3 * size**power * Polynomial.of(k)
+            for power, k in zip((4, 3, 2), padded, strict=True)
+        ]
+        shares = [1.0 - Polynomial.of(e) for e in (element.thrust_deduction, element.wake_fraction)]
+        jet = 8.0 / (math.pi * self.density_kg_m3 * size**2)
+        growth = [Polynomial.of(element.wake_port) - 1.0, Polynomial.of(element.wake_starboard) - 1.0]
+        row = [*point, *axis, *gains, *shares, jet, element.wake_decay, *growth]
+        self.add("propeller", element.link, row, self.row_of(element.input))
+
+    def add_rudder(self, element: RudderLaw, points: Row) -> None:
+        """Add a rudder with the points of its force, of the induced force on the hull, and of the inflow."""
+        port, starboard = element.straightening, given(element.straightening_starboard, element.straightening)
+        row = [
+            *points,
+            0.5 * self.density_kg_m3 * Polynomial.of(element.area_m2) * Polynomial.of(element.lift_slope),
+            1.0 - Polynomial.of(element.resistance_deduction),
+            element.hull_force,
+            port,
+            starboard,
+            element.inflow_ratio,
+            element.slipstream_gain,
+            element.slipstream_share,
+        ]
+        behind = self.propellers.index(element.propeller) if element.propeller else -1
+        self.add("rudder", element.link, row, self.row_of(element.input), behind)
+
+    def add_terms(
+        self,
+        element: DerivativeTerms,
+        point: Row,
+        components: Mapping[str, int],
+        velocities: Mapping[str, int],
+    ) -> None:
+        """Add the hydrodynamic derivatives of a link at a point.
+
+        ``components`` and ``velocities`` have the index in the engine of each component and of each velocity.
+        """
+        for name, coefficient in element.terms.items():
+            component, factors = derivative_parts(name)
+            padded = [*factors, *["1"] * (MAX_FACTORS - len(factors))]
+            integers = components[component], *(velocities[factor] for factor in padded)
+            self.add("term", element.link, [*point, coefficient], *integers)
 
 
 def strips(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
@@ -197,7 +269,7 @@ class Table:
 #: Keys of links, joints and elements whose strings are not physical quantities.
 WORDS = {
     *("name", "link", "parent", "child", "kind", "inertia_about", "frame", "added_mass_direction"),
-    *("input", "column", "measured", "actuator"),
+    *("input", "column", "measured", "actuator", "propeller"),
 }
 
 
@@ -270,18 +342,27 @@ def check_names(body: Any, part: str) -> None:
             )
     used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
     used += [(f"elements.{n}.link", e.link) for n, e in enumerate(body.elements)]
-    asked = [(f"elements.{n}.input", e.input) for n, e in enumerate(body.elements) if e.kind == "load"]
+    asked = [(f"elements.{n}.input", e.input) for n, e in enumerate(body.elements) if hasattr(e, "input")]
     asked += [(f"joints.{j.name}.torque.input", j.torque.input) for j in body.joints if j.torque is not None]
     follow = [
         (f"joints.{j.name}.driven.actuator", j.driven.actuator)
         for j in body.joints
         if j.driven is not None and j.driven.actuator is not None
     ]
-    tables = ("link", links, used), ("input", list(body.inputs), asked), ("actuator", body.actuators, follow)
+    behind = [(f"elements.{n}.propeller", getattr(e, "propeller", "")) for n, e in enumerate(body.elements)]
+    tables = (
+        ("link", links, used),
+        ("input", list(body.inputs), asked),
+        ("actuator", body.actuators, follow),
+        ("propeller", propellers(body), [(where, name) for where, name in behind if name]),
+    )
     for kind, known, names in tables:
         for where, name in names:
             if name not in known:
-                hint = suggestion(name, list(known), f"'{part}.{kind}s' has")
+                where_known = f"'{part}.{kind}s' has"
+                if kind == "propeller":
+                    where_known = "the elements of the kind 'propeller' have the names"
+                hint = suggestion(name, list(known), where_known)
                 raise InputError(f"there is no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
     stated = list(body.coefficients)
     for path, quantity in quantities(body, part):
@@ -289,6 +370,11 @@ def check_names(body: Any, part: str) -> None:
         if unknown:
             hint = suggestion(unknown[0], stated)
             raise InputError(f"there is no coefficient '{unknown[0]}'", column=path, hint=hint)
+
+
+def propellers(body: Any) -> list[str]:
+    """Return the names of the propellers of a robot, in the order of their rows in the input array."""
+    return [element.name for element in body.elements if element.kind == "propeller"]
 
 
 def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
@@ -433,9 +519,17 @@ class Tree(ABC):
         """
         engine = self.engine
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
-        elements: dict[str, list[tuple[int, Row]]] = {name: [] for name in self.elements}
-        inputs = list(self.body.inputs)
-        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty, elements, inputs)
+        elements: dict[str, list[tuple[tuple[int, ...], Row]]] = {name: [] for name in self.elements}
+        rows = Rows(
+            fluid.density_kg_m3,
+            fluid.gravity_m_s2,
+            self.index,
+            empty,
+            elements,
+            list(self.body.inputs),
+            first_input=len(self.driven),
+            propellers=propellers(self.body),
+        )
         for link in self.links:
             self._add_rigid(link, rows)
         rigid = [list(row) for row in rows.inertia]
@@ -454,7 +548,9 @@ class Tree(ABC):
         self._passive = table([law_of(axis.joint) for axis in self.passive], PASSIVE)
         self._elements = []
         for name, own in elements.items():
-            owners = np.array([link for link, _ in own], dtype=np.int64)
+            width = engine.INTEGERS.get(name)
+            owners = np.array([integers for integers, _ in own], dtype=np.int64)
+            owners = owners.reshape(len(own), width) if width else owners.reshape(-1)
             entries = [row for _, row in own]
             self._elements.append((name, owners, table(entries, getattr(engine, name.upper()))))
         self.check(np.array([c.value for c in self.body.coefficients.values()]))

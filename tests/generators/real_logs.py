@@ -4,8 +4,10 @@ The tail-actuated fish of Michigan State University (DerivativeBasedKoopman, MIT
 and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence), the roll decay of a ship model and
 of a simulator without viscosity (10.17632/2stvkyngj9.1, MIT licence), a drive with a screw (EMPS,
 forgi86/sysid-neural-continuous, Apache 2.0 licence), two tanks in a cascade
-(forgi86/sysid-neural-structures-fitting, MIT licence), a block on a ramp, from tracked films
-(PhysTrack, GPL 2 licence), and tracked points of a tendon-driven fish (srl-ethz/fishsim, MIT licence).
+(forgi86/sysid-neural-structures-fitting, MIT licence), zig-zags of a model of the tanker KVLCC2 by MARIN
+(SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), a block on a ramp, from
+tracked films (PhysTrack, GPL 2 licence), and tracked points of a tendon-driven fish (srl-ethz/fishsim,
+MIT licence).
 As a program it writes all of them, the ramp where its films are tracked:
 ``python -m tests.generators.real_logs DATA FOLDER``.
 """
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -328,6 +331,49 @@ def write_tanks(folder: Path, data: Path) -> Path:
     return _trials(folder / "levels.yaml", "arma", "tanks.yaml", entries)
 
 
+#: Scale of the KVLCC2's model, and time between the rows of its files in full scale, s. Their time stamps
+#: have three digits only.
+SHIP_SCALE, SHIP_STEP_S = 45.7, 0.135264
+#: Zig-zags of the KVLCC2: name of the trial, and its rudder and heading angle.
+ZIGZAGS = {"p20": "20", "s20": "-20", "p10": "10", "s10": "-10"}
+#: Every so many rows of its files are kept: 10 Hz in the time of the model.
+SHIP_EVERY = 5
+
+
+def read_zigzag(path: Path) -> dict[str, Array]:
+    """Read a zig-zag of the KVLCC2 by MARIN in the units of the model, with y to port.
+
+    The files have y to starboard and full scale. A positive rudder angle turns the ship to port. The
+    velocities are those along the axes of the world: their integrals are the positions within 1.4 m of 780 m.
+    They are turned into the axes of the ship here. The positions have three digits, and are left out.
+    """
+    lines = path.read_text(encoding="latin-1").splitlines()[3:]
+    rows = np.array([line.split() for line in lines if len(line.split()) == 11], dtype=float)[::SHIP_EVERY]
+    _, _, _, _, yaw, ahead, starboard, _, rate, rudder, rpm = rows.T
+    yaw, slow = np.radians(yaw), np.sqrt(SHIP_SCALE)
+    return {
+        "t_s": SHIP_EVERY * SHIP_STEP_S / slow * np.arange(len(rows)),
+        "yaw_rad": -yaw,
+        "u_m_s": (np.cos(yaw) * ahead + np.sin(yaw) * starboard) / slow,
+        "v_m_s": (np.sin(yaw) * ahead - np.cos(yaw) * starboard) / slow,
+        "yaw_rate_rad_s": -np.radians(rate) * slow,
+        "rudder_rad": np.radians(rudder),
+        "screw_rate_1_s": rpm / 60.0 * slow,
+    }
+
+
+def write_zigzags(folder: Path, data: Path, *, held_out: Collection[str] = ("p10", "s20")) -> Path:
+    """Write logs of the KVLCC2's zig-zags, and a trials file that holds some of them out."""
+    for name, angle in ZIGZAGS.items():
+        _write(
+            folder / f"{name}.csv",
+            read_zigzag(data / "kvlcc2_zigzag" / f"MARIN_FREE_KVLCC2_zz_{angle}_m.dat"),
+        )
+    robot = Path(__file__).parents[2] / "docs" / "examples" / "kvlcc2.yaml"
+    entries = [f"log: {name}.csv" + ", role: validate" * (name in held_out) for name in ZIGZAGS]
+    return _trials(folder / "trials.yaml", "free-swim", os.path.relpath(robot, folder), entries)
+
+
 #: No length is known in the films: this many pixels are called a metre.
 RAMP_PX_M = 700.0
 #: A block of one kilogram in air; only ratios to its mass tell.
@@ -485,6 +531,7 @@ def main(data: Path, folder: Path) -> None:
         "roll": write_roll,
         "drive": write_screw_drive,
         "tanks": write_tanks,
+        "ship": write_zigzags,
         "fishsim": write_tendon_fish,
     }
     for name, write in more.items():

@@ -54,6 +54,8 @@ class Vehicle:
     current_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     #: Time constant of the thrusters.
     lag_s: float = 0.0
+    #: Slope k_1 of the thrust coefficient ``K_T = K_0 - k_1 J`` with the advance ratio J of the propellers.
+    slope: float = 0.0
     #: Largest forces (N) and moments (N m) of a manoeuvre along the axes of the body.
     effort: tuple[float, ...] = (25.0, 25.0, 25.0, 1.5, 1.5, 4.0)
 
@@ -98,6 +100,25 @@ def _turn(euler: Array) -> Array:
     )
 
 
+#: Diameter of the propellers, m, and their thrust coefficient at rest.
+DIAMETER_M, K_0 = 0.076, 0.45
+
+
+def advancing(bollard: Array, advance: Array, density: float, slope: float) -> Array:
+    """Return the thrusts of propellers at a speed of advance (m/s) from their thrusts at rest (N).
+
+    The rate of each propeller follows from its thrust at rest, and the thrust from ``K_T = K_0 - slope J``.
+    """
+    found = np.zeros(len(bollard))
+    for k, (rest, speed) in enumerate(zip(bollard, advance, strict=True)):
+        if rest == 0.0:
+            continue
+        rate = np.sign(rest) * np.sqrt(abs(rest) / (density * DIAMETER_M**4 * K_0))
+        ratio = speed / (rate * DIAMETER_M)
+        found[k] = density * rate * abs(rate) * DIAMETER_M**4 * (K_0 - slope * ratio)
+    return found
+
+
 def simulate(
     vehicle: Vehicle, time_s: Array, thrusts: Callable[[float], Array], start: Array | None = None
 ) -> Array:
@@ -114,6 +135,8 @@ def simulate(
     lift = vehicle.density * vehicle.gravity * vehicle.volume_m3
     mixing = vehicle.mixing * np.array(vehicle.thrust)
     current = np.array(vehicle.current_m_s)
+    # velocity of each thruster along its force, for the velocities of the body
+    advances = vehicle.mixing.T
 
     def slope(now: float, state: Array) -> Array:
         euler, v, lagged = state[3:6], state[6:12], state[12:]
@@ -131,6 +154,8 @@ def simulate(
             change = (thrusts(now) - lagged) / vehicle.lag_s
         else:
             thrust = thrusts(now)
+        if vehicle.slope:
+            thrust = advancing(thrust, advances @ v, vehicle.density, vehicle.slope)
         rate = inverse @ (mixing @ thrust - coriolis - drag + weights + lifts)
         f, t, _ = euler
         p, q, r = v[3:]

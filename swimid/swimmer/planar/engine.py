@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from swimid.files.kernels import numba
 from swimid.fitting.model import MOST_FORCES, Force, no_force
+from swimid.robots.planar import MAX_FACTORS
 
 #: Magnitude of an entry of the state vector from which a simulation has broken down.
 BROKEN = 1e6
@@ -90,13 +91,64 @@ PASSIVE = (
     "friction_below",
 )
 #: Entries of the input arrays that effects may change although they are zero in the robot file.
-FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
+FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1), "load": -1}
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
 WAKE = ("x", "y", "half_mass")
-#: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link.
-LOAD = ("x", "y", "force_x", "force_y", "moment")
+#: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link. The column
+#: ``world`` is 1 if the force has the axes of the world. The column ``loss`` is the decrease of the input's
+#: effect per square root of the input and per velocity along the force (:func:`weakened`).
+LOAD = ("x", "y", "force_x", "force_y", "moment", "world", "loss")
+#: Columns of the input array ``propeller``: point and axis, the coefficients of :func:`thrust_of`, and the
+#: factors on the thrust (1 - t) and on the velocity of advance (1 - w). With the thrust T, the slipstream far
+#: behind the propeller has the square of the velocity ``u_a^2 + jet T``.
+PROPELLER = (
+    "x",
+    "y",
+    "axis_x",
+    "axis_y",
+    "static",
+    "slope",
+    "curve",
+    "share",
+    "wake",
+    "jet",
+    "wake_decay",
+    "wake_port",
+    "wake_starboard",
+)
+#: Columns of the input array ``rudder``: points of the force on the rudder, of the force on the hull, and of
+#: the inflow, and the coefficients of :func:`rudder_force`.
+RUDDER = (
+    "x",
+    "y",
+    "hull_x",
+    "hull_y",
+    "inflow_x",
+    "inflow_y",
+    "lift",
+    "drag_share",
+    "hull_share",
+    "straightening_port",
+    "straightening_starboard",
+    "ratio",
+    "gain",
+    "covered",
+)
+#: Columns of the input array ``term``: point, and coefficient of a product of velocities.
+TERM = ("x", "y", "coefficient")
+#: Index in a row of ``term_link`` of each velocity (1 fills up a row), and of each component of force and
+#: moment. The vertical plane has w, q, Z and M in place of v, r, Y and N.
+VELOCITIES = {name: i for i, name in enumerate(("1", "u", "v", "r", "|u|", "|v|", "|r|", "U", "/U"))}
+VELOCITIES |= {"w": 2, "q": 3, "|w|": 5, "|q|": 6}
+COMPONENTS = {"X": 0, "Y": 1, "N": 2, "Z": 1, "M": 2}
+#: Number of integers for an element in the input array ``ELEMENT_link``: its link; for a propeller also the
+#: row of its input; for a rudder also the rows of its input and of its propeller; for a term also its
+#: component and the indices of its velocities.
+INTEGERS = {"propeller": 2, "rudder": 3, "term": 2 + MAX_FACTORS}
+#: Speed below which the quotient of velocities and speed in a term falls to zero, m/s.
+LEAST_SPEED = 1e-9
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -272,12 +324,186 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def weakened(size, loss, along):  # type: ignore[no-untyped-def]
+    """Return the input of a load whose force falls with the velocity along the force.
+
+    A propeller at the rate n has the thrust ``T = a n |n| - b |n| u`` with the velocity u along T. Its thrust
+    at rest ``T_0 = a n |n|`` gives ``T = T_0 - c sqrt(|T_0|) u``.
+
+    Parameters
+    ----------
+    size : float
+        Input, by which the thrust at rest is proportional.
+    loss : float
+        ``c / g^1.5`` with the force g for an input of 1, N.
+    along : float
+        Scalar product of the velocity of the point of action and the force for an input of 1.
+    """
+    return size - loss * math.sqrt(abs(size)) * along
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-def]
     """Add the forces and moments that are proportional to inputs."""
     for e in range(load.shape[0]):
-        i, size = load_link[e], row[load_input[e], 0]
-        _push(work, i, load[e, 0], load[e, 1], size * load[e, 2], size * load[e, 3])
+        i = load_link[e]
+        x, y = load[e, 0], load[e, 1]
+        fx, fy = load[e, 2], load[e, 3]
+        if load[e, 5] != 0.0:
+            c, s = work[i, 17], work[i, 18]
+            fx, fy = c * fx + s * fy, c * fy - s * fx
+        along = (work[i, 2] - work[i, 4] * y) * fx + (work[i, 3] + work[i, 4] * x) * fy
+        size = weakened(row[load_input[e], 0], load[e, 6], along)
+        _push(work, i, x, y, size * fx, size * fy)
         work[i, 10] -= size * load[e, 4]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def thrust_of(n, advance, static, slope, curve):  # type: ignore[no-untyped-def]
+    """Return the thrust of a propeller, N, at a rate n (1/s) and a velocity of advance u (m/s).
+
+    It is ``static n |n| + slope |n| u + curve sign(n) u^2``. With K_T = k_0 + k_1 J + k_2 J^2 and
+    J = u / (n D), the coefficients are ``rho D^4 k_0``, ``rho D^3 k_1`` and ``rho D^2 k_2``. A propeller that
+    turns backwards has the thrust of its mirror image, ``T(-n, -u) = -T(n, u)``.
+    """
+    side = positive(n, 1.0, positive(-n, -1.0, 0.0))
+    return static * n * abs(n) + slope * abs(n) * advance + curve * side * advance * advance
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def inflow_speed(advance, thrust, jet, ratio, gain, covered):  # type: ignore[no-untyped-def]
+    """Return the velocity of the water at a rudder along the hull, m/s (Yasukawa and Yoshimura 2015, Eq 24).
+
+    The share ``covered`` of the rudder's height lies in the slipstream. There, the velocity has grown by the
+    share ``gain`` of its growth far behind the propeller. In the printed equation this growth is
+    ``u_P (sqrt(1 + 8 K_T / (pi J^2)) - 1)``. Written with the thrust it has no division by J.
+    """
+    far = math.sqrt(max(advance * advance + jet * thrust, 0.0))
+    within = advance + gain * (far - abs(advance))
+    size = math.sqrt(covered * within * within + (1.0 - covered) * advance * advance)
+    return ratio * positive(covered * within + (1.0 - covered) * advance, size, -size)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def rudder_force(along, aside, lift, port, starboard, sine, cosine):  # type: ignore[no-untyped-def]
+    """Return the normal force on a rudder, N (Yasukawa and Yoshimura 2015, Eqs 21 to 23).
+
+    ``F_N = rho / 2 A_R f_a U_R^2 sin(alpha_R)`` with the inflow velocity U_R and its angle to the rudder.
+
+    Parameters
+    ----------
+    along : float, m/s
+        Velocity of the water along the hull (:func:`inflow_speed`).
+    aside : float, m/s
+        Velocity of the hull to port, at the point of the inflow. The water has the opposite velocity,
+        multiplied by the flow straightening coefficient of this side.
+    lift : float
+        ``rho / 2 A_R f_a``.
+    port, starboard : float
+        Flow straightening coefficients for motion to port and to starboard.
+    sine, cosine : float
+        Of the rudder angle.
+    """
+    across = aside * positive(aside, port, starboard)
+    return lift * math.sqrt(along * along + across * across) * (along * sine + across * cosine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def wake_growth(aside, speed, decay, port, starboard):  # type: ignore[no-untyped-def]
+    """Return the factor on 1 - w of a propeller in oblique motion (Yasukawa and Yoshimura 2015, Eq 18).
+
+    It is ``1 + (1 - exp(-C_1 |b_P|)) (C_2 - 1)``, with the sine of the drift angle of the propeller for b_P.
+
+    Parameters
+    ----------
+    aside, speed : float, m/s
+        Velocity of the propeller to port, and its speed.
+    decay : float
+        C_1.
+    port, starboard : float
+        C_2 - 1 for motion to port and to starboard.
+    """
+    angle = abs(aside) / max(speed, LEAST_SPEED)
+    return 1.0 + (1.0 - math.exp(-decay * angle)) * positive(aside, port, starboard)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+    """Return velocity of advance (m/s) and thrust (N) of propeller ``e``."""
+    i, n = propeller_link[e, 0], row[propeller_link[e, 1], 0]
+    r = work[i, 4]
+    vx, vy = work[i, 2] - r * propeller[e, 1], work[i, 3] + r * propeller[e, 0]
+    aside, speed = vy * propeller[e, 2] - vx * propeller[e, 3], math.sqrt(vx * vx + vy * vy)
+    growth = wake_growth(aside, speed, propeller[e, 10], propeller[e, 11], propeller[e, 12])
+    advance = growth * propeller[e, 8] * (vx * propeller[e, 2] + vy * propeller[e, 3])
+    return advance, thrust_of(n, advance, propeller[e, 4], propeller[e, 5], propeller[e, 6])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _propellers(propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+    """Add the thrusts of propellers."""
+    for e in range(propeller.shape[0]):
+        _, thrust = _driven_water(e, propeller_link, propeller, row, work)
+        push = propeller[e, 7] * thrust
+        x, y = propeller[e, 0], propeller[e, 1]
+        _push(work, propeller_link[e, 0], x, y, push * propeller[e, 2], push * propeller[e, 3])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _rudders(rudder_link, rudder, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+    """Add the forces of rudders, and the forces on the hull that they induce."""
+    for e in range(rudder.shape[0]):
+        i, p = rudder_link[e, 0], rudder_link[e, 2]
+        r = work[i, 4]
+        jet, thrust = 0.0, 0.0
+        advance = work[i, 2] - r * rudder[e, 5]
+        if p >= 0:
+            jet = propeller[p, 9]
+            advance, thrust = _driven_water(p, propeller_link, propeller, row, work)
+        along = inflow_speed(advance, thrust, jet, rudder[e, 11], rudder[e, 12], rudder[e, 13])
+        angle = row[rudder_link[e, 1], 0]
+        sine, cosine = math.sin(angle), math.cos(angle)
+        aside = work[i, 3] + r * rudder[e, 4]
+        force = rudder_force(along, aside, rudder[e, 6], rudder[e, 9], rudder[e, 10], sine, cosine)
+        _push(work, i, rudder[e, 0], rudder[e, 1], -rudder[e, 7] * force * sine, -force * cosine)
+        _push(work, i, rudder[e, 2], rudder[e, 3], 0.0, -rudder[e, 8] * force * cosine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def product_of(coefficient, integers, velocities):  # type: ignore[no-untyped-def]
+    """Return the product of a coefficient and the velocities of a term.
+
+    Parameters
+    ----------
+    coefficient : float
+    integers : ndarray of int
+        Row of ``term_link``.
+    velocities : tuple of float
+        Velocities in the order of their indices.
+    """
+    for m in range(2, len(integers)):
+        coefficient = coefficient * velocities[integers[m]]
+    return coefficient
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
+    """Add the forces and moments that are products of velocities at a point of a link."""
+    for e in range(term.shape[0]):
+        i, component = term_link[e, 0], term_link[e, 1]
+        x, y = term[e, 0], term[e, 1]
+        r = work[i, 4]
+        u, v = work[i, 2] - r * y, work[i, 3] + r * x
+        speed = math.sqrt(u * u + v * v)
+        inverse = 1.0 / max(speed, LEAST_SPEED)
+        velocities = (1.0, u, v, r, abs(u), abs(v), abs(r), speed, inverse)
+        size = product_of(term[e, 2], term_link[e], velocities)
+        if component == 0:
+            _push(work, i, x, y, size, 0.0)
+        elif component == 1:
+            _push(work, i, x, y, 0.0, size)
+        else:
+            work[i, 10] -= size
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -413,6 +639,12 @@ def derivative(  # type: ignore[no-untyped-def]
     wake,
     load_link,
     load,
+    propeller_link,
+    propeller,
+    rudder_link,
+    rudder,
+    term_link,
+    term,
     load_input,
     free_base,
     forced,
@@ -436,6 +668,9 @@ def derivative(  # type: ignore[no-untyped-def]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake, load_link, load : ndarray
         Links and properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE`,
         :data:`WAKE` and :data:`LOAD`.
+    propeller_link, propeller, rudder_link, rudder, term_link, term : ndarray
+        Integers (:data:`INTEGERS`) and properties of the elements, with the columns :data:`PROPELLER`,
+        :data:`RUDDER` and :data:`TERM`.
     load_input : ndarray of int
         Row of ``row`` with the input of each load.
     free_base : bool
@@ -454,6 +689,9 @@ def derivative(  # type: ignore[no-untyped-def]
     _forces(force_link, force, work)
     _wakes(wake_link, wake, work)
     _loads(load_link, load_input, load, row, work)
+    _propellers(propeller_link, propeller, row, work)
+    _rudders(rudder_link, rudder, propeller_link, propeller, row, work)
+    _terms(term_link, term, work)
     if forced is not None:
         _forced(time, state, work, forced)
     _inwards(state, topology, joint, passive, work, matrix, right)
@@ -530,7 +768,8 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
         NaN from the step at which the simulation breaks down.
     """
     topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
-    force_link, force, wake_link, wake, load_link, load, load_input, free_base = tables[8:]
+    force_link, force, wake_link, wake, load_link, load, propeller_link, propeller = tables[8:16]
+    rudder_link, rudder, term_link, term, load_input, free_base = tables[16:]
     steps, size = (table.shape[0] - 1) // 2, len(start)
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, right = np.zeros((topology.shape[0], 19)), np.zeros(size // 2)
@@ -543,7 +782,8 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             half = (stage + 1) // 2
             derivative(
                 trial, table[2 * i + half], topology, joint, inertia, passive, drag_link, drag, foil_link,
-                foil, force_link, force, wake_link, wake, load_link, load, load_input, free_base, forced,
+                foil, force_link, force, wake_link, wake, load_link, load, propeller_link, propeller,
+                rudder_link, rudder, term_link, term, load_input, free_base, forced,
                 begin + step * (i + 0.5 * half), work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
@@ -586,7 +826,8 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
-    load_link, load, load_input = tables[12:15]
+    load_link, load, propeller_link, propeller, rudder_link, rudder = tables[12:18]
+    term_link, term, load_input = tables[18:21]
     links = topology.shape[0]
     found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
     wrench = np.empty((states.shape[0], 3))
@@ -597,6 +838,9 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
         _forces(force_link, force, work)
         _wakes(wake_link, wake, work)
         _loads(load_link, load_input, load, table[t], work)
+        _propellers(propeller_link, propeller, table[t], work)
+        _rudders(rudder_link, rudder, propeller_link, propeller, table[t], work)
+        _terms(term_link, term, work)
         if forced is not None:
             _forced(begin + step * t, states[t], work, forced)
         for i in range(links - 1, -1, -1):

@@ -169,8 +169,29 @@ def _trailing_edge(element: parts.TrailingEdge, link: parts.Link, rows: Rows) ->
 def _load(element: parts.Load, link: parts.Link, rows: Rows) -> None:
     """Add a force and a moment in the axes of a link that are proportional to an input."""
     at = _point(element.at_m, element.offset_m)
-    row = [*at, element.forward_N, element.port_N, element.moment_N_m]
+    world = float(element.frame == "world")
+    row = [*at, element.forward_N, element.port_N, element.moment_N_m, world, 0.0]
     rows.add_load(link.name, element.input, row)
+
+
+def _propeller(element: parts.Propeller, link: parts.Link, rows: Rows) -> None:
+    """Add a propeller whose thrust depends on its rate and on the velocity of advance."""
+    axis = math.radians(element.axis_deg)
+    point: Row = [*_point(element.at_m, element.offset_m)]
+    rows.add_propeller(element, point, [math.cos(axis), math.sin(axis)])
+
+
+def _rudder(element: parts.Rudder, link: parts.Link, rows: Rows) -> None:
+    """Add the normal force on a rudder, and the lateral force on the hull that it induces."""
+    stations = element.at_m, element.hull_force_at_m, element.inflow_at_m
+    points = [_point(given(station, element.at_m), element.offset_m) for station in stations]
+    rows.add_rudder(element, [entry for point in points for entry in point])
+
+
+def _derivatives(element: parts.Derivatives, link: parts.Link, rows: Rows) -> None:
+    """Add forces and moments that are products of the velocities of a point of a link."""
+    point: Row = [*_point(given(element.at_m, link.com_m), element.offset_m)]
+    rows.add_terms(element, point, engine.COMPONENTS, engine.VELOCITIES)
 
 
 #: Functions that add the rows of an element to the input arrays, by kind of element.
@@ -182,6 +203,9 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "force": _force,
     "hydrostatics": _hydrostatics,
     "load": _load,
+    "propeller": _propeller,
+    "rudder": _rudder,
+    "derivatives": _derivatives,
     "slender-body": _slender_body,
     "trailing-edge": _trailing_edge,
 }
@@ -222,7 +246,7 @@ class Assembly(Tree):
     """
 
     part = "multilink"
-    elements = ("drag", "foil", "force", "wake", "load")
+    elements = ("drag", "foil", "force", "wake", "load", "propeller", "rudder", "term")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: parts.Multilink, fluid: Fluid) -> None:
@@ -230,6 +254,7 @@ class Assembly(Tree):
         self._sizes = self._sized()
         rows = self.fill(fluid)
         self.world_forces = any(row[4] == 1.0 for _, row in rows.elements["force"])
+        self.world_forces |= any(row[5] == 1.0 for _, row in rows.elements["load"])
 
     def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
         """Return path, dimension, sign constraint and value of each quantity in the robot file.
@@ -297,7 +322,7 @@ class Assembly(Tree):
         assert joint.torque is not None
         gain = Polynomial.of(joint.torque.gain_N_m)
         for link, moment in ((joint.child, gain), (joint.parent, -gain)):
-            rows.add_load(link, joint.torque.input, [0.0, 0.0, 0.0, 0.0, moment])
+            rows.add_load(link, joint.torque.input, [0.0, 0.0, 0.0, 0.0, moment, 0.0, 0.0])
 
     def _place(self, joint: parts.Joint | None) -> Row:
         if joint is None:

@@ -29,9 +29,24 @@ from typing import Any
 import numpy as np
 
 from swimid.files.kernels import numba
-from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
+from swimid.swimmer.planar.engine import (
+    FILLED,
+    INTEGERS,
+    LEAST_SPEED,
+    begin_stage,
+    inflow_speed,
+    is_broken,
+    passive_torque,
+    positive,
+    product_of,
+    rudder_force,
+    solve,
+    thrust_of,
+    wake_growth,
+    weakened,
+)
 
-__all__ = ["FILLED"]
+__all__ = ["FILLED", "INTEGERS"]
 #: Columns of the input array ``topology`` of the engine.
 TOPOLOGY = ("parent", "driven", "passive", "massless")
 #: Columns of the input array ``joint``: position of a hinge on the parent, direction of its axis in the
@@ -56,8 +71,26 @@ FOIL = (
     "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z", "size",
 )  # fmt: skip
 FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
-#: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link.
-LOAD = (*"xyz", *(f"force_{c}" for c in "xyz"), *(f"moment_{c}" for c in "xyz"))
+#: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link. ``world``
+#: and ``loss`` are as in the plane.
+LOAD = (*"xyz", *(f"force_{c}" for c in "xyz"), *(f"moment_{c}" for c in "xyz"), "world", "loss")
+#: Columns of the input arrays ``propeller``, ``rudder`` and ``term``, as in the plane. ``side`` is the
+#: direction across the hull in which the rudder pushes at a negative angle.
+PROPELLER = (
+    *"xyz", *(f"axis_{c}" for c in "xyz"), "static", "slope", "curve", "share", "wake", "jet", "wake_decay",
+    "wake_port", "wake_starboard",
+)  # fmt: skip
+RUDDER = (
+    *"xyz", *(f"hull_{c}" for c in "xyz"), *(f"inflow_{c}" for c in "xyz"), *(f"side_{c}" for c in "xyz"),
+    "lift", "drag_share", "hull_share", "straightening_port", "straightening_starboard", "ratio", "gain",
+    "covered",
+)  # fmt: skip
+TERM = (*"xyz", "coefficient")
+#: Index in a row of ``term_link`` of each velocity, and of each component of force and moment.
+VELOCITIES = {
+    name: i for i, name in enumerate(("1", *"uvwpqr", *(f"|{letter}|" for letter in "uvwpqr"), "U", "/U"))
+}
+COMPONENTS = {name: i for i, name in enumerate("XYZKMN")}
 
 #: First columns of the quantities of a link in the work array: rotation to the parent (9 columns), v, w, v',
 #: w', f, m (3 each), A (6), B (9), D (6), rotation to the world (9) and position in the world (3). The last
@@ -312,9 +345,79 @@ def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
 def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-def]
     """Add the forces and moments that are proportional to inputs."""
     for e in range(load.shape[0]):
-        w, size = work[load_link[e]], row[load_input[e], 0]
-        _push(w, _at(load[e], 0), _times(size, _at(load[e], 3)))
+        w, at, force = work[load_link[e]], _at(load[e], 0), _at(load[e], 3)
+        if load[e, 9] != 0.0:
+            force = _transposed(w, _TURN, force)
+        size = weakened(row[load_input[e], 0], load[e, 10], _dot(_moving(w, at), force))
+        _push(w, at, _times(size, force))
         _put(w, _M, _plus(_at(w, _M), _times(-size, _at(load[e], 6))))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+    """Return velocity of advance (m/s) and thrust (N) of propeller ``e``."""
+    n = row[propeller_link[e, 1], 0]
+    velocity = _moving(work[propeller_link[e, 0]], _at(propeller[e], 0))
+    along = _dot(velocity, _at(propeller[e], 3))
+    # oblique motion counts in the direction horizontally to port of the axis
+    aside = velocity[1] * propeller[e, 3] - velocity[0] * propeller[e, 4]
+    speed = math.sqrt(along * along + aside * aside)
+    growth = wake_growth(aside, speed, propeller[e, 12], propeller[e, 13], propeller[e, 14])
+    advance = growth * propeller[e, 10] * along
+    return advance, thrust_of(n, advance, propeller[e, 6], propeller[e, 7], propeller[e, 8])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _propellers(propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+    """Add the thrusts of propellers."""
+    for e in range(propeller.shape[0]):
+        _, thrust = _driven_water(e, propeller_link, propeller, row, work)
+        w = work[propeller_link[e, 0]]
+        _push(w, _at(propeller[e], 0), _times(propeller[e, 9] * thrust, _at(propeller[e], 3)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _rudders(rudder_link, rudder, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+    """Add the forces of rudders, and the forces on the hull that they induce."""
+    for e in range(rudder.shape[0]):
+        w, p = work[rudder_link[e, 0]], rudder_link[e, 2]
+        side, velocity = _at(rudder[e], 9), _moving(w, _at(rudder[e], 6))
+        jet, thrust = 0.0, 0.0
+        advance = velocity[0]
+        if p >= 0:
+            jet = propeller[p, 11]
+            advance, thrust = _driven_water(p, propeller_link, propeller, row, work)
+        along = inflow_speed(advance, thrust, jet, rudder[e, 17], rudder[e, 18], rudder[e, 19])
+        angle = row[rudder_link[e, 1], 0]
+        sine, cosine = math.sin(angle), math.cos(angle)
+        aside = _dot(velocity, side)
+        force = rudder_force(along, aside, rudder[e, 12], rudder[e, 15], rudder[e, 16], sine, cosine)
+        lateral = _times(-force * cosine, side)
+        _push(w, _at(rudder[e], 0), _plus(lateral, (-rudder[e, 13] * force * sine, 0.0, 0.0)))
+        _push(w, _at(rudder[e], 3), _times(rudder[e, 14], lateral))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
+    """Add the forces and moments that are products of velocities at a point of a link."""
+    for e in range(term.shape[0]):
+        w, component, at = work[term_link[e, 0]], term_link[e, 1], _at(term[e], 0)
+        velocity, (p, q, r) = _moving(w, at), _at(w, _W)
+        u, v, vertical = velocity
+        speed = math.sqrt(_dot(velocity, velocity))
+        inverse = 1.0 / max(speed, LEAST_SPEED)
+        absolute = (abs(u), abs(v), abs(vertical), abs(p), abs(q), abs(r))
+        velocities = (1.0, u, v, vertical, p, q, r, *absolute, speed, inverse)
+        size = product_of(term[e, 3], term_link[e], velocities)
+        if component < 3:
+            force = (
+                size if component == 0 else 0.0,
+                size if component == 1 else 0.0,
+                size if component == 2 else 0.0,
+            )
+            _push(w, at, force)
+        else:
+            w[_M + component - 3] -= size
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
@@ -428,6 +531,12 @@ def derivative(  # type: ignore[no-untyped-def]
     force,
     load_link,
     load,
+    propeller_link,
+    propeller,
+    rudder_link,
+    rudder,
+    term_link,
+    term,
     load_input,
     surface,
     free_base,
@@ -452,6 +561,9 @@ def derivative(  # type: ignore[no-untyped-def]
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, load_link, load : ndarray
         Links and properties of the elements, with the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`,
         :data:`FORCE` and :data:`LOAD`.
+    propeller_link, propeller, rudder_link, rudder, term_link, term : ndarray
+        Integers (:data:`swimid.swimmer.planar.engine.INTEGERS`) and properties of the elements, with the
+        columns :data:`PROPELLER`, :data:`RUDDER` and :data:`TERM`.
     load_input : ndarray of int
         Row of ``row`` with the input of each load.
     surface : float, m
@@ -474,6 +586,9 @@ def derivative(  # type: ignore[no-untyped-def]
     _foils(foil_link, foil, surface, work)
     _forces(force_link, force, surface, work)
     _loads(load_link, load_input, load, row, work)
+    _propellers(propeller_link, propeller, row, work)
+    _rudders(rudder_link, rudder, propeller_link, propeller, row, work)
+    _terms(term_link, term, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
@@ -521,7 +636,8 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     The quaternion is scaled to length 1 after each step.
     """
     topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
-    foil, force_link, force, load_link, load, load_input, surface, free_base = tables[9:]
+    foil, force_link, force, load_link, load, propeller_link, propeller, rudder_link = tables[9:17]
+    rudder, term_link, term, load_input, surface, free_base = tables[17:]
     steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
@@ -532,8 +648,9 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             begin_stage(stage, step, states[i], slope, total, trial)
             derivative(
                 trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
-                damping_link, damping, foil_link, foil, force_link, force, load_link, load, load_input,
-                surface, free_base, forced, begin, work, matrix, right, slope,
+                damping_link, damping, foil_link, foil, force_link, force, load_link, load, propeller_link,
+                propeller, rudder_link, rudder, term_link, term, load_input, surface, free_base, forced,
+                begin, work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
@@ -557,7 +674,8 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
-    load_link, load, load_input, surface = tables[12:16]
+    load_link, load, propeller_link, propeller, rudder_link, rudder = tables[12:18]
+    term_link, term, load_input, surface = tables[18:22]
     links = topology.shape[0]
     found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
     wrench = np.empty((states.shape[0], 6))
@@ -568,6 +686,9 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
         _foils(foil_link, foil, surface, work)
         _forces(force_link, force, surface, work)
         _loads(load_link, load_input, load, table[t], work)
+        _propellers(propeller_link, propeller, table[t], work)
+        _rudders(rudder_link, rudder, propeller_link, propeller, table[t], work)
+        _terms(term_link, term, work)
         for i in range(links - 1, 0, -1):
             found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)

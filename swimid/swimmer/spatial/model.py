@@ -193,7 +193,26 @@ def _force(element: parts.Force, body: parts.Body, rows: Rows) -> None:
 
 def _load(element: parts.Load, body: parts.Body, rows: Rows) -> None:
     """Add a force and a moment in the axes of a link that are proportional to an input."""
-    rows.add_load(body.name, element.input, [*element.at_m, *element.force_N, *element.moment_N_m])
+    world = float(element.frame == "world")
+    row: Row = [*element.at_m, *element.force_N, *element.moment_N_m, world, 0.0]
+    rows.add_load(body.name, element.input, row)
+
+
+def _propeller(element: parts.Propeller, body: parts.Body, rows: Rows) -> None:
+    """Add a propeller whose thrust depends on its rate and on the velocity of advance."""
+    rows.add_propeller(element, [*element.at_m], [*_unit(element.axis)])
+
+
+def _rudder(element: parts.Rudder, body: parts.Body, rows: Rows) -> None:
+    """Add the normal force on a rudder, and the lateral force on the hull that it induces."""
+    points = element.at_m, element.hull_force_at_m, element.inflow_at_m
+    row = [entry for point in points for entry in given(point, element.at_m)]
+    rows.add_rudder(element, [*row, *_unit(element.side)])
+
+
+def _derivatives(element: parts.Derivatives, body: parts.Body, rows: Rows) -> None:
+    """Add forces and moments that are products of the velocities of a point of a link."""
+    rows.add_terms(element, [*element.at_m], engine.COMPONENTS, engine.VELOCITIES)
 
 
 #: Functions that add the rows of an element to the input arrays, by kind of element.
@@ -208,6 +227,9 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "water": _water,
     "force": _force,
     "load": _load,
+    "propeller": _propeller,
+    "rudder": _rudder,
+    "derivatives": _derivatives,
 }
 
 
@@ -233,7 +255,7 @@ class Assembly(Tree):
     """
 
     part = "multibody"
-    elements = ("drag", "damping", "foil", "force", "load")
+    elements = ("drag", "damping", "foil", "force", "load", "propeller", "rudder", "term")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: parts.Multibody, fluid: Fluid) -> None:
@@ -286,7 +308,7 @@ class Assembly(Tree):
         # the rotation about the axis does not change the axis, so that the mounting rotation is enough
         reaction = -(mount.as_matrix().astype(object) @ moment)
         for link, own in ((joint.child, moment), (joint.parent, reaction)):
-            rows.add_load(link, joint.torque.input, [*[0.0] * 6, *own])
+            rows.add_load(link, joint.torque.input, [*[0.0] * 6, *own, 0.0, 0.0])
 
     def _place(self, joint: parts.Hinge | None) -> Row:
         if joint is None:
@@ -328,6 +350,8 @@ def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
     return [*at, *unit, *np.ravel(turns)]
 
 
+#: Input arrays whose rows begin with a point of the robot.
+POINTS = ("drag", "force", "load", "propeller", "rudder", "term", "joint")
 #: Signs of roll, pitch (positive nose up) and yaw relative to rotations about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
 
@@ -373,7 +397,7 @@ class MultibodyModel(Swimmer):
         if stated:
             return stated
         tables = self.tree.tables(self.start_coefficients)
-        points = np.vstack([tables[name][:, :3] for name in ("drag", "force", "load", "joint")])
+        points = np.vstack([tables[name][:, :3] for name in POINTS])
         return float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
 
     def shift(self, tables: dict[str, Any], by: Array) -> None:
