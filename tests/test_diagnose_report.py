@@ -346,7 +346,7 @@ def test_logs_that_contradict_their_metadata_give_no_good_answer() -> None:
     against = ev.NoticeRecord(code="SWM063", text="the courses follow the headings mirrored")
     known = [diagnose_evidence.evidence(cases.EXPLAINED, notices=n) for n in ([], [against])]
     assert [e.verdict.level for e in known] == ["good", "caution"]
-    assert known[1].checks[-1].verdict == "warn"
+    assert known[1].checks[0].verdict == "warn"
     assert "headings mirrored" in known[1].verdict.text
 
 

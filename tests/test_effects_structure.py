@@ -18,6 +18,7 @@ from swimid.effects.structure import (
     FinFlexibility,
     Hardening,
     JointDamping,
+    JointFriction,
     JointLocked,
     JointStiffness,
     LoadFriction,
@@ -50,6 +51,7 @@ ALL = [
     FinFlexibility(),
     Hardening(),
     JointDamping(),
+    JointFriction(),
     JointLocked(),
     JointStiffness(),
     LoadFriction(),
@@ -174,6 +176,13 @@ def test_damped_joint() -> None:
         body.joints[3].passive.damping_N_m_s_rad = 0.004
 
     _like("tfish", damped, JointDamping(), 0.004)
+
+
+def test_friction_of_a_joint() -> None:
+    def rough(body: Any) -> None:
+        body.joints[3].passive.friction_N_m = 0.004
+
+    _like("tfish", rough, JointFriction(), 0.004)
 
 
 def test_a_locked_passive_joint_hardly_moves() -> None:

@@ -283,7 +283,8 @@ def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> H
     Parameters
     ----------
     change : callable
-        Function that returns the changes (``stiffness``, ``cubic``, ``damping``) for a given stiffness.
+        Function that returns the changes (``stiffness``, ``cubic``, ``damping``, ``friction``) for a given
+        stiffness.
     """
 
     def springs(tables: dict[str, Any]) -> None:

@@ -161,13 +161,9 @@ class MjcfJointDamping(OfJoint, structure.JointDamping):
         return joint.units[1], SMALL * joint.torque / joint.rate
 
 
-class JointFriction(OfJoint):
+class MjcfJointFriction(OfJoint, structure.JointFriction):
     """Dry friction of a joint, in addition to that of the file (``joint/@frictionloss``)."""
 
-    name = "joint-friction"
-    stage = "structure"
-    meaning = "dry friction of a joint beyond the model's"
-    sources = ("MuJoCo documentation, Computation, friction loss",)
     field, word = "dof_frictionloss", "friction"
 
     def measure(self, joint: Joint, model: Any) -> tuple[str, float]:

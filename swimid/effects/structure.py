@@ -277,6 +277,46 @@ class JointDamping(Effect):
         return base.change_springs(model.body, lambda _: {"damping": values[0]})
 
 
+#: Deflection of a passive joint whose spring has 20 times the moment of the typical dry friction, rad.
+DEFLECTED_RAD = 0.2
+
+
+class JointFriction(Effect):
+    """Dry friction of every passive joint, in addition to that of the model."""
+
+    name = "joint-friction"
+    meaning = "dry friction of a joint beyond the model's"
+    sources = (
+        "Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30:1083",
+        "MuJoCo documentation, Computation, friction loss",
+    )
+    smooth = True
+
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Return whether the effect applies: the model must be a swimmer with a passive joint."""
+        return model.body is not None and bool(model.body.passive)
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """Return the additional moment of friction as a parameter, N m.
+
+        Its scale is a twentieth of the moment of the spring at :data:`DEFLECTED_RAD`. A joint without a
+        spring has the stiffness of the natural frequency :data:`HELD_HZ` instead.
+        """
+        body = model.body
+        tables, joints, held = body.tables(), range(len(body.passive)), (2.0 * math.pi * HELD_HZ) ** 2
+        stiff = [max(body.stiffness(tables, k), held * body.joint_inertia(tables, k)) for k in joints]
+        size, least = (
+            0.05 * DEFLECTED_RAD * float(np.median(stiff)),
+            -min(body.friction(tables, k) for k in joints),
+        )
+        words = "dry friction of each passive joint beyond the model's"
+        return (parameter("friction_N_m", "N m", size, words, lower=least),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return hooks that add friction to the passive joints."""
+        return base.change_springs(model.body, lambda _: {"friction": values[0]})
+
+
 #: Maximum locked fraction of a joint, which makes a passive joint 33 times as stiff.
 MOST = 0.97
 #: Natural frequency that a locked fraction of one half gives to a passive joint without a spring, Hz.

@@ -373,7 +373,9 @@ def _check_link(link: parts.Link, own: Array, span: float) -> None:
 
 # ---------------------------------------------------------------- links as effects use them
 
-STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
+STIFFNESS, CUBIC, DAMPING, FRICTION = (
+    engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping", "friction")
+)
 WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
 QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
 #: Angle for the stiffness of a straight joint with a tendon, rad. The stiffness is the torque at this angle,
@@ -588,6 +590,10 @@ class Body:
         """Return the damping of a passive joint: torque divided by rate, N m s/rad."""
         return float(tables["passive"][joint, DAMPING])
 
+    def friction(self, tables: dict[str, Any], joint: int) -> float:
+        """Return the dry friction of a passive joint, N m."""
+        return float(tables["passive"][joint, FRICTION])
+
     def joint_inertia(self, tables: dict[str, Any], joint: int) -> float:
         """Return the inertia of a passive joint's child link about the joint, with added mass, kg m2."""
         return float(tables["inertia"][self.passive[joint].link, 5])
@@ -701,10 +707,15 @@ class Body:
         stiffness: float = 0.0,
         cubic: float = 0.0,
         damping: float = 0.0,
+        friction: float = 0.0,
     ) -> None:
-        """Add stiffness (N m/rad), cubic stiffness (N m/rad3) and damping (N m s/rad) to a passive joint."""
+        """Add to the law of a passive joint.
+
+        The arguments are stiffness (N m/rad), cubic stiffness (N m/rad3), damping (N m s/rad) and dry
+        friction (N m).
+        """
         passive = tables["passive"].copy()
-        passive[joint, [STIFFNESS, CUBIC, DAMPING]] += stiffness, cubic, damping
+        passive[joint, [STIFFNESS, CUBIC, DAMPING, FRICTION]] += stiffness, cubic, damping, friction
         tables["passive"] = passive
 
 
