@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import Akima1DInterpolator, CubicSpline
+from scipy.interpolate import Akima1DInterpolator
 from scipy.optimize import brentq
 
 from swimid.effects import base
@@ -15,7 +15,6 @@ from swimid.effects.base import Parameters, Trials, parameter
 from swimid.files.kernels import numba
 from swimid.fitting.drives import eased
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Stroke, Trial, typical
-from swimid.logs.log import FREQUENCY_RTOL
 from swimid.swimmer.drive import apply_lag
 
 
@@ -83,59 +82,6 @@ class AmplitudeOffset(base.Actuation):
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
         return replace(base.on_command(model, trial, command, of_angles=True), stroke=(beaten,))
-
-
-class BeatFrequency(base.Actuation):
-    """Beat at another frequency than the stated one, by the same share in all trials.
-
-    The effect is tried if the heading beats at another frequency in most of the trials. A beat has no end:
-    times after the end of the stated command are moved back by whole periods.
-    """
-
-    name = "beat-frequency"
-    meaning = "The drive beats faster, or slower, than stated, by the same share always."
-    of_angles = True
-    needs = frozenset({"command"})
-    sources = (
-        "Hughes 2013, Electric Motors and Drives, chapter 3 (the speed of a motor falls with its load)",
-    )
-
-    def __init__(self, share: float = 0.0) -> None:
-        """Create the effect with the share that the headings show."""
-        self.share = share
-
-    def variants(self, model: Model, trials: Trials) -> base.Effects:
-        """Return the effect with the median share of the trials, if most trials contradict what is stated."""
-        shares = [
-            t.swim.found_hz / t.swim.beat.frequency_hz - 1.0
-            for t in trials
-            if t.swim.beat is not None and t.swim.found_hz is not None
-        ]
-        if np.mean(np.abs(shares) > FREQUENCY_RTOL) > 0.5 if shares else False:
-            return [BeatFrequency(float(np.median(shares)))] if self.applies(model, trials) else []
-        return []
-
-    def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return as a parameter the share by which the frequency exceeds the stated one."""
-        return (parameter("share", "1", 0.1, "share by which the beat is faster than stated", -0.9, 9.0),)
-
-    def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the parameter vectors that are simulated before a fit: the share that the headings show."""
-        return [np.array([self.share])]
-
-    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that play the command faster or slower from its beginning on."""
-        beat, begin = trial.swim.beat, model.onset(trial)
-        if beat is None:
-            return Hooks()
-        period = 1.0 / beat.frequency_hz
-
-        def faster(time_s: Array, angle: Array) -> Array:
-            then = begin + (1.0 + float(values[0])) * (time_s - begin)
-            then -= period * np.ceil(np.maximum(then - time_s[-1], 0.0) / period)
-            return np.asarray(CubicSpline(time_s, angle)(np.maximum(then, time_s[0])))
-
-        return base.follow_commands(model, trial, faster, of_angles=True)
 
 
 #: Ratio of a rate limit to the largest rate of a sine below which the rate-limited sine is a triangle wave:

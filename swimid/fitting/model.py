@@ -154,8 +154,6 @@ class SwimInput:
 
     beat: Beat | None = None
     stroke: Cycle | None = None
-    #: Frequency of the beat in the measured heading, Hz; None if none was found.
-    found_hz: float | None = None
     #: Functions that return the motion of each driven joint at given times (s). They replace a beat or
     #: stroke.
     joints: Sequence[Callable[[Array], Motion]] | None = None

@@ -170,10 +170,7 @@ def load(
             raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known))
     recordings = [_recording(entry, path, model, channels, start_state) for entry in entries.trials]
     beats = {r.trial.id: _beat(r.entry, r.log, model) for r in recordings}
-    trials = [
-        replace(t, swim=replace(t.swim, found_hz=(beats[t.id] or {}).get("found_hz")))
-        for t in _with_starts(recordings, model)
-    ]
+    trials = _with_starts(recordings, model)
     _check_course(path, model, recordings)
     facts = {
         "beats": beats,
