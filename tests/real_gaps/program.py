@@ -176,17 +176,21 @@ def judge(row: Row, gap: Gap) -> Result:
 
 
 def _rightness(row: Row, verdict: str, causes: Sequence[Mapping[str, Any]]) -> str:
-    """``yes``, ``listed``, ``no`` or ``unexplained``.
+    """``yes``, ``listed``, ``partly``, ``no`` or ``unexplained``.
 
-    An answer is ``yes`` if each of its causes is acceptable, and ``listed`` if an acceptable one is among the
-    effects that the trials cannot distinguish from it. Causes beside the verdict ``unexplained`` are no answer.
+    An answer is ``yes`` if each of its causes is acceptable, ``listed`` if an acceptable one is among the
+    effects that the trials cannot distinguish from each, and ``partly`` if a wrong cause stands beside an
+    acceptable one. Causes beside the verdict ``unexplained`` are no answer.
     """
     if verdict in ("unexplained", "none"):
         right_if_outside = "yes" if verdict == "unexplained" else "no"
         return "unexplained" if row.causes else right_if_outside
     if all(cause["names"][0] in row.causes for cause in causes):
         return "yes"
-    return "listed" if all(row.causes & set(cause["names"]) for cause in causes) else "no"
+    right = [bool(row.causes & set(cause["names"])) for cause in causes]
+    if all(right):
+        return "listed"
+    return "partly" if any(right) else "no"
 
 
 def _worst_channel(before: Mapping[str, float], noise: Mapping[str, float]) -> str:
