@@ -12,20 +12,25 @@ import os
 from pathlib import Path
 
 from tests.real_gaps import program
+from tests.real_gaps.row import Sources
 
 
 def main() -> None:
     """Read the command line, run the rows and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", metavar="NAME")
     data = os.environ.get("SWIMID_DATA")
     parser.add_argument("--data", type=Path, default=data, required=data is None)
-    parser.add_argument("--repositories", type=Path, help="default: the folder 'repositories' in --data")
+    help_text = "default: SWIMID_REPOSITORIES, else the folder 'repositories' in --data"
+    repositories = os.environ.get("SWIMID_REPOSITORIES")
+    parser.add_argument("--repositories", type=Path, default=repositories, help=help_text)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--table", type=Path)
     parser.add_argument("--page", type=Path)
     words = parser.parse_args()
-    sources = program.Sources(words.data, words.repositories or words.data / "repositories")
+    sources = Sources(words.data, words.repositories or words.data / "repositories")
     results = program.run_rows(words.names, sources, words.out)
     print(program.text_table(results))
     if words.table is not None:

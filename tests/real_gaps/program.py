@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import importlib
 import json
@@ -154,10 +155,9 @@ def judge(row: Row, gap: Gap) -> Result:
     ]
     size, error = None, None
     if row.known is not None and causes:
-        try:
+        # the answer names an effect without this size
+        with contextlib.suppress(KeyError):
             size, error = row.known.read(gap)
-        except KeyError:
-            pass
     fall, closed = gap["waterfall"], gap["closed"] or {}
     channel, rmse = _worst_channel(fall[0]["rmse"], fall[-1]["rmse"]), [step["rmse"] for step in fall]
     return {
@@ -225,7 +225,16 @@ def write_page(path: Path, results: Sequence[Result]) -> None:
 
 def markdown_table(results: Sequence[Result]) -> str:
     """Return the table of the page."""
-    head = ("recording", "model, and what it lacks", "verdict", "cause named", "right", "size", "known", "closed")
+    head = (
+        "recording",
+        "model, and what it lacks",
+        "verdict",
+        "cause named",
+        "right",
+        "size",
+        "known",
+        "closed",
+    )
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for result in results:
         size = _with_error(result.get("size"), result.get("stderr"))

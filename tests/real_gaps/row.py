@@ -93,8 +93,6 @@ class Row:
         Acceptable names. If it is empty, the cause is outside the catalogue and ``unexplained`` is right.
     known : Known, optional
         None if the size of the difference is not known.
-    comment : str
-        What a reader has to know to judge the answer.
     """
 
     name: str
@@ -104,7 +102,6 @@ class Row:
     steps: Sequence[str | Callable[[Sources, Path], None]]
     causes: frozenset[str]
     known: Known | None = None
-    comment: str = ""
 
 
 def size_of(*names: str, factor: float = 1.0) -> Callable[[Gap], tuple[float, float | None]]:

@@ -10,10 +10,15 @@ from tests.real_gaps.row import Known, Row, Sources, size_of, write_log, write_t
 
 REPOSITORY, COMMIT = "kyleyhw/PHY324_motion_in_fluids", "1f0af8edd894918a9f2bfe2f41e6664ce6924090"
 #: Logs of one bead: in the middle, and by the wall in two parts.
-MIDDLE = ("glycerolbead3tcenter", "glycerol/glycerolbead3t1", "glycerol/glycerolbead3t2", "glycerol/glycerolbead3t3")
+MIDDLE = (
+    "glycerolbead3tcenter",
+    "glycerol/glycerolbead3t1",
+    "glycerol/glycerolbead3t2",
+    "glycerol/glycerolbead3t3",
+)
 HELD_OUT = "glycerol/glycerolbead3t3"
 WALL, PARTS_S = "glycerolbead3tedge", ((0.0, 7.0), (7.0, 14.0))
-#: The first centimetre is left out, where the bead leaves the tweezers, and the end, where it nears the floor.
+#: The first centimetre, where the bead leaves the tweezers, and the end near the floor are left out.
 BEGIN_MM, END_MM = 10.0, 160.0
 #: Glass bead of 3.1 mm in glycerol. Only the ratio of weight to drag shows in the speed.
 RADIUS_M, BEAD_KG_M3, GLYCEROL_KG_M3, GRAVITY_M_S2 = 1.55e-3, 2500.0, 1260.0, 9.81

@@ -1,4 +1,7 @@
-"""Quadcopter that flies alone, and with two bolts taped to it: height, motor commands and battery voltage."""
+"""Quadcopter that flies alone, and with two bolts taped to it: height, motor commands and battery voltage.
+
+The mass of the bolts is not stated.
+"""
 
 from __future__ import annotations
 
@@ -65,6 +68,5 @@ ROWS = (
             "diagnose bolts.yaml --params thrust.yaml -o gap.yaml",
         ),
         causes=quadcopter.HEAVIER,
-        comment="The mass of the bolts is not stated.",
     ),
 )

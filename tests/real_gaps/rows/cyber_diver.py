@@ -1,7 +1,7 @@
 """Programmed damping of an impactor: two masses joined by a motor that acts as spring and damper.
 
 The impactor is dropped, and its masses swing against each other until it hits water. The controller programs
-a spring of 15 N/mm and a damping of 0, 23.4 or 46.8 N s/m, which the header of each file states.
+a spring of 15 or 45 N/mm and a damping of 0, 23.4 or 46.8 N s/m, which the header of each file states.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ import numpy as np
 from tests.real_gaps.row import Array, Known, Row, Sources, size_of, write_log, write_trials, write_yaml
 
 REPOSITORY, COMMIT = "harrislab-brown/CyberDiver", "85fb9d6bf7713ddb7f27512c77138f220afc4a3b"
-#: Recordings by programmed damping ratio.
+#: Recordings by programmed damping ratio, and with a stiffer spring.
 RECORDINGS = {
     "none": "linear undamped/15npmm_4mps_trial{}.dat",
     "quarter": "linear damped/15npmm_4mps_025damping_trial{}.dat",
     "half": "linear damped/15npmm_4mps_05damping_trial{}.dat",
+    "stiff": "linear undamped/45npmm_4mps_trial{}.dat",
 }
+#: Programmed stiffness over that of the other recordings.
+STIFFER = {"stiff": 3.0}
 #: Programmed damping, N s/m.
 QUARTER_N_S_M, HALF_N_S_M = 23.4, 46.8
 TRIALS = (1, 2, 3, 4, 5)
@@ -33,7 +36,7 @@ DROP_S, THRESHOLD_MM = 0.39, 0.17
 EVERY = 10
 #: Duration of the logs, which end before the impact, s.
 SPAN_S = 0.1
-#: In the most damped runs the swing has decayed after this time; the rest is the drift of the rest position, s.
+#: In the most damped runs the swing has decayed after this time, and the drift remains, s.
 DECAYED_S = 0.045
 #: Reduced mass of the two masses, from the frequency without damping and the programmed 15 N/mm, kg.
 MASS_KG = 0.157
@@ -70,14 +73,17 @@ def write(sources: Sources, folder: Path) -> None:
         trials = []
         for number, (time, position) in zip(TRIALS, records, strict=True):
             log = f"{name}{number}.csv"
-            write_log(folder / log, {"t_s": time, "x_m": position - np.polyval(drift, time)})
+            write_log(
+                folder / log,
+                {"t_s": time, "x_m": position - np.polyval(drift, time) / STIFFER.get(name, 1.0)},
+            )
             role = "validate" if number == HELD_OUT else "fit"
             trials.append({"log": log, "end_s": ENDS_S[name], "role": role})
         write_trials(folder / f"{name}.yaml", "free-decay", "diver.yaml", trials)
 
 
 #: End of the part of the logs that is used: later the swing is smaller than what the drift leaves.
-ENDS_S = {"none": 0.06, "quarter": 0.06, "half": 0.05}
+ENDS_S = {"none": 0.06, "quarter": 0.06, "half": 0.05, "stiff": 0.06}
 
 
 #: Parameters that state a damping added to that of the parameter file, N s/m.
@@ -100,6 +106,14 @@ ROWS = (
         steps=(write, FIT, "diagnose half.yaml --params spring.yaml -o gap.yaml"),
         causes=CAUSES,
         known=Known(HALF_N_S_M, "N s/m", "header of each file", ADDED_DAMPING),
+        **COMMON,
+    ),
+    Row(
+        "impactor-stiffness",
+        "programmed spring of 15 N/mm; lacks 30 N/mm",
+        steps=(write, FIT, "diagnose stiff.yaml --params spring.yaml -o gap.yaml"),
+        causes=frozenset({"parameter:stiffness"}),
+        known=Known(30000.0, "N/m", "header of each file", size_of("stiffness")),
         **COMMON,
     ),
 )

@@ -36,7 +36,11 @@ def write(sources: Sources, folder: Path) -> None:
         for number, (frequency, amplitude) in enumerate(SETTINGS):
             path = sources.repository(REPOSITORY, COMMIT, FILE.format(frequency, tension, amplitude))
             rows = np.array(json.loads(path.read_text())["data"])[::EVERY]
-            columns = {"t_s": rows[:, 0] - rows[0, 0], "x_m": INCH_M * rows[:, 1], "force_N": KIP_N * rows[:, 2]}
+            columns = {
+                "t_s": rows[:, 0] - rows[0, 0],
+                "x_m": INCH_M * rows[:, 1],
+                "force_N": KIP_N * rows[:, 2],
+            }
             log = f"{name}{number}.csv"
             write_log(folder / log, columns)
             role = "validate" if (frequency, amplitude) == HELD_OUT else "fit"
@@ -52,8 +56,8 @@ ROWS = (
         licence="CC BY-SA 4.0",
         steps=(
             write,
-            "fit-drag loose.yaml --fix quadratic_drag=0 --free dry_friction -o loose_params.yaml",
-            "diagnose tight.yaml --params loose_params.yaml -o gap.yaml",
+            "fit-drag loose.yaml --fix quadratic_drag=0 --fix added_mass=0 --free dry_friction -o band.yaml",
+            "diagnose tight.yaml --params band.yaml -o gap.yaml",
         ),
         causes=frozenset({"parameter:dry_friction", "pulley-friction"}),
         known=Known(

@@ -36,7 +36,9 @@ def write(_sources: Sources, folder: Path) -> None:
             along = -along
         time = rows["t_s"][part] - rows["t_s"][part][0]
         write_log(folder / f"{name}.csv", {"t_s": time, "x_m": (place - place[there][0]) @ along / PX_M})
-        trials.append({"log": f"{name}.csv", "driving_force_N": round(GRAVITY_M_S2 * abs(float(along[1])), 4)})
+        trials.append(
+            {"log": f"{name}.csv", "driving_force_N": round(GRAVITY_M_S2 * abs(float(along[1])), 4)}
+        )
     write_trials(folder / "ramps.yaml", "falling-weight", "block.yaml", trials)
 
 

@@ -45,7 +45,8 @@ ROWS = (
         licence="Apache 2.0",
         steps=(
             write,
-            "fit-drag drive.yaml --fix quadratic_drag=0 --free linear_drag --free force_offset -o viscous.yaml",
+            "fit-drag drive.yaml --fix quadratic_drag=0 --free linear_drag --free force_offset"
+            " -o viscous.yaml",
             "diagnose drive.yaml --params viscous.yaml -o gap.yaml",
         ),
         causes=frozenset({"pulley-friction", "stribeck"}),

@@ -1,4 +1,7 @@
-"""Masses that swing on a spring, with a net and with a disc below them: the disc moves air along."""
+"""Masses that swing on a spring, with a net and with a disc below them: the disc moves air along.
+
+The disc is a CD of 12 cm, by the names of the recordings. Its diameter is not stated.
+"""
 
 from __future__ import annotations
 
@@ -63,6 +66,5 @@ ROWS = (
             "added mass of a thin disc of 12 cm in air, own calculation",
             size_of("added_mass", "added_kg"),
         ),
-        comment="The diameter of the disc is not stated; 12 cm is that of a CD.",
     ),
 )

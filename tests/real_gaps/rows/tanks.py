@@ -20,7 +20,8 @@ def write(sources: Sources, folder: Path) -> None:
     write_yaml(folder / "tanks.yaml", {"format": "swimid-robot/1", "name": "tanks"})
     for name, (u, y) in RECORDS.items():
         write_log(
-            folder / f"{name}.csv", {"t_s": STEP_S * np.arange(len(rows)), "u": rows[:, u], "y": rows[:, y]}
+            folder / f"{name}.csv",
+            {"t_s": np.arange(0.0, STEP_S * len(rows), STEP_S), "u": rows[:, u], "y": rows[:, y]},
         )
     head = {"format": "swimid-trials/1", "experiment": "arma", "robot": "tanks.yaml"}
     write_yaml(folder / "levels.yaml", {**head, "trials": [{"log": f"{name}.csv"} for name in RECORDS]})
