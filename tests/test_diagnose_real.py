@@ -160,12 +160,12 @@ def gap_file(verdict: str, *causes: tuple[str, ...]) -> dict[str, Any]:
         ("partial", [("drag",), ("slip",)], "partly"),
         ("ambiguous", [("slip",)], "no"),
         ("unexplained", [("drag",)], "unexplained"),
-        ("none", [], "unexplained"),
+        ("none", [], "no"),
     ],
 )
 def test_comparison_with_the_known_cause(verdict: str, causes: list[tuple[str, ...]], right: str) -> None:
     """A cause beside 'unexplained' is no answer, and every named cause has to be acceptable."""
-    row = Row("row", "", "", "", (), frozenset({"drag"}))
+    row = Row("row", "", "", "", "", (), frozenset({"drag"}))
     result = program.judge(row, gap_file(verdict, *causes))
     assert result["right"] == right
     assert (result["channel"], result["before"], result["refit"]) == ("x_m", 3.0, 2.0)
@@ -174,7 +174,7 @@ def test_comparison_with_the_known_cause(verdict: str, causes: list[tuple[str, .
 
 def test_a_gap_outside_the_catalogue_is_rightly_unexplained() -> None:
     """Of a row without acceptable names only the verdict 'unexplained' is right."""
-    row = Row("row", "", "", "", (), frozenset())
+    row = Row("row", "", "", "", "", (), frozenset())
     assert program.judge(row, gap_file("unexplained"))["right"] == "yes"
     assert program.judge(row, gap_file("none"))["right"] == "no"
     assert program.judge(row, gap_file("explained", ("drag",)))["right"] == "no"
@@ -188,14 +188,14 @@ def test_a_refused_command_is_a_row_of_the_table(tmp_path: Path) -> None:
 
     sources = Sources(tmp_path, tmp_path)
     row = Row(
-        "row", "model; lacks all", "", "", (write, "diagnose trials.yaml -o gap.yaml"), frozenset({"drag"})
+        "row", "model", "all of it", "", "", (write, "diagnose trials.yaml -o gap.yaml"), frozenset({"drag"})
     )
     program.run_row(row, sources, tmp_path / "row")
     result = program.read_result(row, tmp_path / "row")
     assert result["verdict"] == result["right"] == "refused"
     assert "trials.yaml" in result["refused"]
     program.write_table(tmp_path / "table.csv", [result])
-    assert "model; lacks all,refused,,refused" in (tmp_path / "table.csv").read_text()
+    assert "model,all of it,refused,,refused" in (tmp_path / "table.csv").read_text()
 
 
 def test_rows_state_their_answer_before_they_run() -> None:

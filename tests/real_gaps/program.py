@@ -27,6 +27,7 @@ ROOT = Path(__file__).parents[2]
 TIMEOUT_S = 3600
 COLUMNS = (
     "name",
+    "model",
     "lacks",
     "verdict",
     "causes",
@@ -117,6 +118,7 @@ def read_result(row: Row, folder: Path) -> Result:
     known = row.known
     return {
         "name": row.name,
+        "model": row.model,
         "lacks": row.lacks,
         "source": row.source,
         "licence": row.licence,
@@ -133,14 +135,18 @@ def run_command(words: str, folder: Path) -> None:
     Raises
     ------
     CommandError
-        If it does not end with status 0.
+        If it does not end with status 0, or not within the longest time.
     """
     command = [sys.executable, "-m", "swimid", *shlex.split(words)]
     if "--force" not in command:
         command.append("--force")
-    ran = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S, env=_environment()
-    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    try:
+        ran = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S, env=environment
+        )
+    except subprocess.TimeoutExpired as error:
+        raise CommandError(f"swimid {words}: takes longer than {TIMEOUT_S} s") from error
     with (folder / "commands.log").open("a") as log:
         log.write(f"$ swimid {words}\n{ran.stdout}{ran.stderr}")
     if ran.returncode:
@@ -180,11 +186,12 @@ def _rightness(row: Row, verdict: str, causes: Sequence[Mapping[str, Any]]) -> s
 
     An answer is ``yes`` if each of its causes is acceptable, ``listed`` if an acceptable one is among the
     effects that the trials cannot distinguish from each, and ``partly`` if a wrong cause stands beside an
-    acceptable one. Causes beside the verdict ``unexplained`` are no answer.
+    acceptable one. Causes beside the verdict ``unexplained`` are no answer, and no gap is a wrong one.
     """
-    if verdict in ("unexplained", "none"):
-        right_if_outside = "yes" if verdict == "unexplained" else "no"
-        return "unexplained" if row.causes else right_if_outside
+    if verdict == "unexplained":
+        return "unexplained" if row.causes else "yes"
+    if not causes:
+        return "no"
     if all(cause["names"][0] in row.causes for cause in causes):
         return "yes"
     right = [bool(row.causes & set(cause["names"])) for cause in causes]
@@ -227,7 +234,7 @@ def markdown_table(results: Sequence[Result]) -> str:
     """Return the table of the page."""
     head = (
         "recording",
-        "model, and what it lacks",
+        "lacks",
         "verdict",
         "cause named",
         "right",
@@ -273,8 +280,3 @@ def _with_error(value: float | None, error: float | None) -> str:
     if value is None:
         return ""
     return f"{value:.3g}" if error is None else f"{value:.3g} ± {error:.1g}"
-
-
-def _environment() -> dict[str, str]:
-    """Environment in which the package of this folder is imported."""
-    return {**os.environ, "PYTHONPATH": str(ROOT)}

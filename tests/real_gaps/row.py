@@ -82,8 +82,8 @@ class Row:
     Attributes
     ----------
     name : str
-    lacks : str
-        The model, and what it lacks.
+    model, lacks : str
+        What the model is of, and the known difference of the recording.
     source, licence : str
         Repository and commit, or DOI. A licence ``none`` allows tests only.
     steps : sequence of str or callable
@@ -96,6 +96,7 @@ class Row:
     """
 
     name: str
+    model: str
     lacks: str
     source: str
     licence: str

@@ -100,16 +100,18 @@ STEPS = (
 CAUSES = frozenset({"joint-damping"})
 ROWS = (
     Row(
-        "single-arm-damping",
-        "pendulum without friction; lacks the friction of its hinge",
+        name="single-arm-damping",
+        model="pendulum without friction",
+        lacks="the friction of its hinge",
         steps=(write_single, *STEPS),
         causes=CAUSES,
         known=Known(2.24e-4, "N m s/rad", "published parameters", size_of("damping_N_m_s_rad")),
         **SOURCE,
     ),
     Row(
-        "double-arm-damping",
-        "double pendulum without friction; lacks the friction of its hinges",
+        name="double-arm-damping",
+        model="double pendulum without friction",
+        lacks="the friction of its hinges",
         steps=(write_double, *STEPS),
         causes=CAUSES,
         known=Known(

@@ -60,8 +60,9 @@ def write(sources: Sources, folder: Path) -> None:
 DRAG_N_S_M = (BEAD_KG_M3 - GLYCEROL_KG_M3) * VOLUME_M3 * GRAVITY_M_S2 / (1e-3 * MIDDLE_MM_S)
 ROWS = (
     Row(
-        "bead-wall",
-        "bead that sinks in the middle of a vessel; lacks the wall",
+        name="bead-wall",
+        model="bead that sinks in the middle of a vessel",
+        lacks="the wall",
         source=f"{REPOSITORY} @{COMMIT[:8]}",
         licence="none",
         steps=(

@@ -54,8 +54,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "quadcopter-payload",
-        "quadcopter of 37 g without payload; lacks a payload on a cable",
+        name="quadcopter-payload",
+        model="quadcopter of 37 g without payload",
+        lacks="a payload on a cable",
         source=f"{REPOSITORY} @{COMMIT[:8]}",
         licence="none",
         steps=(

@@ -58,8 +58,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "quadcopter-bolts",
-        "quadcopter without load; lacks two bolts",
+        name="quadcopter-bolts",
+        model="quadcopter without load",
+        lacks="two bolts",
         source=f"{REPOSITORY} @{COMMIT[:8]}",
         licence="MIT",
         steps=(

@@ -93,24 +93,27 @@ FIT = "fit-drag none.yaml --fix quadratic_drag=0 -o spring.yaml"
 CAUSES = frozenset({"parameter:linear_drag", "linear-drag", "pulley-viscous"})
 ROWS = (
     Row(
-        "impactor-damping-0.25",
-        "programmed spring of 15 N/mm; lacks programmed damping",
+        name="impactor-damping-0.25",
+        model="programmed spring of 15 N/mm",
+        lacks="programmed damping",
         steps=(write, FIT, "diagnose quarter.yaml --params spring.yaml -o gap.yaml"),
         causes=CAUSES,
         known=Known(QUARTER_N_S_M, "N s/m", "header of each file", ADDED_DAMPING),
         **COMMON,
     ),
     Row(
-        "impactor-damping-0.5",
-        "programmed spring of 15 N/mm; lacks twice the programmed damping",
+        name="impactor-damping-0.5",
+        model="programmed spring of 15 N/mm",
+        lacks="twice the programmed damping",
         steps=(write, FIT, "diagnose half.yaml --params spring.yaml -o gap.yaml"),
         causes=CAUSES,
         known=Known(HALF_N_S_M, "N s/m", "header of each file", ADDED_DAMPING),
         **COMMON,
     ),
     Row(
-        "impactor-stiffness",
-        "programmed spring of 15 N/mm; lacks 30 N/mm",
+        name="impactor-stiffness",
+        model="programmed spring of 15 N/mm",
+        lacks="30 N/mm",
         steps=(write, FIT, "diagnose stiff.yaml --params spring.yaml -o gap.yaml"),
         causes=frozenset({"parameter:stiffness"}),
         known=Known(30000.0, "N/m", "header of each file", size_of("stiffness")),

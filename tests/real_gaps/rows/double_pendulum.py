@@ -101,8 +101,9 @@ def write(sources: Sources, folder: Path) -> None:
 COMMON = {"source": f"{REPOSITORY} @{COMMIT[:8]}", "licence": "BSD 3"}
 ROWS = (
     Row(
-        "double-pendulum-friction",
-        "motor double pendulum, viscous friction only; lacks dry friction of the drives",
+        name="double-pendulum-friction",
+        model="motor double pendulum, viscous friction only",
+        lacks="dry friction of the drives",
         steps=(
             write,
             "fit-graybox swings.yaml -o viscous_params.yaml",

@@ -50,8 +50,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "damper-tension",
-        "friction damper with a band under 30 lb; lacks the friction of 6 lb more",
+        name="damper-tension",
+        model="friction damper with a band under 30 lb",
+        lacks="the friction of 6 lb more",
         source=f"{REPOSITORY} @{COMMIT[:8]}",
         licence="CC BY-SA 4.0",
         steps=(

@@ -85,8 +85,9 @@ def write(sources: Sources, folder: Path) -> None:
 COMMON = {"source": f"{REPOSITORY} @{COMMIT[:8]}", "licence": "BSD 3"}
 ROWS = (
     Row(
-        "pendulum-mass",
-        "motor pendulum with 0.5 kg; lacks another 0.5 kg",
+        name="pendulum-mass",
+        model="motor pendulum with 0.5 kg",
+        lacks="another 0.5 kg",
         steps=(
             write,
             "fit-graybox half.yaml -o half_params.yaml",
@@ -97,8 +98,9 @@ ROWS = (
         **COMMON,
     ),
     Row(
-        "pendulum-friction",
-        "motor pendulum, viscous friction only; lacks dry friction of the drive",
+        name="pendulum-friction",
+        model="motor pendulum, viscous friction only",
+        lacks="dry friction of the drive",
         steps=(
             write,
             "fit-graybox half-frictionless.yaml -o viscous.yaml",

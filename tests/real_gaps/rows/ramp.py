@@ -50,8 +50,9 @@ def coefficient(gap: Gap) -> tuple[float, float | None]:
 
 ROWS = (
     Row(
-        "ramp-friction",
-        "block on a ramp, no friction; lacks dry friction",
+        name="ramp-friction",
+        model="block on a ramp, no friction",
+        lacks="dry friction",
         source="umartechboy/PhysTrack",
         licence="GPL 2",
         steps=(

@@ -31,8 +31,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "roll-damping",
-        "ship that rolls, from a simulator without viscosity; lacks viscous roll damping",
+        name="roll-damping",
+        model="ship that rolls, from a simulator without viscosity",
+        lacks="viscous roll damping",
         source="10.17632/2stvkyngj9.1",
         licence="MIT",
         steps=(

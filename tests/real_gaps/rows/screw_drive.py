@@ -39,8 +39,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "drive-friction",
-        "drive with a screw, viscous friction only; lacks dry friction",
+        name="drive-friction",
+        model="drive with a screw, viscous friction only",
+        lacks="dry friction",
         source="forgi86/sysid-neural-continuous",
         licence="Apache 2.0",
         steps=(

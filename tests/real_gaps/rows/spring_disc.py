@@ -47,8 +47,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "spring-disc",
-        "mass on a spring with a net; lacks the air that a disc moves along",
+        name="spring-disc",
+        model="mass on a spring with a net",
+        lacks="the air that a disc moves along",
         source=f"{REPOSITORY} @{COMMIT[:8]}",
         licence="none",
         steps=(

@@ -41,8 +41,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "starfish-water",
-        "linear model of a soft limb in air; lacks water",
+        name="starfish-water",
+        model="linear model of a soft limb in air",
+        lacks="water",
         source="mit-gfx/diff_pd_public",
         licence="MIT",
         steps=(

@@ -39,8 +39,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "tail-fish-beat",
-        "fish that beats at the stated 1 Hz; lacks a beat twice as fast",
+        name="tail-fish-beat",
+        model="fish that beats at the stated 1 Hz",
+        lacks="a beat twice as fast",
         source="giorgosmamakoukas/DerivativeBasedKoopman",
         licence="MIT",
         steps=(

@@ -29,8 +29,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "tanks",
-        "two tanks, linear; lacks an outflow as a root, and overflow",
+        name="tanks",
+        model="two tanks, linear",
+        lacks="an outflow as a root, and overflow",
         source="forgi86/sysid-neural-structures-fitting",
         licence="MIT",
         steps=(

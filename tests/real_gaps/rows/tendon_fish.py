@@ -80,8 +80,9 @@ def _harmonic(time_s: Array, angle: Array, frequency_hz: float) -> tuple[float, 
 
 ROWS = (
     Row(
-        "tendon-fish-beat",
-        "fish that beats as stated; lacks a motor that is a quarter slower",
+        name="tendon-fish-beat",
+        model="fish that beats as stated",
+        lacks="a motor that is a quarter slower",
         source="srl-ethz/fishsim",
         licence="MIT",
         steps=(

@@ -80,8 +80,9 @@ def write(sources: Sources, folder: Path) -> None:
 
 ROWS = (
     Row(
-        "quadcopter-wind",
-        "quadcopter in calm air; lacks wind",
+        name="quadcopter-wind",
+        model="quadcopter in calm air",
+        lacks="wind",
         source=f"{REPOSITORY} @{COMMIT[:8]}",
         licence="none",
         steps=(
