@@ -18,22 +18,21 @@ FLIGHTS = {
 MASS_KG, PAYLOAD_MASS_KG = 0.037, 0.0444
 #: Begin of the windows of each flight, and their duration, s. A longer window shows the drift of the thrust.
 BEGINS_S, SPAN_S = (1.0, 4.0), 1.5
-STEP_S = 0.01
+#: Weights of the mean over 10 ms, the time between two poses.
+MEAN = np.full(5, 0.2)
 #: Unit of the sum of the squared speeds, 1/min^2.
 SPEEDS = 1e9
 
 
 def read_flight(path: Path) -> tuple[Array, Array, Array]:
-    """Time (s) in steps of 10 ms, height (m) by the cameras, and upward share of the squared rotor speeds."""
+    """Times (s) and heights (m) of the cameras' poses, and the upward share of the squared rotor speeds."""
     log = quadcopter.read_log(path)
     state, pose = log["fixedFrequency"], log["estPose"]
     start = state["timestamp"][0]
-    squared = sum(state[f"rpm.m{k}"] ** 2 for k in (1, 2, 3, 4)) / SPEEDS
+    squared = np.sum([state[f"rpm.m{k}"] ** 2 for k in (1, 2, 3, 4)], axis=0) / SPEEDS
     upward = 1 - 2 * (state["stateEstimate.qx"] ** 2 + state["stateEstimate.qy"] ** 2)
-    time = np.arange(0.0, 1e-3 * (state["timestamp"][-1] - start), STEP_S)
-    mean = np.convolve(squared * upward, np.full(5, 0.2), "same")
-    lift = np.interp(time, 1e-3 * (state["timestamp"] - start), mean)
-    return time, np.interp(time, 1e-3 * (pose["timestamp"] - start), pose["locSrv.z"]), lift
+    lift = np.interp(pose["timestamp"], state["timestamp"], np.convolve(squared * upward, MEAN, "same"))
+    return 1e-3 * (pose["timestamp"] - start), pose["locSrv.z"], lift
 
 
 def write(sources: Sources, folder: Path) -> None:
