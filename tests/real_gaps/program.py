@@ -246,15 +246,16 @@ def markdown_table(results: Sequence[Result]) -> str:
     for result in results:
         size = _with_error(result.get("size"), result.get("stderr"))
         closed = result.get("closed")
+        unit = result["unit"].removeprefix("1")
         cells = (
             result["name"],
             result["lacks"],
             f"`{result['verdict']}`",
             _names(result, "`"),
             result["right"],
-            f"{size} {result['unit']}" if size else "",
-            "" if result["known"] is None else f"{result['known']:g} {result['unit']}",
-            "" if closed is None else f"{100 * closed:.0f} %",
+            size,
+            "" if result["known"] is None else f"{result['known']:.3g} {unit}",
+            "" if closed is None else f"{closed:.3f}",
         )
         lines.append("| " + " | ".join(cell.strip() for cell in cells) + " |")
     return "\n".join(lines)

@@ -65,7 +65,7 @@ ROWS = (
             8 / 3 * AIR_KG_M3 * RADIUS_M**3,
             "kg",
             "added mass of a thin disc of 12 cm in air, own calculation",
-            size_of("added_mass", "added_kg"),
+            size_of("added_mass", "added_kg", "mass_kg"),
         ),
     ),
 )
