@@ -2,100 +2,107 @@
 
 from __future__ import annotations
 
+import csv
+import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from tests.conftest import ROOT, Ran
 from tests.generators import real_logs
-
-pytestmark = pytest.mark.slow
+from tests.real_gaps import program
+from tests.real_gaps.row import MissingDataError, Row, Sources
+from tests.real_gaps.rows import roll_decay, screw_drive
 
 Command = Callable[..., Ran]
 
-
-def diagnosed(swimid: Command, trials: Path, parameters: Path, *options: str) -> dict[str, Any]:
-    """The gap file of a diagnosis."""
-    ran = swimid("diagnose", trials, "--params", parameters, "--json", *options)
-    assert ran.status == 0, ran.err
-    return ran.json["result"]
+ROWS = {row.name: row for row in program.all_rows()}
 
 
-def answer(gap: dict[str, Any]) -> set[str]:
-    """The first cause and what cannot be told from it."""
-    first = gap["causes"][0]
-    return {first["effect"], *first["equivalent"]}
+class Expected(NamedTuple):
+    """What an answer stably says.
 
-
-def left(gap: dict[str, Any]) -> float:
-    """Error with the causes over that without them, on what took no part in the fit.
-
-    It does not ask how large the noise is, which one record of unknown noise hardly tells.
+    Attributes
+    ----------
+    verdicts : set of str
+    right : set of str
+        How it compares with the known cause.
+    size : float
+        Largest relative error of the size. Infinite if the size is not compared.
     """
-    (channel,) = gap["causes"][0]["shrinkage"]
-    return float(channel["after"] / channel["before"])
+
+    verdicts: frozenset[str]
+    right: frozenset[str]
+    size: float = np.inf
 
 
-def test_a_simulator_without_viscosity_lacks_roll_damping(
-    swimid: Command, real_data: Path, tmp_path: Path
+NAMED = frozenset({"explained", "ambiguous", "partial"})
+YES, LISTED = frozenset({"yes"}), frozenset({"yes", "listed"})
+EXPECTED = {
+    "double-arm-damping": Expected(NAMED, YES),
+    "drive-friction": Expected(NAMED, YES, 0.3),
+    "impactor-damping-0.25": Expected(NAMED, LISTED, 0.3),
+    "impactor-damping-0.5": Expected(NAMED, LISTED),
+    "impactor-stiffness": Expected(NAMED, LISTED, 0.05),
+    "pendulum-mass": Expected(NAMED, LISTED, 0.3),
+    "ramp-friction": Expected(frozenset({"explained"}), YES, 0.1),
+    "roll-damping": Expected(NAMED, LISTED, 0.2),
+    "single-arm-damping": Expected(NAMED, YES, 0.25),
+    "spring-disc": Expected(NAMED, LISTED),
+    "starfish-water": Expected(frozenset({"unexplained"}), YES),
+    "tanks": Expected(frozenset({"unexplained"}), YES),
+}
+
+
+@pytest.fixture
+def sources(real_data: Path) -> Sources:
+    """The folders of recordings; ``SWIMID_REPOSITORIES`` names that of public repositories."""
+    repositories = os.environ.get("SWIMID_REPOSITORIES")
+    return Sources(real_data, Path(repositories) if repositories else real_data / "repositories")
+
+
+def run(row: Row, sources: Sources, folder: Path) -> dict[str, Any]:
+    """Result of a row; the test skips if its recordings are not here."""
+    try:
+        program.run_row(row, sources, folder)
+    except MissingDataError as error:
+        pytest.skip(f"no recording at {error}")
+    return program.read_result(row, folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(EXPECTED))
+def test_known_cause_of_a_real_gap(name: str, sources: Sources, tmp_path: Path) -> None:
+    """Each row whose answer is right: verdict, cause and size, held-out error of the repaired model."""
+    result, expected = run(ROWS[name], sources, tmp_path), EXPECTED[name]
+    assert result["verdict"] in expected.verdicts
+    assert result["right"] in expected.right, result["causes"]
+    if np.isfinite(expected.size):
+        assert result["size"] == pytest.approx(result["known"], rel=expected.size)
+    if ROWS[name].causes:
+        assert result["closed"] > 0.9
+        assert result["repaired"] < 0.6 * result["before"]
+
+
+@pytest.mark.slow
+def test_a_simulator_without_viscosity_has_its_own_damping(
+    swimid: Command, sources: Sources, tmp_path: Path
 ) -> None:
-    """Stiffness over inertia agrees; what lacks is a damping force, of which form one decay does not tell."""
-    simulated, measured = real_logs.write_roll(tmp_path, real_data)
-    wave, nominal = tmp_path / "waves.yaml", tmp_path / "nominal.yaml"
-    ran = swimid("fit-drag", simulated, "--fix", "quadratic_damping=0", "-o", wave, "--json")
-    found = ran.json["result"]
-    damping, stiffness = (found["parameters"][n]["value"] for n in ("linear_damping", "stiffness"))
-    # the simulator's own: damping ratio 0.0016, period 2.54 s
-    assert found["derived"]["damping_ratio_linear"]["value"] == pytest.approx(0.0016, abs=1e-4)
-    fixed = ("--fix", "quadratic_damping=0", "--fix", f"linear_damping={damping:.5f}")
-    assert swimid("fit-drag", simulated, *fixed, "-o", nominal).status == 0
-    gap = diagnosed(swimid, measured, nominal)
-    # the real decay leaves more than noise beside any one form of damping
-    assert gap["verdict"] in ("explained", "ambiguous", "partial")
-    assert gap["causes"][0]["effect"] in ("linear-drag", "quadratic-drag")
-    assert answer(gap) <= {"linear-drag", "quadratic-drag", "pulley-friction", "load-friction"}
-    assert gap["causes"][0]["probability"] > 0.7
-    assert left(gap) < 0.5
-    (absorbed,) = gap["causes"][0]["absorbed"]
-    for side in ("without", "with_effect"):
-        assert absorbed[side]["value"] == pytest.approx(stiffness, rel=0.02)
-    if gap["causes"][0]["effect"] == "linear-drag":
-        # the basin's damping ratio by itself is 0.0058
-        more = gap["causes"][0]["parameters"]["linear_N_m_s_rad"]["value"]
-        assert (damping + more) / (2 * np.sqrt(stiffness)) == pytest.approx(0.0058, rel=0.35)
+    """Damping ratio 0.0016 and period 2.54 s, of the simulator of potential flow."""
+    roll_decay.write(sources, tmp_path)
+    ran = swimid("fit-drag", tmp_path / "simulator.yaml", "--fix", "quadratic_damping=0", "--json")
+    derived = ran.json["result"]["derived"]
+    assert derived["damping_ratio_linear"]["value"] == pytest.approx(0.0016, abs=1e-4)
 
 
-def test_a_drive_modelled_as_viscous_lacks_dry_friction(
-    swimid: Command, real_data: Path, tmp_path: Path
-) -> None:
-    """Published: 95.1 kg, 203.5 N s/m, 20.4 N. Twice integrated, what is left of the force still drifts."""
-    trials, nominal = real_logs.write_screw_drive(tmp_path, real_data), tmp_path / "viscous.yaml"
-    free = ("--free", "linear_drag", "--free", "force_offset")
-    ran = swimid("fit-drag", trials, "--fix", "quadratic_drag=0", *free, "-o", nominal)
-    assert ran.status == 0
-    gap = diagnosed(swimid, trials, nominal)
-    assert gap["verdict"] == "partial"
-    assert [c["effect"] for c in gap["causes"]] == ["pulley-friction"]
-    assert answer(gap) <= {"pulley-friction", "load-friction"}
-    assert gap["causes"][0]["shrinkage"][0]["after"] < 0.014
-    assert left(gap) < 0.8
-    first = gap["causes"][0]
-    friction = first["parameters"]["friction_N"]
-    assert friction["stderr"] < 0.15 * 20.4
-    assert abs(friction["value"] - 20.4) < 2.0 * friction["stderr"]
-    numbers = {a["coefficient"]: a["with_effect"] for a in first["absorbed"]}
-    assert numbers["linear_drag"]["stderr"] < 0.15 * 203.5
-    assert abs(numbers["linear_drag"]["value"] - 203.5) < 2.0 * numbers["linear_drag"]["stderr"]
-    assert 60 + numbers["added_mass"]["value"] == pytest.approx(95.1, rel=0.06)
-
-
+@pytest.mark.slow
 def test_force_of_the_drive_that_dry_friction_leaves(real_data: Path) -> None:
     """The inverse model, with nothing simulated: 17 % of the force is left without it and 4 % with it."""
-    time, position, force = real_logs.read_screw_drive(real_data)
-    place, push = real_logs.smoothed(position), real_logs.smoothed(force)
+    time, position, force = screw_drive.read(real_data / "emps" / "DATA_EMPS.mat")
+    place, push = screw_drive.smoothed(position), screw_drive.smoothed(force)
     speed = np.gradient(place, time)
     columns = [np.gradient(speed, time), speed, np.ones_like(speed)]
     left = []
@@ -107,36 +114,7 @@ def test_force_of_the_drive_that_dry_friction_leaves(real_data: Path) -> None:
     assert left[1] == pytest.approx(0.04, abs=0.01)
 
 
-def test_a_block_on_a_ramp_is_not_frictionless(swimid: Command, real_data: Path, tmp_path: Path) -> None:
-    """Two slopes in films of unknown scale, which the moving mass takes up: coefficient about 0.33."""
-    tracked = {}
-    for name in ("R1", "R3"):
-        video, setup = real_data / "phystrack" / f"{name}.MP4", tmp_path / f"{name}.yaml"
-        tracked[name] = tmp_path / f"{name}-px.csv"
-        assert swimid("track", "setup", video, "-o", setup).status == 0
-        words = ("--setup", setup, "--fps", "240", "-o", tracked[name])
-        assert swimid("track", "video", video, *words).status == 0
-    trials, nominal = real_logs.write_ramp(tmp_path, tracked), tmp_path / "frictionless.yaml"
-    assert swimid("fit-drag", trials, "--fix", "quadratic_drag=0", "-o", nominal).status == 0
-    gap = diagnosed(swimid, trials, nominal)
-    assert gap["verdict"] == "explained"
-    assert answer(gap) == {"pulley-friction"}
-    assert left(gap) < 0.12
-    friction = gap["causes"][0]["parameters"]["friction_N"]["value"]
-    # per weight across slopes of 21.9 and 26.6 degrees
-    assert friction / (9.81 * np.cos(np.radians([21.9, 26.6])).mean()) == pytest.approx(0.33, abs=0.03)
-
-
-def test_overflowing_tanks_are_unexplained(swimid: Command, real_data: Path, tmp_path: Path) -> None:
-    """A linear black box; outflow as the root of the level, and a level that cannot pass 10 V."""
-    trials, nominal = real_logs.write_tanks(tmp_path, real_data), tmp_path / "arx.yaml"
-    orders = ("--input", "u", "--output", "y", "--na", "2", "--nb", "2")
-    assert swimid("rwls", tmp_path / "estimation.csv", *orders, "-o", nominal).status == 0
-    gap = diagnosed(swimid, trials, nominal)
-    assert gap["verdict"] == "unexplained"
-    assert not gap["causes"]
-
-
+@pytest.mark.slow
 def test_a_cause_of_the_fish_reduces_held_out_errors(
     swimid: Command, real_data: Path, tmp_path: Path
 ) -> None:
@@ -146,7 +124,99 @@ def test_a_cause_of_the_fish_reduces_held_out_errors(
     trials = real_logs.write_fish(tmp_path, runs, robot, lag_rad=real_logs.LAG_RAD, rates_only=True)
     words = ("--start-state", "estimate", "--free", "drive_phase", "--dt", "0.012")
     assert swimid("fit-graybox", trials, *words, "-o", nominal).status == 0
-    gap = diagnosed(swimid, trials, nominal, "--dt", "0.012")
+    ran = swimid("diagnose", trials, "--params", nominal, "--dt", "0.012", "--json")
+    assert ran.status == 0, ran.err
+    gap = ran.json["result"]
     if gap["verdict"] == "explained":
         rows = gap["causes"][0]["shrinkage"]
         assert np.mean([r["after"] / r["before"] for r in rows]) < 0.98
+
+
+def gap_file(verdict: str, *causes: tuple[str, ...]) -> dict[str, Any]:
+    """A gap file with causes of given names, of which the first is the effect itself."""
+    listed = [
+        {"effect": first, "equivalent": list(rest), "probability": 0.9, "parameters": {}}
+        for first, *rest in causes
+    ]
+    errors = [
+        {"label": "as given", "rmse": {"x_m": 3.0, "y_m": 1.0}},
+        {"label": "refitted", "rmse": {"x_m": 2.0, "y_m": 1.0}},
+        {"label": "+ cause", "rmse": {"x_m": 1.0, "y_m": 1.0}},
+        {"label": "noise alone", "rmse": {"x_m": 0.5, "y_m": 0.9}},
+    ]
+    return {
+        "verdict": verdict,
+        "causes": listed,
+        "waterfall": errors,
+        "closed": {"share": 0.9, "by_refit": 0.5},
+    }
+
+
+@pytest.mark.parametrize(
+    ("verdict", "causes", "right"),
+    [
+        ("explained", [("drag",)], "yes"),
+        ("explained", [("slip", "drag")], "listed"),
+        ("partial", [("drag",), ("slip",)], "partly"),
+        ("ambiguous", [("slip",)], "no"),
+        ("unexplained", [("drag",)], "unexplained"),
+        ("none", [], "no"),
+    ],
+)
+def test_comparison_with_the_known_cause(verdict: str, causes: list[tuple[str, ...]], right: str) -> None:
+    """A cause beside 'unexplained' is no answer, and every named cause has to be acceptable."""
+    row = Row("row", "", "", "", "", (), frozenset({"drag"}))
+    result = program.judge(row, gap_file(verdict, *causes))
+    assert result["right"] == right
+    assert (result["channel"], result["before"], result["refit"]) == ("x_m", 3.0, 2.0)
+    assert result["repaired"] == (1.0 if causes else None)
+
+
+def test_a_gap_outside_the_catalogue_is_rightly_unexplained() -> None:
+    """Of a row without acceptable names only the verdict 'unexplained' is right."""
+    row = Row("row", "", "", "", "", (), frozenset())
+    assert program.judge(row, gap_file("unexplained"))["right"] == "yes"
+    assert program.judge(row, gap_file("none"))["right"] == "no"
+    assert program.judge(row, gap_file("explained", ("drag",)))["right"] == "no"
+
+
+def test_a_refused_command_is_a_row_of_the_table(tmp_path: Path) -> None:
+    """The message of the command is kept, and rows without recordings have no result."""
+
+    def write(_sources: Sources, folder: Path) -> None:
+        (folder / "trials.yaml").write_text("format: swimid-trials/1\n")
+
+    sources = Sources(tmp_path, tmp_path)
+    row = Row(
+        "row", "model", "all of it", "", "", (write, "diagnose trials.yaml -o gap.yaml"), frozenset({"drag"})
+    )
+    program.run_row(row, sources, tmp_path / "row")
+    result = program.read_result(row, tmp_path / "row")
+    assert result["verdict"] == result["right"] == "refused"
+    assert "trials.yaml" in result["refused"]
+    program.write_table(tmp_path / "table.csv", [result])
+    assert "model,all of it,refused,,refused" in (tmp_path / "table.csv").read_text()
+
+
+def test_rows_state_their_answer_before_they_run() -> None:
+    """Names are unique, the last step is the diagnosis, and known sizes have a unit."""
+    rows = list(program.all_rows())
+    assert len({row.name for row in rows}) == len(rows) >= 14
+    for row in rows:
+        assert isinstance(row.steps[-1], str)
+        assert row.steps[-1].startswith("diagnose ")
+        assert row.known is None or row.known.unit
+        assert row.licence
+        assert row.source
+
+
+def test_page_has_the_table_of_the_measured_file() -> None:
+    """The page and the CSV file are of the same run of the program."""
+    page = (ROOT / "docs" / "real-gaps.md").read_text()
+    with (ROOT / "docs" / "measured" / "real-gaps.csv").open(newline="") as stream:
+        table = list(csv.DictReader(stream))
+    assert len(table) >= 14
+    for row in table:
+        (line,) = [line for line in page.splitlines() if line.startswith(f"| {row['name']} |")]
+        assert f"| `{row['verdict']}` |" in line
+        assert f"| {row['right']} |" in line

@@ -16,8 +16,8 @@ from swimid.notices import SwimidWarning
 from swimid.rig import model
 from swimid.rig import model as rig_model
 from tests.conftest import Ran
-from tests.generators import real_logs
 from tests.generators import rig as generator
+from tests.real_gaps.rows import screw_drive
 
 Run = Callable[..., Ran]
 
@@ -216,7 +216,7 @@ def test_a_real_drive_with_dry_friction(real_data: Path, tmp_path: Path) -> None
     The log is raw at 100 Hz. Published are 95.1 kg, 203.5 N s/m and 20.4 N, from the force and not from the
     position. Three standard errors and a tenth are allowed.
     """
-    time, position, force = real_logs.read_screw_drive(real_data)
+    time, position, force = screw_drive.read(real_data / "emps" / "DATA_EMPS.mat")
     rows = np.c_[time, force, position][::10]
     np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="t_s,force_N,x_m", comments="")
     (tmp_path / "cart.yaml").write_text("format: swimid-robot/1\nname: cart\nbody: {inertial_mass_kg: 60}\n")

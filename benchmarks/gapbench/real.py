@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import swimid
-from tests.generators import real_logs
+from tests.real_gaps.row import Sources
+from tests.real_gaps.rows import ramp, roll_decay, screw_drive, tanks
 
 
 class Recording(NamedTuple):
@@ -41,7 +42,8 @@ PRIOR = "params_prior.yaml"
 
 def _roll(folder: Path, data: Path) -> Path:
     """A simulator of potential flow has no viscous roll damping; the basin does."""
-    simulated, measured = real_logs.write_roll(folder, data)
+    roll_decay.write(_sources(data), folder)
+    simulated, measured = folder / "simulator.yaml", folder / "basin.yaml"
     waves = swimid.fit_drag(simulated, fixed={"quadratic_damping": 0.0})
     damping = round(float(waves.parameters["value"]["linear_damping"]), 5)
     fixed = {"quadratic_damping": 0.0, "linear_damping": damping}
@@ -53,7 +55,8 @@ def _roll(folder: Path, data: Path) -> Path:
 
 def _drive(folder: Path, data: Path) -> Path:
     """A drive with a screw, modelled with viscous friction only."""
-    trials = real_logs.write_screw_drive(folder, data)
+    screw_drive.write(_sources(data), folder)
+    trials = folder / "drive.yaml"
     free = ("linear_drag", "force_offset")
     swimid.fit_drag(trials, fixed={"quadratic_drag": 0.0}, freed=free, output=folder / PRIOR)
     return trials
@@ -61,24 +64,28 @@ def _drive(folder: Path, data: Path) -> Path:
 
 def _ramp(folder: Path, data: Path) -> Path:
     """Blocks that slide down ramps without friction, from two films."""
-    tracked = {}
-    for name in ("R1", "R3"):
+    for name in ramp.FILMS:
         video = data / "phystrack" / f"{name}.MP4"
         setup, log = folder / f"{name}-setup.yaml", folder / f"{name}-px.csv"
         _run("track", "setup", video, "-o", setup)
         _run("track", "video", video, "--setup", setup, "--fps", "240", "-o", log)
-        tracked[name] = log
-    trials = real_logs.write_ramp(folder, tracked)
+    ramp.write(_sources(data), folder)
+    trials = folder / "ramps.yaml"
     swimid.fit_drag(trials, fixed={"quadratic_drag": 0.0}, output=folder / PRIOR)
     return trials
 
 
 def _tanks(folder: Path, data: Path) -> Path:
     """A linear black box of two tanks whose outflow is not linear and which overflow."""
-    trials = real_logs.write_tanks(folder, data)
+    tanks.write(_sources(data), folder)
+    trials = folder / "levels.yaml"
     orders = ("--input", "u", "--output", "y", "--na", "2", "--nb", "2")
     _run("rwls", folder / "estimation.csv", *orders, "-o", folder / PRIOR)
     return trials
+
+
+def _sources(data: Path) -> Sources:
+    return Sources(data, data / "repositories")
 
 
 def _run(*words: str | Path) -> None:

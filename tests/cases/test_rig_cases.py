@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import Ran
-from tests.generators import real_logs
+from tests.real_gaps.row import Sources
+from tests.real_gaps.rows import screw_drive
 
 Run = Callable[..., Ran]
 Case = Callable[..., Path]
@@ -181,7 +182,8 @@ def test_a_drive_that_is_fitted_within_its_errors_is_caution(
     real_data: Path, swimid: Run, tmp_path: Path, drift: tuple[str, ...]
 ) -> None:
     """A drift is named beside the published friction; with it, nothing is left to name."""
-    trials = real_logs.write_screw_drive(tmp_path, real_data)
+    screw_drive.write(Sources(real_data, real_data), tmp_path)
+    trials = tmp_path / "drive.yaml"
     free = ("--free", "dry_friction", "--free", "linear_drag", "--free", "force_offset", *drift)
     ran = swimid("fit-drag", trials, "--fix", "quadratic_drag=0", *free)
     assert verdict(ran) == "CAUTION"

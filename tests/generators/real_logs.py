@@ -1,15 +1,11 @@
 """Recordings made by others, as swimid logs with a trials file.
 
 The tail-actuated fish of Michigan State University (DerivativeBasedKoopman, MIT licence), the single
-and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence), the roll decay of a ship model and
-of a simulator without viscosity (10.17632/2stvkyngj9.1, MIT licence), a drive with a screw (EMPS,
-forgi86/sysid-neural-continuous, Apache 2.0 licence), two tanks in a cascade
-(forgi86/sysid-neural-structures-fitting, MIT licence), zig-zags of a model of the tanker KVLCC2 by MARIN
-(SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), a block on a ramp, from
-tracked films (PhysTrack, GPL 2 licence), and tracked points of a tendon-driven fish (srl-ethz/fishsim,
-MIT licence).
-As a program it writes all of them, the ramp where its films are tracked:
-``python -m tests.generators.real_logs DATA FOLDER``.
+and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence), zig-zags of a model of the tanker KVLCC2
+by MARIN (SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), and tracked points
+of a tendon-driven fish (srl-ethz/fishsim, MIT licence). As a program it writes all of them:
+``python -m tests.generators.real_logs DATA FOLDER``. Recordings with a known gap are in
+``tests.real_gaps``.
 """
 
 from __future__ import annotations
@@ -24,7 +20,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from scipy.io import loadmat
-from scipy.signal import butter, filtfilt
 
 import swimid
 
@@ -250,87 +245,6 @@ def write_pendulum(folder: Path, windows: list[Swing], robot: Path) -> Path:
     return folder / "trials.yaml"
 
 
-#: A model that rolls: nothing about the ship is known but what its decay tells.
-SHIP = """
-format: swimid-robot/1
-name: ship
-"""
-
-
-def write_roll(folder: Path, data: Path) -> tuple[Path, Path]:
-    """Roll decay of a ship model: trials files of the simulator's and the basin's record.
-
-    Both are cut to some 24 swings from 10 degrees on, and to 20 or 25 samples a second.
-
-    Returns
-    -------
-    simulated, measured : Path
-        The trials files.
-    """
-    (folder / "ship.yaml").write_text(SHIP)
-    source = data / "kvlcc2_rolldecay"
-    files = []
-    for name, record, every in (
-        ("simulator", "fnpf_kvlcc2_rolldecay_0kn.csv", 2),
-        ("basin", "model_test_21337.csv", 5),
-    ):
-        with (source / record).open() as stream:
-            header = stream.readline().strip().split(",")
-        rows = np.loadtxt(source / record, delimiter=",", skiprows=1)
-        time = rows[:, 0]
-        roll = rows[:, header.index("phi")]
-        begin = int(np.argmax(np.abs(roll)))
-        use = slice(begin, begin + int(np.searchsorted(time[begin:] - time[begin], 62.0)), every)
-        _write(folder / f"{name}.csv", {"t_s": time[use], "roll_rad": roll[use]})
-        files.append(_trials(folder / f"{name}.yaml", "free-decay", "ship.yaml", [f"log: {name}.csv"]))
-    return files[0], files[1]
-
-
-#: The carriage moves as one mass; its drive turns along, which makes up the rest.
-CARRIAGE = """
-format: swimid-robot/1
-name: carriage
-body: {inertial_mass_kg: 60}
-"""
-
-
-def read_screw_drive(data: Path) -> tuple[Array, Array, Array]:
-    """The electro-mechanical positioning system at 1 kHz.
-
-    Returns
-    -------
-    time, position, force : ndarray, shape (n,)
-        s, m and N; the force is the drive's voltage times its stated gain.
-    """
-    record = loadmat(data / "emps" / "DATA_EMPS.mat")
-    force = record["gtau"].item() * record["vir"].ravel()
-    return record["t"].ravel(), record["qm"].ravel(), force
-
-
-def smoothed(values: Array, *, cutoff_hz: float = 20.0, rate_hz: float = 1000.0) -> Array:
-    """Low-passed without delay (Butterworth, fourth order, forwards and backwards)."""
-    return np.asarray(filtfilt(*butter(4, 2 * cutoff_hz / rate_hz), values))
-
-
-def write_screw_drive(folder: Path, data: Path, *, every: int = 20) -> Path:
-    """Log and trials file of the positioning system, position and force low-passed alike."""
-    (folder / "carriage.yaml").write_text(CARRIAGE)
-    time, position, force = read_screw_drive(data)
-    rows = {"t_s": time, "x_m": smoothed(position), "force_N": smoothed(force)}
-    _write(folder / "drive.csv", {name: values[::every] for name, values in rows.items()})
-    return _trials(folder / "drive.yaml", "towed", "carriage.yaml", ["log: drive.csv"])
-
-
-def write_tanks(folder: Path, data: Path) -> Path:
-    """Logs of the two cascaded tanks (pump voltage, level), and a trials file of both records."""
-    rows = np.genfromtxt(data / "cascaded_tanks" / "dataBenchmark.csv", delimiter=",", skip_header=1)
-    (folder / "tanks.yaml").write_text("format: swimid-robot/1\nname: tanks\n")
-    for name, u, y in (("estimation", 0, 2), ("validation", 1, 3)):
-        _write(folder / f"{name}.csv", {"t_s": 4.0 * np.arange(len(rows)), "u": rows[:, u], "y": rows[:, y]})
-    entries = ["log: estimation.csv", "log: validation.csv"]
-    return _trials(folder / "levels.yaml", "arma", "tanks.yaml", entries)
-
-
 #: Scale of the KVLCC2's model, and time between the rows of its files in full scale, s. Their time stamps
 #: have three digits only.
 SHIP_SCALE, SHIP_STEP_S = 45.7, 0.135264
@@ -372,49 +286,6 @@ def write_zigzags(folder: Path, data: Path, *, held_out: Collection[str] = ("p10
     robot = Path(__file__).parents[2] / "docs" / "examples" / "kvlcc2.yaml"
     entries = [f"log: {name}.csv" + ", role: validate" * (name in held_out) for name in ZIGZAGS]
     return _trials(folder / "trials.yaml", "free-swim", os.path.relpath(robot, folder), entries)
-
-
-#: No length is known in the films: this many pixels are called a metre.
-RAMP_PX_M = 700.0
-#: A block of one kilogram in air; only ratios to its mass tell.
-BLOCK = """
-format: swimid-robot/1
-name: block
-fluid: {density_kg_m3: 1.2, gravity_m_s2: 9.81}
-body: {inertial_mass_kg: 1.0}
-"""
-
-
-def write_ramp(folder: Path, tracked: dict[str, Path]) -> Path:
-    """Logs and trials file of a block that slides down ramps, from tracked films.
-
-    The slope is that of the track in the picture; the weight along it drives the block.
-
-    Parameters
-    ----------
-    tracked : dict of name to Path
-        Tracked logs with columns ``t_s``, ``found``, ``x_px``, ``y_px``.
-    """
-    (folder / "block.yaml").write_text(BLOCK)
-    entries = []
-    for name, path in tracked.items():
-        lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
-        rows = np.genfromtxt(lines, delimiter=",", names=True)
-        seen = rows["found"] == 1
-        start = rows["x_px"][seen][0]
-        sliding = np.flatnonzero(seen & (np.abs(rows["x_px"] - start) > 8) & (rows["x_px"] > 30))
-        part = slice(sliding[0], sliding[-1] + 1)
-        place = np.column_stack([rows["x_px"][part], rows["y_px"][part]])
-        there = np.isfinite(place).all(axis=1)
-        along = np.linalg.svd(place[there] - place[there].mean(axis=0), full_matrices=False)[2][0]
-        along *= np.sign(place[there][-1] - place[there][0]) @ along or 1.0
-        along /= np.linalg.norm(along)
-        distance = (place - place[there][0]) @ along / RAMP_PX_M
-        time = rows["t_s"][part] - rows["t_s"][part][0]
-        _write(folder / f"{name}.csv", {"t_s": time, "x_m": distance})
-        push = 9.81 * abs(along[1])
-        entries.append(f"log: {name}.csv, driving_force_N: {push:.4f}")
-    return _trials(folder / "ramps.yaml", "falling-weight", "block.yaml", entries)
 
 
 #: Stated beats of the films of the tendon-driven fish, Hz.
@@ -527,20 +398,9 @@ def main(data: Path, folder: Path) -> None:
     print(write_fish(folder / "rates", mild(read_fish(data)), Path(robot), lag_rad=LAG_RAD, rates_only=True))
     robot = os.path.relpath(examples / "double-pendulum.yaml", folder / "pendulum")
     print(write_pendulum(folder / "pendulum", read_pendulum(data, 2)[0], Path(robot)))
-    more = {
-        "roll": write_roll,
-        "drive": write_screw_drive,
-        "tanks": write_tanks,
-        "ship": write_zigzags,
-        "fishsim": write_tendon_fish,
-    }
-    for name, write in more.items():
+    for name, write in (("ship", write_zigzags), ("fishsim", write_tendon_fish)):
         (folder / name).mkdir(parents=True, exist_ok=True)
         print(write(folder / name, data))
-    (folder / "ramp").mkdir(parents=True, exist_ok=True)
-    tracked = {name: folder / "ramp" / f"{name}-px.csv" for name in ("R1", "R3")}
-    if all(path.is_file() for path in tracked.values()):
-        print(write_ramp(folder / "ramp", tracked))
 
 
 if __name__ == "__main__":
