@@ -363,7 +363,10 @@ def read_zigzag(path: Path) -> dict[str, Array]:
 
 
 def write_zigzags(folder: Path, data: Path, *, held_out: Collection[str] = ("p10", "s20")) -> Path:
-    """Write logs of the KVLCC2's zig-zags, and a trials file that holds some of them out."""
+    """Write logs of the KVLCC2's zig-zags, and a trials file that holds some of them out.
+
+    By default the fit has one side of each angle, and the other sides are held out.
+    """
     for name, angle in ZIGZAGS.items():
         _write(
             folder / f"{name}.csv",
@@ -531,12 +534,14 @@ def main(data: Path, folder: Path) -> None:
         "roll": write_roll,
         "drive": write_screw_drive,
         "tanks": write_tanks,
-        "ship": write_zigzags,
         "fishsim": write_tendon_fish,
     }
     for name, write in more.items():
         (folder / name).mkdir(parents=True, exist_ok=True)
         print(write(folder / name, data))
+    if (data / "kvlcc2_zigzag").is_dir():
+        (folder / "ship").mkdir(parents=True, exist_ok=True)
+        print(write_zigzags(folder / "ship", data))
     (folder / "ramp").mkdir(parents=True, exist_ok=True)
     tracked = {name: folder / "ramp" / f"{name}-px.csv" for name in ("R1", "R3")}
     if all(path.is_file() for path in tracked.values()):
