@@ -12,9 +12,10 @@ import yaml
 
 from swimid.errors import InputError
 from swimid.fitting.model import SwimInput, Trial
+from swimid.results import parameters
 from swimid.swimmer.trials import robot_model
 from tests.conftest import ROOT
-from tests.generators import ship
+from tests.generators import real_logs, ship
 
 EXAMPLE = ROOT / "docs" / "examples" / "kvlcc2.yaml"
 
@@ -224,3 +225,20 @@ def test_load_along_the_axes_of_the_world_is_a_variable_buoyancy():
     assert np.ptp(found[1]["z_m"]) > 0.05
     for name in ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad"):
         assert found[0][name] == pytest.approx(found[1][name], abs=1e-9)
+
+
+@pytest.mark.slow
+def test_zigzags_of_a_tanker(real_data, swimid, tmp_path):
+    """A fit to one side of each angle predicts the other sides (MARIN's free-running model of the KVLCC2)."""
+    if not (real_data / "kvlcc2_zigzag").is_dir():
+        pytest.skip("SWIMID_DATA has no folder kvlcc2_zigzag with MARIN's .dat files")
+    trials = real_logs.write_zigzags(tmp_path, real_data)
+
+    ran = swimid("fit-graybox", trials, "-o", tmp_path / "ship.yaml")
+
+    assert ran.status == 0, ran.err
+    fit = parameters.read(tmp_path / "ship.yaml").fit
+    assert fit is not None
+    held_out = fit.validation["channels"]
+    for name in ("u_m_s", "v_m_s", "yaw_rate_rad_s"):
+        assert held_out[name]["nrmse"] < 0.05, name

@@ -2,8 +2,8 @@
 
 The tail-actuated fish of Michigan State University (DerivativeBasedKoopman, MIT licence), the single
 and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence), zig-zags of a model of the tanker KVLCC2
-by MARIN (SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), and tracked points
-of a tendon-driven fish (srl-ethz/fishsim, MIT licence). As a program it writes all of them:
+by MARIN (SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), and tracked
+points of a tendon-driven fish (srl-ethz/fishsim, MIT licence). As a program it writes all of them:
 ``python -m tests.generators.real_logs DATA FOLDER``. Recordings with a known gap are in
 ``tests.real_gaps``.
 """
@@ -277,7 +277,10 @@ def read_zigzag(path: Path) -> dict[str, Array]:
 
 
 def write_zigzags(folder: Path, data: Path, *, held_out: Collection[str] = ("p10", "s20")) -> Path:
-    """Write logs of the KVLCC2's zig-zags, and a trials file that holds some of them out."""
+    """Write logs of the KVLCC2's zig-zags, and a trials file that holds some of them out.
+
+    By default the fit has one side of each angle, and the other sides are held out.
+    """
     for name, angle in ZIGZAGS.items():
         _write(
             folder / f"{name}.csv",
@@ -398,9 +401,11 @@ def main(data: Path, folder: Path) -> None:
     print(write_fish(folder / "rates", mild(read_fish(data)), Path(robot), lag_rad=LAG_RAD, rates_only=True))
     robot = os.path.relpath(examples / "double-pendulum.yaml", folder / "pendulum")
     print(write_pendulum(folder / "pendulum", read_pendulum(data, 2)[0], Path(robot)))
-    for name, write in (("ship", write_zigzags), ("fishsim", write_tendon_fish)):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-        print(write(folder / name, data))
+    (folder / "fishsim").mkdir(parents=True, exist_ok=True)
+    print(write_tendon_fish(folder / "fishsim", data))
+    if (data / "kvlcc2_zigzag").is_dir():
+        (folder / "ship").mkdir(parents=True, exist_ok=True)
+        print(write_zigzags(folder / "ship", data))
 
 
 if __name__ == "__main__":
