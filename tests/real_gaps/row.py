@@ -115,8 +115,11 @@ def size_of(*names: str, factor: float = 1.0) -> Callable[[Gap], tuple[float, fl
         for cause in gap["causes"]:
             for name, parameter in cause["parameters"].items():
                 if name in names:
-                    error = parameter["stderr"]
+                    error, count = parameter["stderr"], parameter.get("standard_errors")
                     change = parameter["value"] - parameter.get("from", 0.0)
+                    if count:
+                        # the error of a change is that of both values
+                        error = abs(change) / count
                     return factor * change, None if error is None else abs(factor) * error
         raise KeyError(f"none of {', '.join(names)} among the causes")
 

@@ -12,6 +12,9 @@ from tests.real_gaps.row import Array, Known, Row, Sources, size_of, write_log, 
 
 #: The carriage moves as one mass; its drive turns along, which makes up the rest, kg.
 MASS_KG = 60
+#: Duration (s) and number of the trials. The position is integrated twice from the force, so that its errors
+#: grow in time. One of three trials is held out.
+SPAN_S, COUNT = 6.2, 4
 RATE_HZ, CUTOFF_HZ, EVERY = 1000.0, 20.0, 20
 
 
@@ -29,12 +32,27 @@ def smoothed(values: Array) -> Array:
 
 def write(sources: Sources, folder: Path) -> None:
     """Log and trials file, position and force low-passed alike."""
-    body = {"inertial_mass_kg": MASS_KG}
-    write_yaml(folder / "carriage.yaml", {"format": "swimid-robot/1", "name": "carriage", "body": body})
+    robot = {
+        "format": "swimid-robot/1",
+        "name": "carriage",
+        "fluid": {"density_kg_m3": 1.2, "gravity_m_s2": 9.81},
+        "body": {"inertial_mass_kg": MASS_KG},
+    }
+    write_yaml(folder / "carriage.yaml", robot)
     time, position, force = read(sources.recording("emps/DATA_EMPS.mat"))
     rows = {"t_s": time, "x_m": smoothed(position), "force_N": smoothed(force)}
     write_log(folder / "drive.csv", {name: values[::EVERY] for name, values in rows.items()})
-    write_trials(folder / "drive.yaml", "towed", "carriage.yaml", [{"log": "drive.csv"}])
+    trials = [
+        {
+            "id": f"part{k}",
+            "log": "drive.csv",
+            "start_s": round(SPAN_S * k, 1),
+            "end_s": round(SPAN_S * (k + 1), 1),
+            "role": "validate" if k % 3 == 2 else "fit",
+        }
+        for k in range(COUNT)
+    ]
+    write_trials(folder / "drive.yaml", "towed", "carriage.yaml", trials)
 
 
 ROWS = (
