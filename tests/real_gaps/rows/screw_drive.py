@@ -31,7 +31,7 @@ def smoothed(values: Array) -> Array:
 
 
 def write(sources: Sources, folder: Path) -> None:
-    """Log and trials file, position and force low-passed alike."""
+    """Log and trials files of the whole record and of its parts; position and force are low-passed alike."""
     robot = {
         "format": "swimid-robot/1",
         "name": "carriage",
@@ -52,7 +52,8 @@ def write(sources: Sources, folder: Path) -> None:
         }
         for k in range(COUNT)
     ]
-    write_trials(folder / "drive.yaml", "towed", "carriage.yaml", trials)
+    write_trials(folder / "drive.yaml", "towed", "carriage.yaml", [{"log": "drive.csv"}])
+    write_trials(folder / "parts.yaml", "towed", "carriage.yaml", trials)
 
 
 ROWS = (
@@ -64,9 +65,9 @@ ROWS = (
         licence="Apache 2.0",
         steps=(
             write,
-            "fit-drag drive.yaml --fix quadratic_drag=0 --free linear_drag --free force_offset"
+            "fit-drag parts.yaml --fix quadratic_drag=0 --free linear_drag --free force_offset"
             " -o viscous.yaml",
-            "diagnose drive.yaml --params viscous.yaml -o gap.yaml",
+            "diagnose parts.yaml --params viscous.yaml -o gap.yaml",
         ),
         causes=frozenset({"pulley-friction", "stribeck"}),
         known=Known(20.394, "N", "published by Janot et al. 2019", size_of("friction_N")),
