@@ -2,7 +2,7 @@
 
 ``python -m tests.real_gaps --data FOLDER --out FOLDER [NAME ...]`` runs the rows of these names, by default
 all of them. A row that has a ``result.json`` in its folder is not run again. With ``--table FILE`` the table
-is written as CSV, and with ``--page FILE`` it replaces the part of a Markdown page between two marks.
+is written as CSV.
 """
 
 from __future__ import annotations
@@ -28,15 +28,12 @@ def main() -> None:
     parser.add_argument("--repositories", type=Path, default=repositories, help=help_text)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--table", type=Path)
-    parser.add_argument("--page", type=Path)
     words = parser.parse_args()
     sources = Sources(words.data, words.repositories or words.data / "repositories")
     results = program.run_rows(words.names, sources, words.out)
     print(program.text_table(results))
     if words.table is not None:
         program.write_table(words.table, results)
-    if words.page is not None:
-        program.write_page(words.page, results)
 
 
 if __name__ == "__main__":

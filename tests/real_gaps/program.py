@@ -1,4 +1,4 @@
-"""Run rows, judge the answers and write the table."""
+"""Run rows, judge the answers and write the table as CSV."""
 
 from __future__ import annotations
 
@@ -44,8 +44,6 @@ COLUMNS = (
     "seconds",
     "date",
 )
-#: Marks in a Markdown page between which the table stands.
-BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 
 Result = dict[str, Any]
 
@@ -223,61 +221,16 @@ def write_table(path: Path, results: Sequence[Result]) -> None:
         writer.writerows([[_cell(result, name) for name in COLUMNS] for result in results])
 
 
-def write_page(path: Path, results: Sequence[Result]) -> None:
-    """Replace the table between the two marks of a Markdown page."""
-    before, rest = path.read_text().split(BEGIN)
-    after = rest.split(END)[1]
-    path.write_text(f"{before}{BEGIN}\n{markdown_table(results)}\n{END}{after}")
-
-
-def markdown_table(results: Sequence[Result]) -> str:
-    """Return the table of the page."""
-    head = (
-        "recording",
-        "lacks",
-        "verdict",
-        "cause named",
-        "right",
-        "size",
-        "known",
-        "closed",
-    )
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for result in results:
-        size = _with_error(result.get("size"), result.get("stderr"))
-        closed = result.get("closed")
-        unit = result["unit"].removeprefix("1")
-        cells = (
-            result["name"],
-            result["lacks"],
-            f"`{result['verdict']}`",
-            _names(result, "`"),
-            result["right"],
-            size,
-            "" if result["known"] is None else f"{result['known']:.3g} {unit}",
-            "" if closed is None else f"{closed:.3f}",
-        )
-        lines.append("| " + " | ".join(cell.strip() for cell in cells) + " |")
-    return "\n".join(lines)
-
-
 def _cell(result: Result, name: str) -> str:
     if name == "causes":
-        return _names(result, "")
+        return _names(result)
     value = result.get(name)
     if value is None:
         return ""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _names(result: Result, quote: str) -> str:
+def _names(result: Result) -> str:
     """Causes with their equivalents; causes beside ``unexplained`` in brackets."""
-    sets = [" or ".join(f"{quote}{n}{quote}" for n in c["names"]) for c in result.get("causes", [])]
-    text = " and ".join(sets)
+    text = " and ".join(" or ".join(c["names"]) for c in result.get("causes", []))
     return f"({text})" if text and result["verdict"] == "unexplained" else text
-
-
-def _with_error(value: float | None, error: float | None) -> str:
-    if value is None:
-        return ""
-    return f"{value:.3g}" if error is None else f"{value:.3g} ± {error:.1g}"
