@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -208,15 +207,3 @@ def test_rows_state_their_answer_before_they_run() -> None:
         assert row.known is None or row.known.unit
         assert row.licence
         assert row.source
-
-
-def test_page_has_the_table_of_the_measured_file() -> None:
-    """The page and the CSV file are of the same run of the program."""
-    page = (ROOT / "docs" / "real-gaps.md").read_text()
-    with (ROOT / "docs" / "measured" / "real.csv").open(newline="") as stream:
-        table = list(csv.DictReader(stream))
-    assert len(table) >= 14
-    for row in table:
-        (line,) = [line for line in page.splitlines() if line.startswith(f"| {row['name']} |")]
-        assert f"| `{row['verdict']}` |" in line
-        assert f"| {row['right']} |" in line
