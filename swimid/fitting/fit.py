@@ -195,7 +195,7 @@ def fit_model(
         }
         origin = provenance.collect(inputs, settings=settings)
         file = fit_common.parameter_file(result, robot=robot, provenance=origin)
-        tested = fit_common.checks(result)
+        tested = [*fit_common.checks(result), *fit_common.error_checks(result)]
     fit_common.insist_identified(result, "use more trials, and such as differ more")
     fitted_trials = sum(trial.role == "fit" for trial in trials)
     title = f"Fit of {model.name}"

@@ -261,6 +261,10 @@ def warn_mass(name: str, value: float, against: float, file: Path) -> None:
 #: Maximum error of a simulated channel that counts as good (GOOD) and as usable (USABLE), as fractions of the
 #: measured range of the channel.
 GOOD, USABLE = 0.15, 0.30
+#: Minimum fraction of the variance of a channel that a usable model accounts for. Below one half, most of the
+#: motion is not that of the model. The error of a constant is 0.35 of the range of a sine, so that an error
+#: below ``USABLE`` does not show this.
+MIN_VAF = 0.5
 #: Maximum error of the simulated mean speed that counts as good (GOOD_SPEED) and as usable (USABLE_SPEED), as
 #: fractions of the measured speed.
 GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
@@ -526,8 +530,8 @@ def score_checks(
     scores : mapping of channel name to Score, or to an object with ``nrmse`` and ``vaf``
         Errors of each channel over all trials.
     fitted : iterable of str
-        Channels to which the parameters were fitted. For these channels a negative variance accounted for
-        fails.
+        Channels to which the parameters were fitted. For these channels a variance accounted for below
+        :data:`MIN_VAF` fails, or a negative one if noise alone is left.
     noise : iterable of str
         Channels whose residuals are white, or in which nothing moves. Their errors are noise and not judged.
     held_out : bool
@@ -543,10 +547,14 @@ def score_checks(
         found.append(check)
     for name in (name for name in fitted if name in scores):
         vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
-        reason = f"the simulated {name} is farther from the measurement than a constant is"
-        if vaf is not None and vaf < 0.0:
+        least = 0.0 if name in set(noise) else MIN_VAF
+        if vaf is not None and vaf < least:
             shown = numbers.percent(vaf)
-            found.append(ev.check(said, shown, False, "≥ 0 %", otherwise="fail", reason=reason))
+            reason = f"the simulated {name} accounts for {shown} of the variance of the measurement"
+            if vaf < 0.0:
+                reason = f"the simulated {name} is farther from the measurement than a constant is"
+            needed = f"≥ {100 * least:g} %"
+            found.append(ev.check(said, shown, False, needed, otherwise="fail", reason=reason))
     return found
 
 

@@ -159,7 +159,12 @@ def fit_drag(
             derived=derive(experiment, result),
             settings=facts,
         )
-        checks = [*fit_common.checks(result), *possible_checks(experiment, result), *checks]
+        checks = [
+            *fit_common.checks(result),
+            *fit_common.error_checks(result),
+            *possible_checks(experiment, result),
+            *checks,
+        ]
     hint = "use longer runs, more different forces, or fix what is known with --fix"
     fit_common.insist_identified(result, hint)
     count = sum(t.role == "fit" for t in result.trials)
