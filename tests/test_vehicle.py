@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -78,6 +79,93 @@ def test_law_of_an_actuator():
     # the corners of the dead band lie between the steps of the integration
     for name in model.pose:
         assert found[name] == pytest.approx(expected[name], abs=2e-4 * max(np.ptp(expected[name]), 1.0))
+
+
+#: A vehicle with propellers whose thrust falls with the speed of advance.
+ADVANCING = replace(UPRIGHT, slope=0.35)
+
+
+def _rates(thrusts: Callable[[float], np.ndarray]) -> Callable[[float], np.ndarray]:
+    """Return the rates (1/s) at which the propellers have these thrusts at rest."""
+    static = 1000.0 * vehicle.DIAMETER_M**4 * vehicle.K_0
+    return lambda now: np.sign(thrusts(now)) * np.sqrt(np.abs(thrusts(now)) / static)
+
+
+def _with_propellers() -> robot_format.Robot:
+    """Return the robot file of the vehicle with propellers in place of loads. Its inputs are their rates."""
+    robot = robot_format.read("bluerov2")
+    assert robot.multibody is not None
+    told = robot.model_dump(exclude_none=True)
+    body = told["multibody"]
+    for k, element in enumerate(e for e in body["elements"] if e["kind"] == "load"):
+        direction = vehicle.DIRECTIONS[k] * (1.0, -1.0, -1.0)
+        element.update(kind="propeller", axis=tuple(direction), diameter_m=vehicle.DIAMETER_M)
+        element["thrust_coefficients"] = [f"{vehicle.K_0} * k_t", "k_j"]
+        for key in ("force_N", "moment_N_m", "frame"):
+            element.pop(key)
+    body["coefficients"] |= {
+        "k_t": {"value": 1.0, "bounds": (0.2, 3.0), "start": 1.2},
+        "k_j": {"value": -ADVANCING.slope, "bounds": (-2.0, 2.0), "start": -0.1, "scale": 0.2},
+    }
+    for law, name in zip(body["inputs"].values(), ADVANCING.inputs, strict=True):
+        law["column"] = name.replace("thrust", "rate").replace("_N", "_1_s")
+    return robot_format.schema_of().model_validate(told)
+
+
+@pytest.mark.parametrize("kind", ["propellers", "effect"])
+def test_thrust_that_falls_with_the_speed_of_advance(kind):
+    from swimid.effects.fluid import ThrustLoss
+    from swimid.fitting.model import NONE
+    from swimid.swimmer.spatial.model import MultibodyModel
+
+    thrusts, time = vehicle.manoeuvre(np.random.default_rng(11)), np.arange(0.0, 8.01, 0.05)
+    expected = vehicle.columns(time, vehicle.simulate(ADVANCING, time, thrusts), thrusts)
+    robot = robot_format.read("bluerov2") if kind == "effect" else _with_propellers()
+    model, hooks = MultibodyModel(robot), NONE
+    truth = {"z_b": 0.05, "k_t": 1.0, "k_j": -ADVANCING.slope}
+    values = np.array([truth.get(p.name, p.start) for p in model.parameters])
+    trial = Trial("run", "fit", time, {}, swim=_inputs(thrusts if kind == "effect" else _rates(thrusts)))
+    if kind == "effect":
+        loss = ADVANCING.slope * vehicle.DIAMETER_M * np.sqrt(1000.0 / vehicle.K_0)
+        hooks = ThrustLoss().hooks(np.array([loss]), trial, model)
+
+    found = model.hooked(values, trial, hooks)
+
+    for name in model.pose:
+        # the thrust has corners where it changes its sign, between the steps of the integration
+        assert found[name] == pytest.approx(expected[name], abs=5e-4 * max(np.ptp(expected[name]), 1.0)), name
+
+
+@pytest.mark.slow
+def test_fit_of_propellers(swimid, tmp_path):
+    """The slope of the thrust coefficient follows from the rates of the propellers.
+
+    The thrust at rest is known, because added masses and drag may take up any factor on all forces.
+    """
+    rng = np.random.default_rng(12)
+    robot = yaml.safe_dump(_with_propellers().model_dump(mode="json", exclude_none=True))
+    (tmp_path / "rov.yaml").write_text(robot)
+    lines = ["format: swimid-trials/1", "experiment: multibody", "robot: rov.yaml", "trials:"]
+    for k in range(2):
+        time, thrusts = np.arange(0.0, 15.01, 0.05), vehicle.manoeuvre(rng)
+        motion = vehicle.simulate(ADVANCING, time, thrusts)
+        names = tuple(f"rate{n + 1}_1_s" for n in range(8))
+        found = vehicle.columns(time, motion, _rates(thrusts), names)
+        kept = {n: v for n, v in found.items() if n in ("t_s", *vehicle.NOISE, *names)}
+        for name, sd in vehicle.NOISE.items():
+            kept[name] = kept[name] + rng.normal(0.0, sd, len(time))
+        table = np.column_stack(list(kept.values()))
+        np.savetxt(tmp_path / f"run{k}.csv", table, delimiter=",", header=",".join(kept), comments="")
+        lines.append(f"  - {{log: run{k}.csv}}")
+    (tmp_path / "trials.yaml").write_text("\n".join(lines) + "\n")
+
+    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "--fix", "k_t=1", "-o", tmp_path / "vehicle.yaml")
+
+    assert ran.status == 0, ran.err
+    found = parameters.read(tmp_path / "vehicle.yaml").parameters["k_j"]
+    assert found.status == "estimated"
+    assert found.value == pytest.approx(-ADVANCING.slope, abs=4.0 * found.stderr)
+    assert found.stderr < 0.1 * ADVANCING.slope
 
 
 @pytest.mark.slow

@@ -79,9 +79,9 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
         limits.append(f"--added-mass {options.added_mass} has no effect: the added mass of SDF is exact")
     if len(source.tables["foil"]):
         limits.append(f"{len(source.tables['foil'])} foils are left out")
-    for name in ("propeller", "rudder"):
+    for name, words in (("propeller", "propeller"), ("rudder", "rudder"), ("slider", "moving mass")):
         inputs = [list(body.inputs)[row] for row in source.tables[f"{name}_link"][:, 1]]
-        limits += [f"the {name} of the input {own} is left out" for own in inputs]
+        limits += [f"the {words} of the input {own} is left out" for own in inputs]
     limits += source.derivative_limits
     limits += [
         f"{cause.name} acts on the commands of the thrusters, and is left out"

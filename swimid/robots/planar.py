@@ -521,6 +521,25 @@ class Rudder(RudderLaw):
     inflow_at_m: Quantity | None = None
 
 
+class MovingMass(OnLink):
+    """Mass that an input moves along a line of a link, as the battery of a glider.
+
+    It moves the centre of mass and changes the inertia of the link. Its acceleration pushes the link back.
+    The mass of the link does not include it. The input is a position, by default in m.
+    """
+
+    kind: Literal["moving-mass"]
+    input: str
+    mass_kg: Quantity
+    #: Place of the mass for an input of 0: its station and offset.
+    at_m: Quantity
+    offset_m: Quantity = 0.0
+    #: Displacement of the mass for an input of 1, forward and to port (upwards in the vertical plane).
+    travel_m: tuple[Quantity, Quantity] = (1.0, 0.0)
+    #: Whether the weight of the mass acts, which moves with it. Only in the vertical plane.
+    weighs: bool = False
+
+
 #: Pattern of the name of a hydrodynamic derivative: a component, velocities with or without absolute value,
 #: and divisions by the speed.
 DERIVATIVE = re.compile(r"([XYZKMN])_((?:[uvwpqrU]|\|[uvwpqr]\|)+)((?:/U)*)")
@@ -594,6 +613,7 @@ Element = Annotated[
     | Load
     | Propeller
     | Rudder
+    | MovingMass
     | Derivatives,
     Field(discriminator="kind"),
 ]
@@ -651,6 +671,8 @@ class Multilink(yamlio.Document):
     def _letters(self) -> Multilink:
         components, velocities = PLANE_LETTERS[self.plane]
         for element in self.elements:
+            if isinstance(element, MovingMass) and element.weighs and self.plane == "horizontal":
+                raise ValueError("'weighs' belongs to a vertical plane: omit it in a horizontal one")
             for name in element.terms if isinstance(element, DerivativeTerms) else ():
                 component, factors = derivative_parts(name)
                 used = {factor.strip("|") for factor in factors} - {"U", "/U"}

@@ -318,6 +318,12 @@ class DrivenJoints:
             if hooks.command and not law.measured:
                 value = hooks.actuated(half, value, len(self.actuators) + k)
             rows[:, k, 0] = act(value, 0.5 * grid.step_s, *own)
+            if name in self._tree.moving_inputs:
+                sampled_at = trial.time_s
+                motion = _smoothed(sampled_at, given_inputs[name](sampled_at))(half)
+                if not np.array_equal(rows[:, k, 0], value) or hooks.command:
+                    motion = deviated(motion, rows[:, k, 0], 0.5 * grid.step_s)
+                rows[:, k, :3] = np.transpose(motion)
         return DrivenMotion(np.concatenate([found.table, rows], axis=1), found.joints)
 
     def _moved(self, trial: Trial, grid: Grid, phase_rad: float, laws: Laws, hooks: Hooks) -> DrivenMotion:
@@ -475,6 +481,16 @@ def measured(time_s: Array, angle_rad: Array) -> BSpline:
     ).x
     found = make_smoothing_spline(places, angles, lam=10.0**power)
     return BSpline(times[0] + scale * found.t, found.c, 3)
+
+
+def _smoothed(time_s: Array, position: Array) -> Callable[[Array], Motion]:
+    """Return the motion of a mass whose positions are the samples of an input, as a function of time.
+
+    It is the smoothing spline of a measured joint. The positions are scaled, because it takes angles.
+    """
+    scale = float(np.nanmax(np.abs(position))) or 1.0
+    spline = measured(time_s, position / scale)
+    return spline_motion(BSpline(spline.t, scale * spline.c, spline.k))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -634,7 +634,7 @@ class Room:
 #: and its constants.
 ACTING = "acting"
 #: Elements whose input array of integers has the row of their input in its second column.
-STEERED = ("propeller", "rudder")
+STEERED = ("propeller", "rudder", "slider")
 #: Number of entries for the coordinate frame in the input array :data:`ACTING`.
 FRAME = 7
 

@@ -198,6 +198,12 @@ class Rows:
         behind = self.propellers.index(element.propeller) if element.propeller else -1
         self.add("rudder", element.link, row, self.row_of(element.input), behind)
 
+    def add_mass(self, element: Any, point: Row) -> None:
+        """Add a mass that an input moves, with its point for an input of 0."""
+        weight = self.gravity_m_s2 * float(element.weighs) * Polynomial.of(element.mass_kg)
+        row = [*point, *element.travel_m, element.mass_kg, weight]
+        self.add("slider", element.link, row, self.row_of(element.input))
+
     def add_terms(
         self,
         element: DerivativeTerms,
@@ -269,7 +275,7 @@ class Table:
 #: Keys of links, joints and elements whose strings are not physical quantities.
 WORDS = {
     *("name", "link", "parent", "child", "kind", "inertia_about", "frame", "added_mass_direction"),
-    *("input", "column", "measured", "actuator", "propeller"),
+    *("input", "column", "measured", "actuator", "propeller", "weighs"),
 }
 
 
@@ -503,6 +509,8 @@ class Tree(ABC):
         for column, moved in ((1, self.driven), (2, self.passive)):
             for k, axis in enumerate(moved):
                 self.topology[axis.link, column] = k
+        #: Names of the inputs that move masses, whose rates and accelerations act, too.
+        self.moving_inputs = {e.input for e in body.elements if e.kind == "moving-mass"}
         self.free_base = body.base == "free"
         if not (self.free_base or moving or body.inputs):
             raise InputError(

@@ -138,6 +138,9 @@ RUDDER = (
 )
 #: Columns of the input array ``term``: point, and coefficient of a product of velocities.
 TERM = ("x", "y", "coefficient")
+#: Columns of the input array ``slider``: place of a moving mass for an input of 0, its displacement for an
+#: input of 1, its mass, and its weight if it acts.
+SLIDER = ("x", "y", "travel_x", "travel_y", "mass", "weight")
 #: Index in a row of ``term_link`` of each velocity (1 fills up a row), and of each component of force and
 #: moment. The vertical plane has w, q, Z and M in place of v, r, Y and N.
 VELOCITIES = {name: i for i, name in enumerate(("1", "u", "v", "r", "|u|", "|v|", "|r|", "U", "/U"))}
@@ -146,7 +149,7 @@ COMPONENTS = {"X": 0, "Y": 1, "N": 2, "Z": 1, "M": 2}
 #: Number of integers for an element in the input array ``ELEMENT_link``: its link; for a propeller also the
 #: row of its input; for a rudder also the rows of its input and of its propeller; for a term also its
 #: component and the indices of its velocities.
-INTEGERS = {"propeller": 2, "rudder": 3, "term": 2 + MAX_FACTORS}
+INTEGERS = {"propeller": 2, "rudder": 3, "term": 2 + MAX_FACTORS, "slider": 2}
 #: Speed below which the quotient of velocities and speed in a term falls to zero, m/s.
 LEAST_SPEED = 1e-9
 
@@ -470,6 +473,28 @@ def _rudders(rudder_link, rudder, propeller_link, propeller, row, work):  # type
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sliders(slider_link, slider, row, work):  # type: ignore[no-untyped-def]
+    """Add the masses that inputs move: their inertia, and the wrench that their motion needs."""
+    for e in range(slider.shape[0]):
+        i, k = slider_link[e, 0], slider_link[e, 1]
+        s, ds, dds = row[k, 0], row[k, 1], row[k, 2]
+        tx, ty, mass = slider[e, 2], slider[e, 3], slider[e, 4]
+        x, y = slider[e, 0] + tx * s, slider[e, 1] + ty * s
+        r, dr = work[i, 4], work[i, 7]
+        vx, vy = work[i, 2] - r * y + tx * ds, work[i, 3] + r * x + ty * ds
+        # acceleration of the mass: rates of the components of its velocity, and their rotation with the link
+        ax = work[i, 5] - dr * y - r * ty * ds + tx * dds - r * vy
+        ay = work[i, 6] + dr * x + r * tx * ds + ty * dds + r * vx
+        c, t = work[i, 17], work[i, 18]
+        _push(work, i, x, y, -mass * ax - slider[e, 5] * t, -mass * ay - slider[e, 5] * c)
+        work[i, 11] += mass
+        work[i, 13] -= mass * y
+        work[i, 14] += mass
+        work[i, 15] += mass * x
+        work[i, 16] += mass * (x * x + y * y)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def product_of(coefficient, integers, velocities):  # type: ignore[no-untyped-def]
     """Return the product of a coefficient and the velocities of a term.
 
@@ -645,6 +670,8 @@ def derivative(  # type: ignore[no-untyped-def]
     rudder,
     term_link,
     term,
+    slider_link,
+    slider,
     load_input,
     free_base,
     forced,
@@ -668,9 +695,9 @@ def derivative(  # type: ignore[no-untyped-def]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake, load_link, load : ndarray
         Links and properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE`,
         :data:`WAKE` and :data:`LOAD`.
-    propeller_link, propeller, rudder_link, rudder, term_link, term : ndarray
+    propeller_link, propeller, rudder_link, rudder, term_link, term, slider_link, slider : ndarray
         Integers (:data:`INTEGERS`) and properties of the elements, with the columns :data:`PROPELLER`,
-        :data:`RUDDER` and :data:`TERM`.
+        :data:`RUDDER`, :data:`TERM` and :data:`SLIDER`.
     load_input : ndarray of int
         Row of ``row`` with the input of each load.
     free_base : bool
@@ -692,6 +719,7 @@ def derivative(  # type: ignore[no-untyped-def]
     _propellers(propeller_link, propeller, row, work)
     _rudders(rudder_link, rudder, propeller_link, propeller, row, work)
     _terms(term_link, term, work)
+    _sliders(slider_link, slider, row, work)
     if forced is not None:
         _forced(time, state, work, forced)
     _inwards(state, topology, joint, passive, work, matrix, right)
@@ -769,7 +797,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     """
     topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
     force_link, force, wake_link, wake, load_link, load, propeller_link, propeller = tables[8:16]
-    rudder_link, rudder, term_link, term, load_input, free_base = tables[16:]
+    rudder_link, rudder, term_link, term, slider_link, slider, load_input, free_base = tables[16:]
     steps, size = (table.shape[0] - 1) // 2, len(start)
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, right = np.zeros((topology.shape[0], 19)), np.zeros(size // 2)
@@ -783,7 +811,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             derivative(
                 trial, table[2 * i + half], topology, joint, inertia, passive, drag_link, drag, foil_link,
                 foil, force_link, force, wake_link, wake, load_link, load, propeller_link, propeller,
-                rudder_link, rudder, term_link, term, load_input, free_base, forced,
+                rudder_link, rudder, term_link, term, slider_link, slider, load_input, free_base, forced,
                 begin + step * (i + 0.5 * half), work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
@@ -827,7 +855,7 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
     topology, joint, inertia = tables[:3]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
     load_link, load, propeller_link, propeller, rudder_link, rudder = tables[12:18]
-    term_link, term, load_input = tables[18:21]
+    term_link, term, slider_link, slider, load_input = tables[18:23]
     links = topology.shape[0]
     found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
     wrench = np.empty((states.shape[0], 3))
@@ -841,6 +869,7 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
         _propellers(propeller_link, propeller, table[t], work)
         _rudders(rudder_link, rudder, propeller_link, propeller, table[t], work)
         _terms(term_link, term, work)
+        _sliders(slider_link, slider, table[t], work)
         if forced is not None:
             _forced(begin + step * t, states[t], work, forced)
         for i in range(links - 1, -1, -1):

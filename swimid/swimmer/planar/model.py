@@ -188,6 +188,11 @@ def _rudder(element: parts.Rudder, link: parts.Link, rows: Rows) -> None:
     rows.add_rudder(element, [entry for point in points for entry in point])
 
 
+def _moving_mass(element: parts.MovingMass, link: parts.Link, rows: Rows) -> None:
+    """Add a mass that an input moves along a line of a link."""
+    rows.add_mass(element, [*_point(element.at_m, element.offset_m)])
+
+
 def _derivatives(element: parts.Derivatives, link: parts.Link, rows: Rows) -> None:
     """Add forces and moments that are products of the velocities of a point of a link."""
     point: Row = [*_point(given(element.at_m, link.com_m), element.offset_m)]
@@ -205,6 +210,7 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "load": _load,
     "propeller": _propeller,
     "rudder": _rudder,
+    "moving-mass": _moving_mass,
     "derivatives": _derivatives,
     "slender-body": _slender_body,
     "trailing-edge": _trailing_edge,
@@ -246,7 +252,7 @@ class Assembly(Tree):
     """
 
     part = "multilink"
-    elements = ("drag", "foil", "force", "wake", "load", "propeller", "rudder", "term")
+    elements = ("drag", "foil", "force", "wake", "load", "propeller", "rudder", "term", "slider")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: parts.Multilink, fluid: Fluid) -> None:
@@ -255,6 +261,7 @@ class Assembly(Tree):
         rows = self.fill(fluid)
         self.world_forces = any(row[4] == 1.0 for _, row in rows.elements["force"])
         self.world_forces |= any(row[5] == 1.0 for _, row in rows.elements["load"])
+        self.world_forces |= any(getattr(element, "weighs", False) for element in body.elements)
 
     def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
         """Return path, dimension, sign constraint and value of each quantity in the robot file.

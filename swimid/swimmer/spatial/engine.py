@@ -86,6 +86,7 @@ RUDDER = (
     "covered",
 )  # fmt: skip
 TERM = (*"xyz", "coefficient")
+SLIDER = (*"xyz", *(f"travel_{c}" for c in "xyz"), "mass", "weight")
 #: Index in a row of ``term_link`` of each velocity, and of each component of force and moment.
 VELOCITIES = {
     name: i for i, name in enumerate(("1", *"uvwpqr", *(f"|{letter}|" for letter in "uvwpqr"), "U", "/U"))
@@ -421,6 +422,33 @@ def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _sliders(slider_link, slider, row, work):  # type: ignore[no-untyped-def]
+    """Add the masses that inputs move: their inertia, and the wrench that their motion needs."""
+    for e in range(slider.shape[0]):
+        w, k, travel = work[slider_link[e, 0]], slider_link[e, 1], _at(slider[e], 3)
+        mass, weight = slider[e, 6], slider[e, 7]
+        at = _plus(_at(slider[e], 0), _times(row[k, 0], travel))
+        moved = _times(row[k, 1], travel)
+        spin, velocity = _at(w, _W), _plus(_moving(w, at), moved)
+        # acceleration of the mass: rates of the components of its velocity, and their rotation with the link
+        rate = _plus(_at(w, _DV), _plus(_cross(_at(w, _DW), at), _cross(spin, moved)))
+        rate = _plus(_plus(rate, _times(row[k, 2], travel)), _cross(spin, velocity))
+        down = _transposed(w, _TURN, (0.0, 0.0, -weight))
+        _push(w, at, _plus(down, _times(-mass, rate)))
+        x, y, z = at
+        w[_A] += mass
+        w[_A + 3] += mass
+        w[_A + 5] += mass
+        _put(w, _B, _plus(_at(w, _B), (0.0, mass * z, -mass * y)))
+        _put(w, _B + 3, _plus(_at(w, _B + 3), (-mass * z, 0.0, mass * x)))
+        _put(w, _B + 6, _plus(_at(w, _B + 6), (mass * y, -mass * x, 0.0)))
+        _put(w, _D, _plus(_at(w, _D), (mass * (y * y + z * z), -mass * x * y, -mass * x * z)))
+        _put(
+            w, _D + 3, _plus(_at(w, _D + 3), (mass * (x * x + z * z), -mass * y * z, mass * (x * x + y * y)))
+        )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """Write the coupling of passive hinge ``k`` with the base and other hinges into the mass matrix.
 
@@ -537,6 +565,8 @@ def derivative(  # type: ignore[no-untyped-def]
     rudder,
     term_link,
     term,
+    slider_link,
+    slider,
     load_input,
     surface,
     free_base,
@@ -561,9 +591,9 @@ def derivative(  # type: ignore[no-untyped-def]
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, load_link, load : ndarray
         Links and properties of the elements, with the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`,
         :data:`FORCE` and :data:`LOAD`.
-    propeller_link, propeller, rudder_link, rudder, term_link, term : ndarray
+    propeller_link, propeller, rudder_link, rudder, term_link, term, slider_link, slider : ndarray
         Integers (:data:`swimid.swimmer.planar.engine.INTEGERS`) and properties of the elements, with the
-        columns :data:`PROPELLER`, :data:`RUDDER` and :data:`TERM`.
+        columns :data:`PROPELLER`, :data:`RUDDER`, :data:`TERM` and :data:`SLIDER`.
     load_input : ndarray of int
         Row of ``row`` with the input of each load.
     surface : float, m
@@ -589,6 +619,7 @@ def derivative(  # type: ignore[no-untyped-def]
     _propellers(propeller_link, propeller, row, work)
     _rudders(rudder_link, rudder, propeller_link, propeller, row, work)
     _terms(term_link, term, work)
+    _sliders(slider_link, slider, row, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
@@ -637,7 +668,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     """
     topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
     foil, force_link, force, load_link, load, propeller_link, propeller, rudder_link = tables[9:17]
-    rudder, term_link, term, load_input, surface, free_base = tables[17:]
+    rudder, term_link, term, slider_link, slider, load_input, surface, free_base = tables[17:]
     steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
@@ -649,8 +680,8 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             derivative(
                 trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
                 damping_link, damping, foil_link, foil, force_link, force, load_link, load, propeller_link,
-                propeller, rudder_link, rudder, term_link, term, load_input, surface, free_base, forced,
-                begin, work, matrix, right, slope,
+                propeller, rudder_link, rudder, term_link, term, slider_link, slider, load_input, surface,
+                free_base, forced, begin, work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
@@ -675,7 +706,7 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     topology, joint, inertia = tables[:3]
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
     load_link, load, propeller_link, propeller, rudder_link, rudder = tables[12:18]
-    term_link, term, load_input, surface = tables[18:22]
+    term_link, term, slider_link, slider, load_input, surface = tables[18:24]
     links = topology.shape[0]
     found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
     wrench = np.empty((states.shape[0], 6))
@@ -689,6 +720,7 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
         _propellers(propeller_link, propeller, table[t], work)
         _rudders(rudder_link, rudder, propeller_link, propeller, table[t], work)
         _terms(term_link, term, work)
+        _sliders(slider_link, slider, table[t], work)
         for i in range(links - 1, 0, -1):
             found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)

@@ -210,6 +210,11 @@ def _rudder(element: parts.Rudder, body: parts.Body, rows: Rows) -> None:
     rows.add_rudder(element, [*row, *_unit(element.side)])
 
 
+def _moving_mass(element: parts.MovingMass, body: parts.Body, rows: Rows) -> None:
+    """Add a mass that an input moves along a line of a link."""
+    rows.add_mass(element, [*element.at_m])
+
+
 def _derivatives(element: parts.Derivatives, body: parts.Body, rows: Rows) -> None:
     """Add forces and moments that are products of the velocities of a point of a link."""
     rows.add_terms(element, [*element.at_m], engine.COMPONENTS, engine.VELOCITIES)
@@ -229,6 +234,7 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "load": _load,
     "propeller": _propeller,
     "rudder": _rudder,
+    "moving-mass": _moving_mass,
     "derivatives": _derivatives,
 }
 
@@ -255,7 +261,7 @@ class Assembly(Tree):
     """
 
     part = "multibody"
-    elements = ("drag", "damping", "foil", "force", "load", "propeller", "rudder", "term")
+    elements = ("drag", "damping", "foil", "force", "load", "propeller", "rudder", "term", "slider")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: parts.Multibody, fluid: Fluid) -> None:
@@ -351,7 +357,7 @@ def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
 
 
 #: Input arrays whose rows begin with a point of the robot.
-POINTS = ("drag", "force", "load", "propeller", "rudder", "term", "joint")
+POINTS = ("drag", "force", "load", "propeller", "rudder", "term", "slider", "joint")
 #: Signs of roll, pitch (positive nose up) and yaw relative to rotations about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
 
