@@ -136,9 +136,7 @@ def _draw_beat(axes: Axes, results: Path) -> None:
     axes.plot([], [], color=ORANGE, lw=9, alpha=0.4, label="simulated fish")
     axes.plot([], [], "o-", ms=4.5, lw=1.2, color=INK, label="real fish, from its film")
     axes.set(aspect="equal", xlabel="along the path (m)", yticks=[], xlim=(-0.3, 0.75), ylim=(-0.55, 0.14))
-    axes.set_title(
-        f"A film that had no part in the fit, {drive['frequency_hz']:.4g} beats a second", fontsize=10
-    )
+    axes.set_title(f"A held-out film, {drive['frequency_hz']:.4g} beats a second", fontsize=10)
     axes.spines[["left", "right", "top"]].set_visible(False)
     axes.legend(frameon=False, loc="upper left", ncols=2, fontsize=8)
 
@@ -166,9 +164,9 @@ def _draw_speeds(axes: Axes, results: Path) -> None:
     axes.plot(beat, simulated, color="0.7", lw=1, zorder=0)
     axes.plot(beat, measured, "o", ms=8, mfc="none", mec=INK, label="measured")
     axes.plot(beat[fitted], simulated[fitted], "s", ms=5, color=BLUE, label="simulated, film fitted")
-    axes.plot(beat[~fitted], simulated[~fitted], "D", ms=5, color=ORANGE, label="simulated, film had no part")
+    axes.plot(beat[~fitted], simulated[~fitted], "D", ms=5, color=ORANGE, label="simulated, film held out")
     error = np.mean(np.abs(simulated - measured)[~fitted])
-    axes.set_title(f"Mean error of the films that had no part: {error:.4f} m/s", fontsize=10)
+    axes.set_title(f"Mean error of the held-out films: {error:.4f} m/s", fontsize=10)
     axes.set(xlabel="tail beats a second", ylabel="swimming speed (m/s)", xlim=(0, None), ylim=(0, None))
     axes.spines[["right", "top"]].set_visible(False)
     axes.legend(frameon=False, loc="upper left", fontsize=8)
