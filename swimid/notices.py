@@ -107,6 +107,7 @@ CODES: dict[str, str] = {
     "SWM173": "pixels may not be square",
     "SWM174": "a picture of a calibration is not used",
     "SWM176": "an input has changed since it was read",
+    "SWM178": "files of a download are missing",
 }
 
 

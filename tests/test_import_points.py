@@ -693,3 +693,34 @@ def test_a_real_film(real_data: Path, swimid: Run, tmp_path: Path) -> None:
     assert len(frames) > 20
     assert np.max(apart[frames]) < 0.5 * np.median(apart)
     assert result["wave"]["wave_speed_m_s"] > 2 * result["speed"]["line_m_s"]
+
+
+@pytest.mark.parametrize("cycles", [2.4, 6.3])
+def test_joint_angles_relative_to_their_mean(
+    swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator, cycles: float
+) -> None:
+    """``zero: mean`` takes off the mean of a swing, which a part of a cycle does not shift."""
+    time = np.arange(0.0, cycles / 0.9, 1 / 60)
+    bend = 0.3 + 0.5 * np.sin(2 * np.pi * 0.9 * time + 0.4)
+    nose, hip = 0.1 * time, 0.1 * time - 0.2
+    tip = hip - 0.15 * np.exp(1j * bend)
+    points = np.column_stack([nose, 0 * time, hip, 0 * time, tip.real, tip.imag])
+    table = pd.DataFrame(points, columns=[f"{name}_{axis}_m" for name in "abc" for axis in "xy"])
+    table += rng.normal(0.0, 0.0005, table.shape)
+    table.insert(0, "t_s", time)
+    table.to_csv(tmp_path / "film.csv", index=False)
+    logs = {}
+    for zero in ("stated", "mean"):
+        spec = tmp_path / f"{zero}.yaml"
+        spec.write_text(f"format: swimid-points/1\nchain: [a, b, c]\nzero: {zero}\n")
+        ran = swimid(
+            "import", tmp_path / "film.csv", "--points", spec, "-o", tmp_path / f"{zero}.csv", "--json"
+        )
+        assert ran.status == 0, ran.err
+        (swing,) = ran.json["result"]["points"]["swings"].values()
+        assert swing["mean_rad"] == pytest.approx(0.3, abs=0.003)
+        assert swing["amplitude_rad"] == pytest.approx(0.5, abs=0.003)
+        assert swing["frequency_hz"] == pytest.approx(0.9, rel=0.02)
+        logs[zero] = log.read(tmp_path / f"{zero}.csv")["joint1_rad"]
+    assert np.median(logs["stated"] - logs["mean"]) == pytest.approx(0.3, abs=0.003)
+    assert np.std(logs["mean"] - (bend - 0.3)) < 0.01

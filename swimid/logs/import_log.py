@@ -241,6 +241,8 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         against = _against(stroke, stated_hz, name)
     if cleaning is not None:
         speed = tracks.speed(stamps, track, cleaning, periodic_hz)
+    if posed is not None:
+        posed.centre(columns, None if stroke is None else stroke.beat.frequency_hz)
     doubts = [*log.doubts(columns[TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")

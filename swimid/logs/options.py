@@ -43,7 +43,9 @@ class ImportOptions(Options):
         help="Leave a tracked point with a smaller likelihood (confidence, score) empty  [default: 0.6].",
     )
     robot: str | None = option(
-        None, metavar="NAME", help="Robot whose pose and joint angles the tracked points show."
+        None,
+        metavar="NAME|FILE",
+        help="Robot whose pose and joint angles the tracked points show, built in or a file.",
     )
     points: Source = option(
         None,

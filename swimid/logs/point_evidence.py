@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -45,6 +46,12 @@ def facts(posed: Posed) -> dict[str, str]:
     found = {"Points": text}
     if posed.unit == "m":
         found["Scale"] = _scale(posed)
+    swings = []
+    for name, one in posed.swings.items():
+        text = numbers.measured(math.degrees(one.amplitude.value), math.degrees(one.stderr), "deg")
+        swings.append(f"{name} {text} at {one.frequency_hz:.4g} Hz")
+    if swings:
+        found["Amplitudes"] = ", ".join(swings)
     return found
 
 
@@ -94,6 +101,8 @@ def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:
     made = []
     if beat is not None:
         made.append(_wave_table(beat, posed.unit))
+    if posed.swings:
+        made.append(_swing_table(posed))
     rows: list[dict[str, Any]] = []
     for k, name in enumerate(linkage.names):
         offset = posed.offsets[k]
@@ -218,6 +227,19 @@ def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:
     found["phase_rad"] = [one.value for one in beat.phase]
     found["phase_ci95"] = [[one.low, one.high] for one in beat.phase]
     return found
+
+
+def _swing_table(posed: Posed) -> Table:
+    """Return the table of mean and amplitude of each joint angle that swings."""
+    rows = []
+    for name, one in posed.swings.items():
+        ends = (one.amplitude.value, one.amplitude.low, one.amplitude.high)
+        rows.append([name, one.frequency_hz, math.degrees(one.mean), *map(math.degrees, ends)])
+    caption = "Constant and sine of a joint angle; the interval is that of single cycles."
+    if posed.zero == "mean":
+        caption += " The means are taken off in the log."
+    columns = ["joint angle", "frequency, Hz", "mean, deg", "amplitude, deg", "95 % from", "to"]
+    return Table(id="swings", title="Joint angles", columns=columns, rows=rows, caption=caption)
 
 
 def _wave_table(beat: wave.Wave, unit: str) -> Table:

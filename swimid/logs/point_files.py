@@ -64,6 +64,8 @@ class PointsFile(yamlio.Document):
     #: Direction in the picture in which a robot in the vertical plane faces. x of the log increases in this
     #: direction.
     facing: Literal["right", "left"] = "right"
+    #: Zero of the joint angles: that of the stated places, or the mean of each angle in the film.
+    zero: Literal["stated", "mean"] = "stated"
 
     @property
     def name(self) -> str:

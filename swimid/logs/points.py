@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs import bundle
+from swimid.logs import bundle, wave
 from swimid.logs import linkage as links
 from swimid.logs import point_files as files
 from swimid.logs.bundle import Film, Fit
@@ -26,6 +26,7 @@ from swimid.logs.linkage import Array, Complex, Flags, Linkage
 from swimid.logs.log import TIME
 from swimid.logs.sampling import usual_step
 from swimid.logs.tracks import OUTLYING, mean_of_blocks
+from swimid.logs.wave import Swing
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots import planar
@@ -96,6 +97,10 @@ class Posed:
         Number of frames in which a column is left empty, because the points do not determine it.
     time_s : ndarray, shape (n,)
         Sample times, s.
+    zero : str
+        Zero of the joint angles: ``stated`` or ``mean``.
+    swings : dict of str to Swing
+        Mean and amplitude of each joint angle that swings periodically, before the mean is taken off.
     """
 
     fit: Fit
@@ -111,6 +116,28 @@ class Posed:
     perspective: float
     empty: dict[str, int]
     time_s: Array
+    zero: str = "stated"
+    swings: dict[str, Swing] = field(default_factory=dict)
+
+    def centre(self, columns: dict[str, Array], frequency_hz: float | None) -> None:
+        """Measure the swing of each joint angle, and take off its mean in place if ``zero`` is ``mean``.
+
+        Parameters
+        ----------
+        columns : dict of str to ndarray, each shape (n,)
+            Columns of the log.
+        frequency_hz : float or None
+            Stroke frequency. Without it, the frequency of the sine that fits an angle best is taken.
+        """
+        for name in self.fit.linkage.columns:
+            if name not in columns:
+                continue
+            angle = columns[name]
+            swing = wave.measure_swing(self.time_s, angle, frequency_hz)
+            if swing is not None:
+                self.swings[name] = swing
+            if self.zero == "mean":
+                columns[name] = angle - (np.nanmean(angle) if swing is None else swing.mean)
 
     @property
     def noise_unit(self) -> str:
@@ -126,6 +153,8 @@ class Posed:
         found: dict[str, Any] = {"robot": self.robot, "reference": self.robot}
         if self.scale is not None:
             found["metres_per_pixel"] = float(f"{self.scale[0]:.8g}")
+        if self.zero == "mean":
+            found["joint_zero"] = "mean"
         return found
 
     @property
@@ -137,6 +166,7 @@ class Posed:
             scale = dict(zip(("value", "stderr"), self.scale, strict=True))
         return {
             "unit": self.unit,
+            "swings": {name: one.data for name, one in self.swings.items()},
             "scale": scale,
             "scale_source": self.scale_source,
             f"noise_{self.noise_unit}": dict(zip(linkage.names, fit.noise.tolist(), strict=True)),
@@ -292,9 +322,9 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
         pair = [tracked[safe(name)][axis] for name in names]
         values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
         columns.update(zip(pair, np.where(fit.used, values, np.nan).T, strict=True))
-    made, empty = _columns(fit, unit, plane, known_scale)
+    made, empty = _columns(fit, unit, plane, known_scale, relative=spec.zero == "mean")
     examined, time_s = _examined(fit, linkage, bool(robot)), columns[TIME]
-    posed = Posed(fit, linkage, made, unit, known_scale, source, robot, *examined, empty, time_s)
+    posed = Posed(fit, linkage, made, unit, known_scale, source, robot, *examined, empty, time_s, spec.zero)
     _warn(posed, path)
     return posed
 
@@ -331,9 +361,12 @@ def _linkage(
 
 
 def _columns(
-    fit: Fit, unit: str, plane: str, stated: tuple[float, float] | None
+    fit: Fit, unit: str, plane: str, stated: tuple[float, float] | None, *, relative: bool
 ) -> tuple[dict[str, Array], dict[str, int]]:
-    """Return the columns of pose and joint angles, and the number of frames without each of them."""
+    """Return the columns of pose and joint angles, and the number of frames without each of them.
+
+    If the joint angles are ``relative`` to their means, unknown places of points add no error to them.
+    """
     found, linkage = fit.residuals, fit.linkage
     variance = np.einsum("nii->ni", found.covariance).copy()
     place = fit.state.position / linkage.scale
@@ -345,6 +378,8 @@ def _columns(
         variance[:, :2] += xy**2 * linkage.covariance[0, 0] - 2.0 * xy * cross
     elif stated is not None:
         variance[:, :2] += (xy * stated[1] / stated[0]) ** 2
+    if relative:
+        variance[:, 3:] = found.alone[:, 3:]
     sd = np.sqrt(np.maximum(variance, 0.0))
     limit = np.full(sd.shape[1], MAX_ANGLE_SD)
     limit[:2] *= linkage.scale * linkage.size

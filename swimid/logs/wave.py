@@ -1,9 +1,14 @@
-"""Body wave of a swimmer: amplitude and phase along the body at the stroke frequency, length and speed."""
+"""Body wave of a swimmer: amplitude and phase along the body at the stroke frequency, length and speed.
+
+Also the mean and the amplitude of a joint angle that swings.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +21,9 @@ Complex = NDArray[np.complex128]
 #: Length of a window in which a sine is fitted to the lateral motion, in cycles; minimum number of windows,
 #: and minimum number of frames in one.
 CYCLES, MIN_WINDOWS, MIN_FRAMES = 2, 3, 12
+#: Minimum number of cycles of a swing, and minimum fraction of the variance of an angle that its sine
+#: explains.
+MIN_CYCLES, MIN_SHARE = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -166,6 +174,92 @@ def measure(
     amplitude = [_student(column) for column in (waves * np.exp(-1j * np.angle(mean))).real.T]
     phase = [_student(column) for column in lags.T]
     return Wave(behind, amplitude, phase, length, speed, len(waves), frequency_hz, most)
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Periodic motion of a joint angle.
+
+    Attributes
+    ----------
+    frequency_hz : float
+    mean : float, rad
+    amplitude : Estimate
+        Amplitude of the sine, rad, with its 95 % interval.
+    stderr : float, rad
+        Standard error of the amplitude; NaN without two complete cycles.
+    """
+
+    frequency_hz: float
+    mean: float
+    amplitude: Estimate
+    stderr: float
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """Findings as plain data; the interval is null without two complete cycles."""
+        found = {"frequency_hz": self.frequency_hz, "mean_rad": self.mean}
+        one = self.amplitude
+        return found | {
+            "amplitude_rad": one.value,
+            "amplitude_ci95": None if np.isnan(one.low) else [one.low, one.high],
+        }
+
+
+def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None) -> Swing | None:
+    """Measure mean and amplitude of an angle that swings.
+
+    Return None if the samples have fewer than two cycles, or if a sine explains less than half the variance.
+
+    Parameters
+    ----------
+    time_s, angle : ndarray, shape (n,)
+        Times, and angles in rad; NaN where unknown.
+    frequency_hz : float, optional
+        Frequency of the motion, by default that of the sine that fits the angle best.
+
+    Notes
+    -----
+    A constant, a sine and its double frequency are fitted to all samples, so that a part of a cycle does not
+    shift the mean. The interval of the amplitude is Student's, from the amplitudes of single cycles.
+    """
+    known = np.isfinite(angle)
+    t, x = time_s[known], angle[known]
+    if len(t) < MIN_FRAMES or not np.ptp(x):
+        return None
+    length = float(np.ptp(t))
+    if frequency_hz is None:
+        # steps of a twentieth of the resolution, up to the frequency with four samples in a cycle
+        tried = np.arange(MIN_CYCLES / length, 0.25 * len(t) / length, 0.05 / length)
+        if not len(tried):
+            return None
+        frequency_hz = float(min(tried, key=lambda one: _sine(t, x, float(one))[1]))
+    weights, error = _sine(t, x, frequency_hz)
+    if length * frequency_hz < MIN_CYCLES or error > (1.0 - MIN_SHARE) * float(np.var(x)):
+        return None
+    cycle = np.floor((t - t[0]) * frequency_hz)
+    sizes = []
+    for number in range(int(length * frequency_hz)):
+        rows = cycle == number
+        if rows.sum() >= MIN_FRAMES and np.ptp(t[rows]) > 0.8 / frequency_hz:
+            own = _sine(t[rows], x[rows], frequency_hz)[0]
+            # component along the sine of all samples
+            sizes.append(float(own[1:3] @ weights[1:3] / np.hypot(*weights[1:3])))
+    size = float(np.hypot(*weights[1:3]))
+    half = stderr = math.nan
+    if len(sizes) > 1:
+        spread = _student(np.array(sizes))
+        half = 0.5 * (spread.high - spread.low)
+        stderr = float(np.std(sizes, ddof=1) / np.sqrt(len(sizes)))
+    return Swing(frequency_hz, float(weights[0]), Estimate(size, size - half, size + half), stderr)
+
+
+def _sine(t: Array, x: Array, frequency_hz: float) -> tuple[Array, float]:
+    """Return mean, cosine and sine, those of the double frequency, and the mean squared residual of a fit."""
+    turn = 2 * np.pi * frequency_hz * t
+    design = np.column_stack([np.ones_like(t), *(f(k * turn) for k in (1, 2) for f in (np.cos, np.sin))])
+    weights = np.linalg.lstsq(design, x, rcond=None)[0]
+    return weights, float(np.mean((x - design @ weights) ** 2))
 
 
 def _student(values: Array) -> Estimate:

@@ -43,12 +43,23 @@ class SampleOptions(
 ):
     """Copy sample recordings of the installed version to a folder.
 
-    Without NAME, list the samples. The default folder is named like the sample.
+    Without NAME, list the samples. The default folder is named like the sample. Recordings of other authors
+    are downloaded from their repository, at a stated commit. Their SHA-256 is checked, and their licence and
+    citation are written beside them.
 
     Examples:
       swimid sample
       swimid sample rig my-rig
+      swimid sample fishsim fish --from downloads
     """
+
+    address: str | None = option(
+        None,
+        flag="--from",
+        metavar="ADDRESS",
+        help="Folder or address of a server that has the recordings of other authors. Default: the "
+        "environment variable SWIMID_DOWNLOADS, else their repository.",
+    )
 
 
 class RobotOptions(

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import NotRequired
 
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.files import atomic, yamlio
+from swimid.files import atomic, download, yamlio
+from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.projects.options import SampleOptions
 from swimid.results.evidence import Table
@@ -16,6 +17,8 @@ from swimid.results.result import Result, table_text
 
 #: File that lists the samples, and name by which all of them are copied.
 INDEX, ALL = "samples.yaml", "all"
+#: File of a sample that lists the recordings to download.
+DOWNLOAD = "download.yaml"
 #: Folder of the samples in an installed package, and in the source.
 PLACES = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
 
@@ -35,9 +38,16 @@ class Sample(Result):
 
 @takes(SampleOptions)
 def sample(
-    name: str | None = None, *, options: SampleOptions, output: Path | None = None, force: bool = False
+    name: str | None = None,
+    *,
+    options: SampleOptions,
+    output: Path | None = None,
+    force: bool = False,
+    progress: Progress = silent,
 ) -> Sample:
     """Copy a sample to a folder, or list the samples.
+
+    Samples of which parts are downloaded are not among ``all``.
 
     Parameters
     ----------
@@ -56,9 +66,9 @@ def sample(
     Raises
     ------
     UsageError
-        There is no such sample, or the folder has content.
+        There is no such sample, the folder has content, or nothing of the sample is downloaded.
     InputError
-        The samples are not installed, or the folder cannot be written.
+        The samples are not installed, the folder cannot be written, or a recording cannot be downloaded.
 
     Examples
     --------
@@ -81,13 +91,20 @@ def sample(
     origin = source
     if name != ALL:
         origin = source / name
+    described = origin / DOWNLOAD
+    if options.address is not None and not described.is_file():
+        raise UsageError(f"nothing of the sample '{name}' is downloaded", hint="leave --from out")
     with atomic.together():
         atomic.make_folder(folder)
+        if described.is_file():
+            copies += download.fetch(described, folder, address=options.address, progress=progress)
         for path in sorted(origin.rglob("*")):
             copy = folder / path.relative_to(origin)
+            if name == ALL and any((place / DOWNLOAD).is_file() for place in (path, *path.parents)):
+                continue
             if path.is_dir():
                 atomic.make_folder(copy)
-            elif path.name != INDEX:
+            elif path.name not in (INDEX, DOWNLOAD):
                 with atomic.replacing(copy) as temporary:
                     shutil.copyfile(path, temporary)
                 copies.append(copy)

@@ -1,7 +1,8 @@
 """Fit of the tendon-driven fish by mujoco.sysid with MuJoCo's own fluid model, beside the fit of swimid.
 
-``python -m tests.generators.mujoco_sysid real/fishsim/trials.yaml`` fits the trials of role ``fit`` with both
-programs, simulates the drive of every trial from rest with both, and prints speeds and times. MuJoCo has the
+``python -m tests.generators.mujoco_sysid fish`` fits the films of ``fish/trials.yaml`` with both programs,
+simulates the drive of these films and of ``fish/unseen.yaml`` from rest with both, and prints speeds and
+times. ``fish`` is the sample ``fishsim`` after ``swimid batch fish/plan.yaml -o fish/run``. MuJoCo has the
 masses, lengths and hinges of the robot file. Its water is the ellipsoid model with five coefficients, common
 to the links. The stiffness of the fin is the sixth parameter.
 """
@@ -121,13 +122,17 @@ def segments(name: str, log: pd.DataFrame, spec: mujoco.MjSpec) -> sysid.ModelSe
     return sysid.ModelSequences(name, spec, names, states, controls, measured)
 
 
-def main(path: Path) -> None:
+def main(folder: Path) -> None:
     """Print the speeds of all trials by both programs, and the durations of the fits."""
     warnings.simplefilter("ignore")
-    file = yaml.safe_load(path.read_text())
-    spec = mujoco.MjSpec.from_string(xml(path.parent / file["robot"]))
-    logs = {entry["id"]: pd.read_csv(path.parent / entry["log"]) for entry in file["trials"]}
-    fitted = [entry["id"] for entry in file["trials"] if entry["role"] == "fit"]
+    files = [yaml.safe_load((folder / name).read_text()) for name in ("trials.yaml", "unseen.yaml")]
+    entries = [{"role": "fit", **entry} for file in files for entry in file["trials"]]
+    spec = mujoco.MjSpec.from_string(xml(folder / files[0]["robot"]))
+    logs = {}
+    for entry in entries:
+        log = pd.read_csv(folder / entry["log"], comment="#")
+        logs[entry["id"]] = log.interpolate(limit_direction="both")
+    fitted = [entry["id"] for entry in entries if entry["role"] == "fit"]
     begin = time.perf_counter()
     residuals = sysid.build_residual_fn(models_sequences=[segments(n, logs[n], spec) for n in fitted])
     rng, fits = np.random.default_rng(0), []
@@ -143,19 +148,19 @@ def main(path: Path) -> None:
             print(f"start {start}: {error}")
     found = min(fits, key=lambda one: float(np.sum(residuals(one[1].x, one[0])[0][0] ** 2)))[0]
     middle = time.perf_counter()
-    swimid.fit_graybox(path, freed=["camera_rotation"], starts=8, output=path.parent / "own.yaml")
+    swimid.fit_graybox(folder / "trials.yaml", freed=["camera_rotation"], output=folder / "own.yaml")
     end = time.perf_counter()
     print({name: round(float(p.value[0]), 4) for name, p in found.items()})
     print(f"mujoco.sysid {middle - begin:.0f} s, swimid {end - middle:.0f} s")
     model = sysid.apply_param_modifiers(found, spec)
     print("trial   role      measured m/s   mujoco.sysid   swimid")
-    for entry in file["trials"]:
+    for entry in entries:
         hertz, degrees = entry["drive"]["frequency_hz"], entry["drive"]["amplitude_deg"]
         log = logs[entry["id"]]
         rows = round(int(log["t_s"].iloc[-1] * hertz) / hertz / np.median(np.diff(log["t_s"])))
         moved = log[["x_m", "y_m"]].iloc[[0, rows]].to_numpy()
         measured = float(np.hypot(*(moved[1] - moved[0])) / log["t_s"].iloc[rows])
-        ours = simulated(path.parent / "own.yaml", hertz, degrees)
+        ours = simulated(folder / "own.yaml", hertz, degrees)
         theirs = run(model, hertz, np.radians(degrees))
         print(f"{entry['id']:7s} {entry['role']:9s} {measured:12.4f} {theirs:14.4f} {ours:8.4f}")
 

@@ -1,11 +1,10 @@
 """Recordings made by others, as swimid logs with a trials file.
 
 The tail-actuated fish of Michigan State University (DerivativeBasedKoopman, MIT licence), the single
-and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence), zig-zags of a model of the tanker KVLCC2
-by MARIN (SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), and tracked
-points of a tendon-driven fish (srl-ethz/fishsim, MIT licence). As a program it writes all of them:
-``python -m tests.generators.real_logs DATA FOLDER``. Recordings with a known gap are in
-``tests.real_gaps``.
+and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence), and zig-zags of a model of the tanker
+KVLCC2 by MARIN (SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models). As a
+program it writes all of them: ``python -m tests.generators.real_logs DATA FOLDER``. Recordings with a known gap
+are in ``tests.real_gaps``.
 """
 
 from __future__ import annotations
@@ -17,11 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from scipy.io import loadmat
-
-import swimid
 
 Array = NDArray[np.float64]
 
@@ -291,94 +287,6 @@ def write_zigzags(folder: Path, data: Path, *, held_out: Collection[str] = ("p10
     return _trials(folder / "trials.yaml", "free-swim", os.path.relpath(robot, folder), entries)
 
 
-#: Stated beats of the films of the tendon-driven fish, Hz.
-FILMS = ("0_50", "1_00", "1_75", "2_00")
-#: Films that are fitted, by name of the trials file: those of the example of its authors, and the others.
-FITTED = {"trials.yaml": ("1_00", "1_75"), "swapped.yaml": ("0_50", "2_00")}
-#: Measured beat over the stated one, which is 0.7497 ± 0.0004 in the fitted film of more than four cycles.
-#: The motor or the clock of the camera is a quarter off.
-BEAT_RATIO = 0.75
-#: Pictures per second, and distance of the first two points, which sit on the rigid head.
-FILM_RATE_HZ, HEAD_M = 60.0, 0.142
-#: Labels of the tail that lie on the label behind them in a whole film, as SWM121 says if all are imported.
-MERGED = {"2_00": ("p4", "p5", "p6")}
-
-
-def write_fishsim_map(folder: Path) -> Path:
-    """Mapping of a film of the tendon-driven fish: x and y of nine points in each row, y downwards.
-
-    Returns
-    -------
-    Path
-        The mapping file.
-    """
-    columns = []
-    for point in range(9):
-        columns.append({"source": 2 * point + 1, "target": f"p{point}_x_px", "unit": "px"})
-        columns.append({"source": 2 * point + 2, "target": f"p{point}_y_px", "unit": "px", "factor": -1})
-    mapping = {"format": "swimid-mapping/1", "reader": {"header": False}, "time": {"rate_hz": FILM_RATE_HZ}}
-    path = folder / "map.yaml"
-    path.write_text(yaml.safe_dump({**mapping, "columns": columns}, sort_keys=False, default_flow_style=None))
-    return path
-
-
-def write_tendon_fish(folder: Path, data: Path) -> Path:
-    """Logs and trials file of the tendon-driven fish: ``swimid import`` of each film with its robot file.
-
-    The places of the points on the links differ from film to film. They are estimated, and the mean of each
-    joint angle, which depends on them, is removed. The amplitude of the drive is the mean of the tail's
-    amplitudes in the fitted films. ``swapped.yaml`` fits the films that ``trials.yaml`` holds out.
-
-    Returns
-    -------
-    Path
-        The trials file. Mapping and points files are in the same folder.
-    """
-    robot = Path(__file__).parents[2] / "docs" / "examples" / "fishsim.yaml"
-    mapping = write_fishsim_map(folder)
-    places = yaml.safe_load(robot.read_text())["multilink"]["points"]
-    scale = {"format": "swimid-points/1", "scale": {"between": ["p0", "p1"], "distance_m": HEAD_M}}
-    amplitudes = {}
-    for film in FILMS:
-        spec, content = folder / "points.yaml", scale
-        if film in MERGED:
-            spec = folder / f"points{film}.yaml"
-            content = {**scale, "points": {k: v for k, v in places.items() if k not in MERGED[film]}}
-        spec.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
-        source = data / "fishsim" / f"markers_f{film}.csv"
-        log = swimid.import_log(
-            source, map_path=mapping, robot=str(robot), points=spec, calibrate_points=True
-        ).frame
-        rows = {name: log[name].to_numpy() for name in ("t_s", "x_m", "y_m", "yaw_rad")}
-        for name in ("joint1_rad", "joint2_rad"):
-            mean, amplitude = _mean_and_amplitude(rows["t_s"], log[name].to_numpy(), _beat_hz(film))
-            rows[name] = log[name].to_numpy() - mean
-            amplitudes[name, film] = amplitude
-        _write(folder / f"f{film}.csv", rows)
-    for name, fitted in FITTED.items():
-        degrees = np.degrees(np.mean([amplitudes["joint1_rad", film] for film in fitted]))
-        entries = []
-        for film in FILMS:
-            role = "fit" if film in fitted else "validate"
-            drive = f"{{frequency_hz: {_beat_hz(film)}, amplitude_deg: {degrees:.2f}, ramp_s: 0}}"
-            start = f"start_state: steady, drive: {drive}"
-            entries.append(f"id: f{film}, log: f{film}.csv, role: {role}, {start}")
-        _trials(folder / name, "free-swim", os.path.relpath(robot, folder), entries)
-    return folder / "trials.yaml"
-
-
-def _beat_hz(film: str) -> float:
-    return BEAT_RATIO * float(film.replace("_", "."))
-
-
-def _mean_and_amplitude(time_s: Array, angle: Array, frequency_hz: float) -> tuple[float, float]:
-    turn = 2 * np.pi * frequency_hz * time_s
-    design = np.column_stack([np.ones_like(turn), np.cos(turn), np.sin(turn)])
-    known = np.isfinite(angle)
-    weights, *_ = np.linalg.lstsq(design[known], angle[known], rcond=None)
-    return float(weights[0]), float(np.hypot(weights[1], weights[2]))
-
-
 def _write(path: Path, columns: dict[str, Array]) -> None:
     header = ",".join(columns)
     np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=header, comments="")
@@ -401,8 +309,6 @@ def main(data: Path, folder: Path) -> None:
     print(write_fish(folder / "rates", mild(read_fish(data)), Path(robot), lag_rad=LAG_RAD, rates_only=True))
     robot = os.path.relpath(examples / "double-pendulum.yaml", folder / "pendulum")
     print(write_pendulum(folder / "pendulum", read_pendulum(data, 2)[0], Path(robot)))
-    (folder / "fishsim").mkdir(parents=True, exist_ok=True)
-    print(write_tendon_fish(folder / "fishsim", data))
     if (data / "kvlcc2_zigzag").is_dir():
         (folder / "ship").mkdir(parents=True, exist_ok=True)
         print(write_zigzags(folder / "ship", data))
