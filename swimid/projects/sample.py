@@ -57,6 +57,8 @@ def sample(
         Folder for the copy, by default a folder in the working folder with the name of the sample.
     force : bool
         Whether the folder may have content. Files of the same names are replaced.
+    progress : Progress
+        Progress display of the download.
 
     Returns
     -------

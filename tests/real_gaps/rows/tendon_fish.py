@@ -8,7 +8,8 @@ from tests.real_gaps.row import Known, Row, Sources, size_of, write_trials
 
 #: Films by stated beat in Hz: fitted with the measured beat, and diagnosed with the stated one.
 FITTED, DIAGNOSED = ("1_00", "1_75"), ("0_50", "2_00")
-#: Measured over stated beat, by the films of more than four cycles; amplitude of the tail in the fitted films.
+#: Measured over stated beat, by the films of more than four cycles; amplitude of the tail in the fitted
+#: films.
 RATIO, AMPLITUDE_DEG = 0.7497, 28.8
 
 
