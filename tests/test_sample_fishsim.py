@@ -216,6 +216,15 @@ def fish(real_data: Path, tmp_path: Path) -> Path:
     return folder
 
 
+def test_the_plan_finds_the_robot_beside_itself(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
+    folder = tmp_path / "fish"
+    shutil.copytree(SAMPLES / "fishsim", folder)
+    (folder / "markers_f1_00.csv").write_text("1,2\n")
+    ran = swimid("batch", folder / "plan.yaml", "-o", tmp_path / "run", "--dry-run")
+    assert ran.status == 0, ran.err
+    assert "--robot ../../../fish/robot.yaml" in ran.out
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::swimid.notices.SwimidWarning")
 def test_speeds_of_the_fish(fish: Path, swimid: Callable[..., Ran]) -> None:
