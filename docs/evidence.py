@@ -186,12 +186,26 @@ def real_gaps() -> str:
     return table(head, rows)
 
 
+def first_screen() -> str:
+    """Return the sentences of the first screen on real gaps."""
+    data = read("real")
+    counts = data["right"].value_counts()
+    wrong = int((data["right"].isin(["no", "partly"]) & data["verdict"].isin(["explained", "none"])).sum())
+    said = "none" if not wrong else str(wrong)
+    return (
+        f"In {len(data)} recordings of other laboratories one known thing differs from the model. `diagnose` "
+        f"gives the right answer in {counts.get('yes', 0)}, and in {counts.get('listed', 0)} more lists it "
+        f"among causes that the trials do not separate. In {said} it is sure of a wrong one."
+    )
+
+
 #: Page and function of each table, by the name in the comments of the page.
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "summary": ("trust.md", summary),
     "mutants": ("trust.md", whole("mutants")),
     "blind": ("diagnose-method.md", whole("blind")),
     "simulators": ("your-simulator.md", whole("simulators")),
+    "first-screen": ("../README.md", first_screen),
     "real": ("real-gaps.md", real_gaps),
 }
 

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 from tests.real_gaps.row import Known, Row, Sources, size_of, write_trials
 
+SAMPLE = Path(__file__).parents[3] / "sample_logs" / "fishsim"
 #: Films by stated beat in Hz: fitted with the measured beat, and diagnosed with the stated one.
 FITTED, DIAGNOSED = ("1_00", "1_75"), ("0_50", "2_00")
 #: Measured over stated beat, by the films of more than four cycles; amplitude of the tail in the fitted
 #: films.
 RATIO, AMPLITUDE_DEG = 0.7497, 28.8
+
+
+def take(sources: Sources, folder: Path) -> None:
+    """Copy the sample of the fish, and the films."""
+    shutil.copytree(SAMPLE, folder / "fish", dirs_exist_ok=True)
+    for film in (*FITTED, *DIAGNOSED):
+        shutil.copy(sources.recording(f"fishsim/markers_f{film}.csv"), folder / "fish")
 
 
 def write(_sources: Sources, folder: Path) -> None:
@@ -32,7 +41,7 @@ ROWS = (
         source="srl-ethz/fishsim",
         licence="MIT",
         steps=(
-            "sample fishsim fish --from {data}/fishsim",
+            take,
             *(
                 f"import fish/markers_f{film}.csv --map fish/map.yaml --robot fish/robot.yaml"
                 f" --points fish/points.yaml --calibrate-points -o f{film}.csv"
