@@ -16,7 +16,7 @@ import pytest
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import verdict
 from swimid.diagnosis.evidence import Diagnosis
-from swimid.diagnosis.gap_file import Closed, GapFile, HeldOut, Value
+from swimid.diagnosis.gap_file import Closed, GapFile, HeldOut, HypothesisRow, Score, Value
 from swimid.effects import catalogue
 from swimid.fitting.model import Hooks, Model, Trial
 from swimid.results import evidence as ev
@@ -359,6 +359,20 @@ def test_the_methods_cite_what_was_done() -> None:
     assert "each of 8 of 9 candidate effects" in text
     silent = cases.evidence(cases.NONE)
     assert not any("Box" in r for r in silent.references)
+
+
+def test_effects_with_equal_residuals_share_a_row() -> None:
+    alone = {"current": [5.0, 6.0], "camera-scale": [5.0, 6.0], "wall": [5.0, 7.0]}
+    gap = replace(
+        cases.NONE,
+        scores=[Score(effect=name, probability=0.3) for name in alone],
+        hypotheses=[
+            HypothesisRow(effects=[], deviances=[9.0, 9.0]),
+            *(HypothesisRow(effects=[name], deviances=own) for name, own in alone.items()),
+        ],
+    )
+    (table,) = (t for t in cases.evidence(gap).tables if t.id == "scores")
+    assert [(row[0], row[3]) for row in table.rows] == [("current or camera-scale", "60 %"), ("wall", "30 %")]
 
 
 def test_effects_that_cannot_be_evaluated_are_listed() -> None:

@@ -18,10 +18,12 @@ from swimid.diagnosis.gap_file import (
     Cell,
     ChangedValue,
     GapFile,
+    Score,
     Step,
     Value,
 )
 from swimid.diagnosis.nominal import PREFIX
+from swimid.diagnosis.posterior import Candidate, are_twins
 from swimid.diagnosis.verdict import interval_text, otherwise_text
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
@@ -309,20 +311,45 @@ def _coefficients(file: GapFile) -> ev.Table:
     return _table("coefficients", title, columns, rows, caption)
 
 
+def _twins(file: GapFile) -> list[list[Score]]:
+    """Return the effects in groups whose members leave the same residuals, in the order of the scores."""
+    alone = {
+        h.effects[0]: Candidate(frozenset(h.effects), np.array(h.deviances, dtype=float))
+        for h in file.hypotheses
+        if len(h.effects) == 1
+    }
+    plain = sum(v or 0.0 for h in file.hypotheses if not h.effects for v in h.deviances)
+    groups: list[list[Score]] = []
+    for score in file.scores:
+        mine = alone.get(score.effect)
+        # An effect that changes nothing leaves the residuals of the model without effects.
+        if mine is not None and mine.deviance < plain:
+            same = (g for g in groups if g[0].effect in alone and are_twins(mine, alone[g[0].effect]))
+            if group := next(same, None):
+                group.append(score)
+                continue
+        groups.append([score])
+    return groups
+
+
 def _scores(file: GapFile) -> ev.Table:
     rows: Rows = []
-    for s in file.scores:
-        gain = ""
+    for group in _twins(file):
+        s, gain = group[0], ""
         if s.gain is not None:
             gain = numbers.measured(s.gain, s.stderr)
-        about = [s.effect, s.stage or "", s.variant, probability_text(s.probability), gain]
+        probability = min(sum(one.probability or 0.0 for one in group), 1.0)
+        stages = dict.fromkeys(one.stage for one in group if one.stage)
+        names = " or ".join(dict.fromkeys(one.effect for one in group))
+        about = [names, ", ".join(stages), s.variant, probability_text(probability), gain]
         rows.append([*about, *_percents(s.absorbed)])
     rows += [[name, "", why, "", "", None] for name, why in file.left_out.items()]
     columns = "effect | stage | form | probability | held-out gain ± sd | imitated (%)"
     caption = (
         "Probability: that it is among the causes. Gain: decrease of minus twice the log predictive density "
         "of held-out data by the effect alone. Imitated: share of its signature that the "
-        "refitted coefficients reproduce."
+        "refitted coefficients reproduce. Effects that leave the same residuals share a row, a prior and the "
+        "sum of their probabilities; form, gain and imitation are those of the first."
     )
     return _table("scores", "Every effect that was tried", columns, rows, caption)
 
