@@ -16,7 +16,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -41,12 +41,15 @@ EQUATION_PX = 17
 
 #: Title of each page of the Python reference, and the public names on it.
 PYTHON = {
-    "Start": ("init", "sample"),
+    "Start": ("init", "sample", "robot"),
     "Trials, logs and robots": (
         "load", "read_log", "read_robot", "built_in_robots", "TrialSet", "Log", "Robot",
     ),
-    "Make logs": ("track_video", "track_setup", "track_imu", "import_log", "guess_mapping", "plot", "Logged"),
-    "Identify": ("fit_drag", "fit_propulsion", "fit_graybox", "rwls", "Fitted"),
+    "Make logs": (
+        "track_video", "track_setup", "track_camera", "Calibration", "track_imu", "import_log",
+        "guess_mapping", "plot", "Logged",
+    ),
+    "Identify": ("fit_drag", "fit_propulsion", "fit_graybox", "rwls", "fit", "Fitted"),
     "Simulate and compare": ("simulate", "Simulation", "compare", "Comparison"),
     "Diagnose": ("diagnose", "Diagnosis", "DetectionPower", "sensitivity", "Sensitivity"),
     "Put to work": (
@@ -181,7 +184,7 @@ def object_text(name: str, item: Any) -> Iterator[str]:
     for member, value in vars(item).items():
         if member.startswith("_") or not (doc := inspect.getdoc(getattr(item, member))):
             continue
-        if isinstance(value, property):
+        if isinstance(value, property | cached_property):
             yield f"### .{member} {{ #{slug(name)}.{member} }}\n"
         elif inspect.isroutine(value):
             yield f"### .{member}() {{ #{slug(name)}.{member} }}\n"
