@@ -19,6 +19,8 @@ from pathlib import Path
 import pandas as pd
 from ruamel.yaml import YAML
 
+from swimid.results import numbers
+
 DOCS = Path(__file__).parent
 MEASURED = DOCS / "measured"
 #: Word in the quantity of a row of coverage.csv that counts false alarms.
@@ -168,22 +170,16 @@ def real_gaps() -> str:
     """Return the table of real gaps in the columns that fit a page."""
     rows = []
     for name, row in read("real").iterrows():
-        size = " ± ".join(number for number in (row["size"], row["stderr"]) if number)
-        known = f"{row['known']} {row['unit'].removeprefix('1')}".strip() if row["known"] else ""
-        rows.append(
-            [
-                name,
-                row["lacks"],
-                f"`{row['verdict']}`",
-                row["causes"],
-                row["right"],
-                size,
-                known,
-                row["closed"],
-            ]
-        )
-    head = ["recording", "lacks", "verdict", "causes", "right", "size", "known", "closed"]
-    return table(head, rows)
+        size = known = closed = ""
+        unit = row["unit"].removeprefix("1")
+        if row["size"]:
+            size = numbers.measured(float(row["size"]), float(row["stderr"] or "nan"))
+        if row["known"]:
+            known = f"{numbers.number(float(row['known']), 3)} {unit}".strip()
+        if row["closed"]:
+            closed = numbers.percent(float(row["closed"]), 2)
+        rows.append([name, row["lacks"], row["verdict"], row["causes"], row["right"], size, known, closed])
+    return table(["recording", "lacks", "verdict", "causes", "right", "size", "known", "closed"], rows)
 
 
 def first_screen() -> str:
