@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import datetime
 import importlib.util
 import os
@@ -141,6 +142,17 @@ def test_every_page_is_in_the_navigation_once() -> None:
     written = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")]
     made = [name for name in nav if name.startswith("reference/")]
     assert sorted(nav) == sorted([*written, *made, "CONTRIBUTING.md", "CHANGELOG.md"])
+
+
+def test_the_reference_lists_every_public_name_once() -> None:
+    tree = ast.parse((DOCS / "make_site.py").read_text(encoding="utf-8"))
+    (value,) = (
+        node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and [ast.unparse(t) for t in node.targets] == ["PYTHON"]
+    )
+    listed = [name for names in ast.literal_eval(value).values() for name in names]
+    assert sorted(listed) == sorted(NAMES)
 
 
 def _alike(row: str, other: str) -> bool:
