@@ -80,8 +80,8 @@ def real() -> Figures:
     named = (data["right"] == "yes").sum()
     listed = named + (data["right"] == "listed").sum()
     return [
-        ("the right answer", share(named, len(data))),
-        ("the same, or among causes that the trials do not separate", share(listed, len(data))),
+        ("the right answer is named first", share(named, len(data))),
+        ("the same, or listed as not separable from the first", share(listed, len(data))),
         ("`explained` with a wrong cause, or `none`", share(wrong.sum(), len(data))),
     ]
 
@@ -190,8 +190,8 @@ def first_screen() -> str:
     said = "none" if not wrong else str(wrong)
     return (
         f"In {len(data)} recordings of other laboratories one known thing differs from the model. `diagnose` "
-        f"gives the right answer in {counts.get('yes', 0)}, and in {counts.get('listed', 0)} more lists it "
-        f"among causes that the trials do not separate. In {said} it is sure of a wrong one."
+        f"names the right answer first in {counts.get('yes', 0)}, and in {counts.get('listed', 0)} more lists "
+        f"it as not separable from the first. In {said} it is sure of a wrong one."
     )
 
 
