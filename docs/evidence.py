@@ -190,8 +190,8 @@ def first_screen() -> str:
     said = "none" if not wrong else str(wrong)
     return (
         f"In {len(data)} recordings of other laboratories one known thing differs from the model. `diagnose` "
-        f"names the right answer first in {counts.get('yes', 0)}, and in {counts.get('listed', 0)} more lists "
-        f"it as not separable from the first. In {said} it is sure of a wrong one."
+        f"names the right answer first in {counts.get('yes', 0)}, and in {counts.get('listed', 0)} more "
+        f"lists it as not separable from the first. In {said} it is sure of a wrong one."
     )
 
 
