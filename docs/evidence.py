@@ -73,16 +73,20 @@ def share(part: float, whole: float) -> str:
 # ---------------------------------------------------------------- figures of each measurement
 
 
+def surely_wrong(data: pd.DataFrame) -> int:
+    """Return the number of real gaps of which the answer is sure of a wrong cause, or of none."""
+    return int((data["right"].isin(["no", "partly"]) & data["verdict"].isin(["explained", "none"])).sum())
+
+
 def real() -> Figures:
     """Return how often the known cause of a real gap is named."""
     data = read("real")
-    wrong = data["right"].isin(["no", "partly"]) & data["verdict"].isin(["explained", "none"])
     named = (data["right"] == "yes").sum()
     listed = named + (data["right"] == "listed").sum()
     return [
         ("the right answer is named first", share(named, len(data))),
         ("the same, or listed as not separable from the first", share(listed, len(data))),
-        ("`explained` with a wrong cause, or `none`", share(wrong.sum(), len(data))),
+        ("`explained` with a wrong cause, or `none`", share(surely_wrong(data), len(data))),
     ]
 
 
@@ -186,8 +190,7 @@ def first_screen() -> str:
     """Return the sentences of the first screen on real gaps."""
     data = read("real")
     counts = data["right"].value_counts()
-    wrong = int((data["right"].isin(["no", "partly"]) & data["verdict"].isin(["explained", "none"])).sum())
-    said = "none" if not wrong else str(wrong)
+    said = surely_wrong(data) or "none"
     return (
         f"In {len(data)} recordings of other laboratories one known thing differs from the model. `diagnose` "
         f"names the right answer first in {counts.get('yes', 0)}, and in {counts.get('listed', 0)} more "

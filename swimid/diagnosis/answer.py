@@ -516,9 +516,9 @@ def parameter_errors(study: Study, fit: Hypothesis) -> Mapping[str, float]:
     The sum of a model parameter and its change has a standard error of its own, labelled with the name of the
     effect.
     """
-    sums = {e.name: (e.adds_to, f"{e.name}/change") for e in fit.effects if e.adds_to is not None}
+    sums = [label.removesuffix("/change") for label in fit.changes.values()]
     # Each row of the matrix selects one parameter, or sums a model parameter and its change.
-    rows = [np.isin(fit.labels, parts) for parts in sums.values()]
+    rows = [np.isin(fit.labels, parts) for parts in fit.changes.items()]
     combined = np.vstack((np.eye(len(fit.labels)), *rows))
     variance = np.einsum("ij,jk,ik->i", combined, crossval.covariance(study, fit), combined)
     sd = np.sqrt(np.maximum(variance, 0.0))

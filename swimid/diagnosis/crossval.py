@@ -371,8 +371,9 @@ def covariance(study: Study, fit: Hypothesis) -> Array:
     steps = (step(equations.rest) - step(equations.whole))[..., 0]
     # Replace each change by its sum with the parameter, for the comparison with the jackknife.
     sums = np.eye(len(found))
-    for name, change in changes(fit).items():
-        sums[fit.labels.index(change), fit.labels.index(name)] = 1.0
+    for name, change in fit.changes.items():
+        if name in fit.labels:
+            sums[fit.labels.index(change), fit.labels.index(name)] = 1.0
     found, steps = sums @ found @ sums.T, steps @ sums[np.ix_(shared, shared)].T
     few = float(special.stdtrit(count - 1, 0.975)) / NORMAL
     jackknife = few * np.sqrt((count - 1) / count * np.sum(steps**2, axis=0))
@@ -380,12 +381,6 @@ def covariance(study: Study, fit: Hypothesis) -> Array:
     factor[shared] = np.fmax(jackknife / np.sqrt(np.maximum(np.diag(found)[shared], 1e-300)), 1.0)
     back = 2.0 * np.eye(len(found)) - sums
     return np.asarray(back @ (factor[:, None] * found * factor) @ back.T)
-
-
-def changes(fit: Hypothesis) -> dict[str, str]:
-    """Return the labels of the changes of parameters in a hypothesis, by the label of the parameter."""
-    named = {e.adds_to: f"{e.name}/change" for e in fit.effects if e.adds_to is not None}
-    return {name: change for name, change in named.items() if name in fit.labels}
 
 
 def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int) -> Drawn:

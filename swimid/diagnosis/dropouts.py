@@ -31,8 +31,8 @@ FROZEN, MOVED = 4, 6.0
 CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 #: Minimum number of samples of a channel in which failed samples are detected.
 FEWEST = 60
-#: Maximum fraction of jumped and displaced samples of a channel in a trial. Their detection
-#: rests on medians, which break down with more than half of outliers. The model causes a larger fraction.
+#: Maximum fraction of jumped and displaced samples of a channel in a trial. Their detection rests on
+#: medians, which break down with more than half of outliers. A larger fraction is an error of the model.
 MAX_JUMPED_SHARE = 0.5
 #: Minimum offset of the residuals of a displaced segment, in robust standard deviations of the differences
 #: between successive residuals.

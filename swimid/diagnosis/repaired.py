@@ -63,11 +63,10 @@ def parameters(
     for e in named:
         for name, value in causes[e.name].parameters.items():
             status[e.adds_to or f"{e.name}/{name}"] = value.status
-    changes = {e.adds_to: f"{e.name}/change" for e in named if e.adds_to is not None}
     errors = parameter_errors(search.study, fit)
     shared = [p for p in search.study.parameters if not p.per_trial]
     written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
-    found = {p.name: _estimate(fit, p, changes.get(p.name), errors, status) for p in written}
+    found = {p.name: _estimate(fit, p, fit.changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
     answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
     said = [
@@ -82,7 +81,7 @@ def parameters(
         effects=[e.name for e in (*model.effects, *acting)],
         parameters=found,
         identifiability=said,
-        correlation=_correlation(search, fit, found, changes),
+        correlation=_correlation(search, fit, found),
         settings=_settings(loaded, [*model.effects, *acting], {**readings, **answers}),
         fit=_fit_block(search, fit, loaded),
         provenance=dict(provenance),
@@ -149,15 +148,13 @@ def _estimate(
     return entry
 
 
-def _correlation(
-    search: Search, fit: Hypothesis, found: Mapping[str, Estimate], changes: Mapping[str, str]
-) -> Correlation | None:
+def _correlation(search: Search, fit: Hypothesis, found: Mapping[str, Estimate]) -> Correlation | None:
     """Return the correlation matrix of the estimates that have a standard error; None for fewer than two."""
     names = [name for name, one in found.items() if one.stderr]
     if len(names) < 2:
         return None
     # Each row of the matrix selects one parameter, or sums a parameter and its change.
-    rows = np.array([np.isin(fit.labels, [n, changes.get(n, n)]) for n in names], dtype=float)
+    rows = np.array([np.isin(fit.labels, [n, fit.changes.get(n, n)]) for n in names], dtype=float)
     whole = covariance(search.study, fit)
     part: Array = rows @ whole @ rows.T
     sd = np.sqrt(np.diag(part))

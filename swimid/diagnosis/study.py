@@ -216,6 +216,11 @@ class Hypothesis:
         return np.asarray((self.theta > self.problem.lower) & (self.theta < self.problem.upper))
 
     @property
+    def changes(self) -> dict[str, str]:
+        """Return the label of the change of each changed parameter, by the name of the parameter."""
+        return {e.adds_to: f"{e.name}/change" for e in self.effects if e.adds_to is not None}
+
+    @property
     def is_imitating(self) -> bool:
         """Return whether a parameter is near a bound at which its effect could imitate others.
 

@@ -243,7 +243,7 @@ def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None
         rows = cycle == number
         if rows.sum() >= MIN_FRAMES and np.ptp(t[rows]) > 0.8 / frequency_hz:
             own = _sine(t[rows], x[rows], frequency_hz)[0]
-            # component along the sine of all samples
+            # Take the component along the sine of all samples.
             sizes.append(float(own[1:3] @ weights[1:3] / np.hypot(*weights[1:3])))
     size = float(np.hypot(*weights[1:3]))
     half = stderr = math.nan

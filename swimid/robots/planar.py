@@ -521,7 +521,7 @@ class Rudder(RudderLaw):
     inflow_at_m: Quantity | None = None
 
 
-class MovingMass(OnLink):
+class MovingMassLaw(OnLink):
     """Mass that an input moves along a line of a link, as the battery of a glider.
 
     It moves the centre of mass and changes the inertia of the link. Its acceleration pushes the link back.
@@ -531,13 +531,18 @@ class MovingMass(OnLink):
     kind: Literal["moving-mass"]
     input: str
     mass_kg: Quantity
+    #: Whether the weight of the mass acts, which moves with it. In a plane only if it is vertical.
+    weighs: bool = False
+
+
+class MovingMass(MovingMassLaw):
+    """Moving mass of a robot in a plane."""
+
     #: Place of the mass for an input of 0: its station and offset.
     at_m: Quantity
     offset_m: Quantity = 0.0
     #: Displacement of the mass for an input of 1, forward and to port (upwards in the vertical plane).
     travel_m: tuple[Quantity, Quantity] = (1.0, 0.0)
-    #: Whether the weight of the mass acts, which moves with it. Only in the vertical plane.
-    weighs: bool = False
 
 
 #: Pattern of the name of a hydrodynamic derivative: a component, velocities with or without absolute value,

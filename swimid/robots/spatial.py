@@ -22,6 +22,7 @@ from swimid.robots.planar import (
     DerivativeTerms,
     Holder,
     Input,
+    MovingMassLaw,
     OnLink,
     PropellerLaw,
     Quantity,
@@ -266,22 +267,13 @@ class Rudder(RudderLaw):
         return self
 
 
-class MovingMass(OnLink):
-    """Mass that an input moves along a line of a link, as the battery of a glider.
+class MovingMass(MovingMassLaw):
+    """Moving mass of a robot in space."""
 
-    It moves the centre of mass and changes the inertia of the link. Its acceleration pushes the link back.
-    The mass of the link does not include it. The input is a position, by default in m.
-    """
-
-    kind: Literal["moving-mass"]
-    input: str
-    mass_kg: Quantity
     #: Place of the mass for an input of 0.
     at_m: Vector
     #: Displacement of the mass for an input of 1.
     travel_m: Vector = (1.0, 0.0, 0.0)
-    #: Whether the weight of the mass acts, which moves with it.
-    weighs: bool = False
 
 
 class Derivatives(DerivativeTerms):
