@@ -108,6 +108,7 @@ CODES: dict[str, str] = {
     "SWM174": "a picture of a calibration is not used",
     "SWM176": "an input has changed since it was read",
     "SWM178": "files of a download are missing",
+    "SWM179": "the mean of a joint angle may not be that of its swing",
 }
 
 

@@ -695,6 +695,32 @@ def test_a_real_film(real_data: Path, swimid: Run, tmp_path: Path) -> None:
     assert result["wave"]["wave_speed_m_s"] > 2 * result["speed"]["line_m_s"]
 
 
+def test_the_mean_of_a_part_of_a_swing_is_doubted(
+    swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The mean of 1.3 cycles is not that of the swing, and a turn of the tail would be lost with it."""
+    time = np.arange(0.0, 1.3 / 0.9, 1 / 60)
+    tip = 0.1 * time - 0.2 - 0.15 * np.exp(1j * (0.3 + 0.5 * np.sin(2 * np.pi * 0.9 * time + 0.4)))
+    still = np.zeros_like(time)
+    points = np.column_stack([0.1 * time, still, 0.1 * time - 0.2, still, tip.real, tip.imag])
+    table = pd.DataFrame(points, columns=[f"{name}_{axis}_m" for name in "abc" for axis in "xy"])
+    table += rng.normal(0.0, 0.0005, table.shape)
+    table.insert(0, "t_s", time)
+    table.to_csv(tmp_path / "film.csv", index=False)
+    for zero in ("stated", "mean"):
+        (tmp_path / "points.yaml").write_text(f"format: swimid-points/1\nchain: [a, b, c]\nzero: {zero}\n")
+        ran = swimid(
+            "import",
+            tmp_path / "film.csv",
+            "--points",
+            tmp_path / "points.yaml",
+            "-o",
+            tmp_path / f"{zero}.csv",
+        )
+        assert ran.status == 0, ran.err
+        assert ("SWM179" in ran.err) is (zero == "mean")
+
+
 @pytest.mark.parametrize("cycles", [2.4, 6.3])
 def test_joint_angles_relative_to_their_mean(
     swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator, cycles: float

@@ -134,10 +134,16 @@ class Posed:
                 continue
             angle = columns[name]
             swing = wave.measure_swing(self.time_s, angle, frequency_hz)
+            mean = float(np.nanmean(angle))
             if swing is not None:
-                self.swings[name] = swing
+                self.swings[name], mean = swing, swing.mean
+            elif self.zero == "mean":
+                text = (
+                    "zero: mean takes off the mean of all samples, because no two cycles of a swing are found"
+                )
+                warn("SWM179", f"{name}: {text}")
             if self.zero == "mean":
-                columns[name] = angle - (np.nanmean(angle) if swing is None else swing.mean)
+                columns[name] = angle - mean
 
     @property
     def noise_unit(self) -> str:
