@@ -413,51 +413,8 @@ class Search:
         )
         if names and not fit.cost <= parent.cost:
             # An added effect cannot increase the cost, because its null value gives the model without it.
-            fit = replace(fit, theta=self._as_parent(study, effects, parent), cost=parent.cost)
+            fit = replace(fit, theta=study.start(effects, parent), cost=parent.cost)
         return fit
-
-    @staticmethod
-    def _as_parent(study: Study, effects: Sequence[Effect], parent: Hypothesis) -> Array:
-        """Return the parameters with one more effect at which the simulation is that of the parent.
-
-        The effect has its null value. If it is the change of a parameter, the parameter is at its prior mean,
-        and the change is the rest.
-        """
-        changed, own = effects[-1].adds_to, {}
-        if changed in parent.labels and changed in study.prior:
-            mean = study.prior[changed][0]
-            own = {changed: mean, f"{effects[-1].name}/change": parent.value(changed) - mean}
-        return study.start(effects, parent, own)
-
-    def _lift(self) -> None:
-        """Start smooth hypotheses that are worse than the model without effects again at its parameters.
-
-        An effect cannot increase the deviance, because its null value gives the model without it. Where it
-        does, the fit ended far from its optimum.
-        """
-        study, null = self.study, self.null
-        worse = [
-            h
-            for h in self.pool.values()
-            if h.effects and h.deviance > null.deviance and all(e.smooth for e in h.effects)
-        ]
-        moved = [
-            self._moved(replace(h, theta=self._as_parent(study, h.effects, null)), study, null) for h in worse
-        ]
-        self._put_better(moved)
-        self.finish()
-
-    def _put_better(self, moved: Sequence[Hypothesis]) -> None:
-        """Add hypotheses to the pool where they are better than the same hypotheses in it."""
-
-        def one(h: Hypothesis) -> tuple[Array, Array, float]:
-            return h.deviance_parts
-
-        for h, found in zip(moved, map_in_processes(one, moved, self.study.jobs), strict=True):
-            vars(h).update(deviance_parts=found)
-            known = self.pool.get(h.key)
-            if known is None or h.deviance < known.deviance:
-                self._put(h)
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
         """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
@@ -499,12 +456,10 @@ class Search:
             self.posterior = self.weighed()
             likeliest = (h for h in self.best(len(self.posterior.best)) if h.names == self.posterior.best)
             self.base = next(likeliest, self.null)
-            before, null = len(self._returned), self.null
+            before = len(self._returned)
             for effect in self.base.effects:
                 self.without(self.base, effect)
-            if self.null is not null:
-                self._lift()
-            elif len(self._returned) == before:
+            if len(self._returned) == before:
                 return
 
     def best(self, size: int) -> list[Hypothesis]:
@@ -664,8 +619,28 @@ class Search:
         for known in (self.pool, self.screens, self._cosines, self._returned):
             known.clear()
         self._put(fit)
-        self._put_better([self._moved(h, study, fit) for h in kept])
-        self._lift()
+
+        def one(h: Hypothesis) -> tuple[Array, Array, float]:
+            return h.deviance_parts
+
+        def put(moved: Sequence[Hypothesis]) -> None:
+            for h, found in zip(moved, map_in_processes(one, moved, study.jobs), strict=True):
+                vars(h).update(deviance_parts=found)
+                known = self.pool.get(h.key)
+                if known is None or h.deviance < known.deviance:
+                    self._put(h)
+
+        put([self._moved(h, study, fit) for h in kept])
+        # An effect cannot increase the deviance, because its null value gives the model without it. Where it
+        # does, the parameters are far from their optimum with the other noise. A step from the null value
+        # finds it again if the effect is smooth.
+        worse = [
+            h
+            for h in self.pool.values()
+            if h.effects and h.deviance > fit.deviance and all(e.smooth for e in h.effects)
+        ]
+        put([self._moved(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
+        self.finish()
 
     def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the same parameters in another study.

@@ -65,9 +65,8 @@ class Buoyancy(Effect):
         return base.add_to_coefficient(values[0], "force")
 
 
-#: Maximum speed of the current, divided by the typical speed of the robot. A robot that holds its place is
-#: much slower than the current.
-MOST_CURRENT = 10.0
+#: Maximum speed of the current, divided by the typical speed of the robot.
+MOST_CURRENT = 3.0
 
 
 class Current(Effect):
