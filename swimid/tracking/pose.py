@@ -3,9 +3,9 @@
 A :class:`Plane` (lens, scale or homography, heights) maps pixels to metres, and :func:`build` returns the
 pose. Coordinates are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother with uneven steps, gaps
 and estimated noise (:func:`smooth_path`). The state of one coordinate is position and velocity (driven by
-white acceleration), or position, velocity and acceleration (driven by white jerk). The powers of the driving noise
-and of the measurement noise maximise the likelihood of the innovations. The model with the larger likelihood
-is used.
+white acceleration), or position, velocity and acceleration (driven by white jerk). The powers of the driving
+noise and of the measurement noise maximise the likelihood of the innovations. The model with the larger
+likelihood is used.
 
 The estimation of the noise, and the calibration of the standard deviation in gaps, run the filter hundreds of
 times. Therefore the filter is a compiled loop.
