@@ -273,7 +273,7 @@ def pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> Po
     except InputError as error:
         file = Path(error.file or "")
         if error.line is None and error.column and file.suffix.lower() in (".yaml", ".yml"):
-            raise robot_format.located(error, file) from error
+            raise robot_format.add_location(error, file) from error
         raise
 
 
