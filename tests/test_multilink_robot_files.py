@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import use_default
+from hypothesis import given
 
 from swimid.errors import InputError, SwimidError, UsageError
 from swimid.fitting import drives
@@ -329,7 +329,7 @@ def _survives(path: Path, content: bytes) -> None:
 class TestFuzz:
     def test_mutated(self, tmp_path: Path) -> None:
         @examples(150)
-        @use_default(content=mutated(ROBOT.encode()))
+        @given(content=mutated(ROBOT.encode()))
         def run(content: bytes) -> None:
             _survives(tmp_path / "x.yaml", content)
 
@@ -338,7 +338,7 @@ class TestFuzz:
     @pytest.mark.slow
     def test_rewritten(self, tmp_path: Path) -> None:
         @examples(60)
-        @use_default(content=rewritten(ROBOT.encode()))
+        @given(content=rewritten(ROBOT.encode()))
         def run(content: bytes) -> None:
             _survives(tmp_path / "x.yaml", content)
 
