@@ -59,7 +59,7 @@ def arithmetic(kernel: Kernel) -> tuple[int, int]:
     return packed, single
 
 
-def emitted(program: list[tuple[Any, ...]]) -> Any:
+def emit(program: list[tuple[Any, ...]]) -> Any:
     """Return a Python function that runs a program of a generated module on the work array."""
 
     def run(work: np.ndarray, lane: int, *given: float) -> None:
@@ -85,10 +85,10 @@ def emitted(program: list[tuple[Any, ...]]) -> Any:
 def uncompiled(kernel: Kernel) -> Any:
     """Return the generated module as Python, not compiled."""
     text = lanes.source_of(kernel.equations).replace("import numba", "")
-    text = text.replace("from swimid.swimmer.lanes import emitted", "")
+    text = text.replace("from swimid.swimmer.lanes import emit", "")
     names: dict[str, Any] = {
         "numba": SimpleNamespace(njit=lambda **_: lambda function: function),
-        "emitted": emitted,
+        "emit": emit,
     }
     exec(compile(text, "lanes", "exec"), names)
     return SimpleNamespace(integrate=names["integrate"])

@@ -738,7 +738,7 @@ class Kernel:
         derivative(state, row, *tables.values(), forced, time, *scratch, rate)
         after = Tracer()
         settled = array(after, "state", (self.size,))
-        on_symbols(self.engine.settled)(settled)
+        on_symbols(self.engine.correct_state)(settled)
         corrected = {j: x for j, x in enumerate(settled) if x.kind != "state"}
         ends = _select_operations(after.operations, corrected.values())
         return Traced(
