@@ -216,7 +216,7 @@ def test_priors_are_wider_under_another_reading(fish: Experiment, others: dict[s
     own, other = study.at((), np.array(plain.start)), study.at((reading,), np.array(read.start))
     searched.null = own
     searched.pool = {h.key: h for h in (own, other)}
-    candidates = searched.weighed().candidates
+    candidates = searched.compute_posterior().candidates
     assert [c.numbers for c in candidates] == [0, 0]
     assert [c.widening for c in candidates] == pytest.approx([0.0, np.log(0.6 * size / 0.1)])
 

@@ -160,7 +160,7 @@ def test_a_smaller_set_is_refitted_from_the_optimum_of_a_larger_one(rng: np.rand
     whole = study.fit((tone, slope), [study.start((tone, slope), null, own)])
     assert abs(caught.value("tone/frequency") - 2.0) > 1.0
     found.pool |= {h.key: h for h in (caught, whole)}
-    assert found.without(whole, slope).value("tone/frequency") == pytest.approx(2.0, abs=0.01)
+    assert found.refit_without(whole, slope).value("tone/frequency") == pytest.approx(2.0, abs=0.01)
     assert found.pool[caught.key].cost < caught.cost
     found.compare()
     assert found.base.names == {"tone"}
