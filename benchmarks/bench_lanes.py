@@ -79,7 +79,7 @@ def model_of(name: str) -> tuple[Swimmer, Trial]:
 
 def kernels_of(name: str) -> Swimmer:
     """A built-in robot with its kernels, not compiled."""
-    catalogue.catalogue()
+    catalogue.list_effects()
     return model_of(name)[0]
 
 
@@ -125,7 +125,7 @@ def bench_effects() -> None:
     assert isinstance(lanes, MultilinkModel)
     given = np.array([lanes.stated().get(p.name, p.start) for p in lanes.parameters])
     swims = [replace(trial, id=f"swim {k}", measured=scalar.simulate(given, trial)) for k in range(2)]
-    effects = [*catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3)]
+    effects = [*catalogue.list_effects(), ResidualForce("surge", 0.05, 0.3)]
     scalar.kernels.used = False
     lanes.prepare(effects=True)
     print(
