@@ -7,7 +7,7 @@ from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.files.provenance import Input
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.model import Model, Trial, chosen
+from swimid.fitting.model import Model, Trial, choose_parameters
 from swimid.fitting.options import FitOptions
 from swimid.logs.experiments import read_experiments
 from swimid.logs.trials import TrialSet
@@ -57,7 +57,7 @@ def fit(
     >>> import numpy as np
     >>> import pandas as pd
     >>> import swimid
-    >>> from swimid.fitting.fit_common import Experiment, read_log
+    >>> from swimid.fitting.fit_common import Experiment, read_trial_log
     >>> from swimid.logs.experiments import TrialEntry
     >>> class CoastingModel(swimid.Model):
     ...     name = "coasting"
@@ -80,7 +80,7 @@ def fit(
     >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
     >>> log = pd.DataFrame({"t_s": t, "x_m": way})
     >>> trials = swimid.load([{"log": log}], experiment=Coasting, robot="boxfish")
-    >>> round(fit(trials)["drag_per_m"].value, 2)
+    >>> round(fit_output_error(trials)["drag_per_m"].value, 2)
     0.5
     """
     if not isinstance(trials, TrialSet):
@@ -185,9 +185,9 @@ def fit_model(
         raise UsageError("there is no trial to fit")
     target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
     with recorded(repeat=True) as notices:
-        parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
-        result = output_error.fit(model, trials, parameters=parameters, progress=progress)
-        result = output_error.complete(result)
+        parameters = choose_parameters(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
+        result = output_error.fit_output_error(model, trials, parameters=parameters, progress=progress)
+        result = output_error.complete_fit(result)
         settings = {
             "fixed": dict(fixed or {}),
             "freed": list(freed),
@@ -202,7 +202,7 @@ def fit_model(
     if robot:
         title += f" of {robot}"
     said = (
-        f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
+        f"{', '.join(result.common_labels)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
         f"by output-error maximum likelihood with the model {model.name}."
     )
     shown = {"figures": fit_common.figures(result), "methods": [said, fit_common.COVARIANCE]}

@@ -538,7 +538,7 @@ def measured_and_simulated(
     unit of the figure.
     """
     drawn: list[Panel] = []
-    for name, s in extremes(shown, lambda s: rms(s.weighted)).items():
+    for name, s in extremes(shown, lambda s: rms(s.z_scores)).items():
         known = apart(s.time_s, s.measured)
         x, y = thinned(s.time_s, factor * s.simulated, POINTS)
         traces = pair((s.time_s[known], x), (factor * s.measured[known], y))
@@ -597,12 +597,12 @@ def residuals(
     It shows the trials with the largest errors. If ``correlation`` is given, a second panel shows the
     autocorrelation of the residuals.
     """
-    worst = sorted(range(len(shown)), key=lambda k: -rms(shown[k].weighted))[:MAX_ROWS]
+    worst = sorted(range(len(shown)), key=lambda k: -rms(shown[k].z_scores))[:MAX_ROWS]
     rows = [shown[k] for k in sorted(worst)]
     mixed = len({s.role for s in rows}) > 1
     traces: list[Trace] = []
     for k, s in enumerate(rows):
-        x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
+        x, y = thinned(s.time_s, np.clip(s.z_scores, -ROW_SD, ROW_SD), POINTS)
         group, label = 0, "fitted" if mixed else "residuals"
         if s.role != "fit":
             group, label = 1, "held out"
