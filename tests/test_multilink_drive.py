@@ -108,7 +108,7 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
 
 
 def test_one_time_is_eased_like_many() -> None:
-    assert drives.ease(0.5, 1.0) == drives.ease(np.array([0.5]), 1.0)[0] == 0.5
+    assert drives.ease_in(0.5, 1.0) == drives.ease_in(np.array([0.5]), 1.0)[0] == 0.5
 
 
 def test_smoothstep() -> None:

@@ -39,7 +39,7 @@ from functools import cached_property
 
 import numpy as np
 
-from swimid.blackbox.model import ArxRecord, Orders, delay
+from swimid.blackbox.model import ArxRecord, Orders, delay_series
 from swimid.errors import NoTrustworthyResult
 from swimid.files.kernels import numba
 from swimid.fitting import uncertainty as rt
@@ -136,8 +136,8 @@ def recursive_least_squares(
     theta, factors, diagonal, innovations, limited = _run(
         h, z, 1.0 / weight, 1.0 / forgetting, prior_scale**2
     )
-    compute_covariance = (factors.T * diagonal) @ factors
-    return Recursion(theta, compute_covariance, innovations, limited)
+    covariance = (factors.T * diagonal) @ factors
+    return Recursion(theta, covariance, innovations, limited)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -248,8 +248,8 @@ def regression(records: Sequence[ArxRecord], orders: Orders) -> Regression:
     """
     y = rt.join_series([r.output for r in records], gap=orders.lag + GAP)
     u = rt.join_series([r.source for r in records], gap=orders.lag + GAP)
-    past = [-delay(y, lag) for lag in range(1, orders.na + 1)]
-    h = np.column_stack(past + [delay(u, orders.nk + j) for j in range(orders.nb)])
+    past = [-delay_series(y, lag) for lag in range(1, orders.na + 1)]
+    h = np.column_stack(past + [delay_series(u, orders.nk + j) for j in range(orders.nb)])
     k = np.flatnonzero(np.isfinite(y) & np.isfinite(h).all(axis=1))
     possible = sum(max(len(r) - orders.lag, 0) for r in records)
     return Regression(orders, h[k], y[k], k, u, possible)
@@ -569,7 +569,7 @@ def fit_arx(
     exact = bool(np.sqrt(np.mean(residuals**2)) <= EXACT * np.std(data.outputs))
     white = rt.ljung_box(data.on_grid(tested), fitted=absorbed)
     robust = not (white.is_passed or exact)
-    matrix, noise_sd = compute_covariance(jacobian, residuals, weights, prior, data, robust=robust)
+    matrix, noise_sd = compute_arx_covariance(jacobian, residuals, weights, prior, data, robust=robust)
     stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     known = exclude_collinear(known, data, theta, stderr, noise_sd)
     _check_determined(known, orders)
@@ -590,7 +590,7 @@ def _check_determined(known: Identifiability, orders: Orders) -> None:
         raise NoTrustworthyResult(text, hint="check the input column, or give --input-sine")
 
 
-def compute_covariance(
+def compute_arx_covariance(
     jacobian: np.ndarray,
     residuals: np.ndarray,
     weights: np.ndarray,

@@ -73,7 +73,7 @@ REGULAR_SHARE = 0.9
 #: equal samples.
 MIN_CHANGE = 5.0
 #: Maximum fraction of an averaging interval of the input in which samples may be missing.
-MAX_MISSING_SHARE = 1e-3
+MAX_MISSING_INPUT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[ArxPole]:
     return sorted(result, key=lambda pole: (-pole.magnitude, -pole.imag))
 
 
-def delay(x: np.ndarray, lag: int) -> np.ndarray:
+def delay_series(x: np.ndarray, lag: int) -> np.ndarray:
     """Return a copy of a series that is delayed by ``lag`` samples. Its first ``lag`` samples are NaN."""
     return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
 
@@ -213,10 +213,10 @@ def simulate(record: ArxRecord, orders: Orders, theta: np.ndarray) -> np.ndarray
         limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
     driven = np.zeros(len(record))
     for j, value in enumerate(b):
-        driven = driven + value * delay(record.source, orders.nk + j)
+        driven = driven + value * delay_series(record.source, orders.nk + j)
     started = np.isfinite(driven)
     for i in range(1, na + 1):
-        started &= np.isfinite(delay(measured, i))
+        started &= np.isfinite(delay_series(measured, i))
     result = np.full(len(record), np.nan)
     for piece in np.ma.clump_unmasked(np.ma.masked_invalid(driven)):
         first = piece.start + int(np.argmax(started[piece]))
@@ -393,7 +393,8 @@ class ArxModel(Model):
     def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the free run of a trial with effects on the input column, on the clock and on the output.
 
-        See :meth:`Model.simulate_hooked`. A delay of the clock is applied to the output by linear interpolation.
+        See :meth:`Model.simulate_hooked`. A delay of the clock is applied to the output by linear
+        interpolation.
         """
         time = np.asarray(trial.time_s, dtype=float)
         if hooks.command:
@@ -551,7 +552,8 @@ def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.
 def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return the mean of a piecewise constant signal over the interval from each of ``times`` to the next.
 
-    ``times`` are in s. The mean is NaN if too many samples are missing in an interval (:data:`MAX_MISSING_SHARE`).
+    ``times`` are in s. The mean is NaN if too many samples are missing in an interval
+    (:data:`MAX_MISSING_INPUT`).
     """
     steps, missing = np.diff(time_s), np.isnan(values)
     held = np.column_stack([np.where(missing, 0.0, values), missing])
@@ -560,7 +562,7 @@ def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndar
     row = np.clip(np.searchsorted(time_s, ends + 1e-6 * steps.min(), side="right") - 1, 0, None)
     integral = total[row] + held[row] * (ends - time_s[row])[:, None]
     mean, empty = (np.diff(integral, axis=0) / np.diff(ends)[:, None]).T
-    return np.where(empty > MAX_MISSING_SHARE, np.nan, mean)
+    return np.where(empty > MAX_MISSING_INPUT, np.nan, mean)
 
 
 def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:

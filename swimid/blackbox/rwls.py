@@ -24,7 +24,7 @@ from swimid.blackbox.arx import (
     ArxEstimate,
     Regression,
     check_enough,
-    compute_covariance,
+    compute_arx_covariance,
     errors_and_gradient,
     find_directions,
     fit_arx,
@@ -65,8 +65,8 @@ CLEAR_T = 5.0
 #: constant term reach both thresholds by chance, also for slow systems.
 LIKELY_T = 3.5
 #: Minimum absolute t value of a constant term in the regression at which the means of the data are subtracted
-#: if the output is far from zero (:data:`FAR_LEVEL`) and the free run improves at all. The t value can be small
-#: because a spurious pole near 1 replaces the constant term.
+#: if the output is far from zero (:data:`FAR_LEVEL`) and the free run improves at all. The t value can be
+#: small because a spurious pole near 1 replaces the constant term.
 WEAK_T = 2.0
 #: Minimum relative reduction of the root-mean-square error of the free run that counts as a clear improvement
 #: when the means of the data are subtracted.
@@ -492,9 +492,9 @@ def find_working_point(records: Sequence[ArxRecord], orders: Orders, mode: str =
         ``none`` never subtracts the means, ``mean`` always does. ``auto`` subtracts them in four cases, where
         t is the t value of a constant term that is fitted together with A and B. (1) |t| is above
         :data:`CLEAR_T`. (2) |t| is above :data:`LIKELY_T`, and the free run improves by :data:`CLEAR_GAIN`.
-        (3) The mean of the output is more than :data:`FAR_LEVEL` standard deviations from zero, and the free run
-        improves by :data:`CLEAR_GAIN`, or at all if |t| is above :data:`WEAK_T`. (4) The mean of the output
-        is that far from zero, and a pole at 1 disappears.
+        (3) The mean of the output is more than :data:`FAR_LEVEL` standard deviations from zero, and the free
+        run improves by :data:`CLEAR_GAIN`, or at all if |t| is above :data:`WEAK_T`. (4) The mean of the
+        output is that far from zero, and a pole at 1 disappears.
 
     Raises
     ------
@@ -552,7 +552,7 @@ def constant_term(data: Regression) -> tuple[float, float]:
     residuals = data.outputs - rows @ theta
     absorbed = rt.count_absorbed(data.on_grid(rows), data.past_errors(residuals))
     white = rt.ljung_box(data.on_grid(residuals), fitted=absorbed).is_passed
-    spread, _ = compute_covariance(rows, residuals, np.ones(n), 0.0, data, robust=not white)
+    spread, _ = compute_arx_covariance(rows, residuals, np.ones(n), 0.0, data, robust=not white)
     constant, stderr = float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
     if stderr > 0:
         return constant, constant / stderr

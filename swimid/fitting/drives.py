@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Motion = tuple[Array, Array, Array]
 
 
-def ease(time_s: Array, ramp_s: float) -> Array:
+def ease_in(time_s: Array, ramp_s: float) -> Array:
     """Return a quintic smoothstep, which rises from 0 at time zero to 1 at ``ramp_s`` > 0."""
     found = np.array(np.clip(time_s / ramp_s, 0.0, 1.0))
     rising = (found > 0.0) & (found < 1.0)
@@ -27,13 +27,13 @@ def ease(time_s: Array, ramp_s: float) -> Array:
 
 
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
-    """Return the smoothstep :func:`ease` and its first two time derivatives; a step for ``ramp_s`` 0."""
+    """Return the smoothstep :func:`ease_in` and its first two time derivatives; a step for ``ramp_s`` 0."""
     if ramp_s <= 0:
         on = (time_s >= 0).astype(float)
         return on, np.zeros_like(on), np.zeros_like(on)
     s = np.clip(time_s / ramp_s, 0.0, 1.0)
     return (
-        ease(time_s, ramp_s),
+        ease_in(time_s, ramp_s),
         30.0 * s**2 * (1.0 - s) ** 2 / ramp_s,
         60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / ramp_s**2,
     )

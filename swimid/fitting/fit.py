@@ -73,7 +73,7 @@ def fit(
     ...     trials: list[TrialEntry]
     ...
     ...     def load(self, path, **options):
-    ...         logs = [read_log(one, path.parent, required=("x_m",)) for one in self.trials]
+    ...         logs = [read_trial_log(one, path.parent, required=("x_m",)) for one in self.trials]
     ...         trials = [swimid.Trial(log.path.name, "fit", log.time_s, {"x_m": log["x_m"]}) for log in logs]
     ...         return Experiment.of(self, path, CoastingModel(), trials, [log.source for log in logs])
     >>> t = np.arange(200) / 50
@@ -202,8 +202,8 @@ def fit_model(
     if robot:
         title += f" of {robot}"
     said = (
-        f"{', '.join(result.common_labels)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
-        f"by output-error maximum likelihood with the model {model.name}."
+        f"{', '.join(result.common_labels)} were estimated from {fitted_trials} trial(s) ({result.samples} "
+        f"samples) by output-error maximum likelihood with the model {model.name}."
     )
     shown = {"figures": fit_common.figures(result), "methods": [said, fit_common.COVARIANCE]}
     return fit_common.finish("fit", file, tested, notices, target, title=title, **shown)

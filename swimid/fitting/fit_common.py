@@ -521,7 +521,7 @@ def warm_up() -> None:
 
 
 def score_checks(
-    compute_scores: Mapping[str, Any],
+    scores: Mapping[str, Any],
     *,
     fitted: Iterable[str],
     noise: Iterable[str] = (),
@@ -543,14 +543,14 @@ def score_checks(
     """
     where = held_out * "held-out "
     found = []
-    for name, compute_score in compute_scores.items():
-        check = share_check(f"{where}error of {name}", compute_score.nrmse, GOOD, USABLE, "measured range")
+    for name, score in scores.items():
+        check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
             text = "noise alone is left"
             check = ev.check(check.name, check.value, None, text=text)
         found.append(check)
-    for name in (name for name in fitted if name in compute_scores):
-        vaf, said = compute_scores[name].vaf, f"{where}variance accounted for, {name}"
+    for name in (name for name in fitted if name in scores):
+        vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
         least = 0.0 if name in set(noise) else MIN_VAF
         if vaf is not None and vaf < least:
             shown = numbers.percent(vaf)
@@ -714,10 +714,7 @@ def parameter_file(
     }
     units = {c.name: c.unit for c in result.model.channels}
     listed = {
-        role: {
-            name: compute_score.as_dict(units[name])
-            for name, compute_score in compute_scores(result, role).items()
-        }
+        role: {name: score.as_dict(units[name]) for name, score in compute_scores(result, role).items()}
         for role in ("fit", "validate")
     }
     trials = {role: [t.id for t in result.trials if t.role == role] for role in listed}
@@ -851,8 +848,8 @@ def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) ->
     trials : sequence of str
         Ids of the trials.
     changes : sequence of mapping of str to float
-        Changes of the channels of each trial (:attr:`swimid.fitting.steps.StepChoice.changes`). There is no check
-        if nothing is integrated.
+        Changes of the channels of each trial (:attr:`swimid.fitting.steps.StepChoice.changes`). There is no
+        check if nothing is integrated.
     """
     found = {f"{name} of {t}": c for t, own in zip(trials, changes, strict=True) for name, c in own.items()}
     if not found:
@@ -998,11 +995,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
     """Return checks of the errors on fitted and on validation trials, with the limits of ``compare``."""
     found = []
     for role in roles:
-        known = {
-            name: compute_score
-            for name, compute_score in compute_scores(result, role).items()
-            if name in result.noise
-        }
+        known = {name: score for name, score in compute_scores(result, role).items() if name in result.noise}
         pairs = _own_pairs(result, role)
         still = [name for name in known if is_still(y for y, _ in pairs[name])]
         white = [name for name in known if ljung_box(_join_residuals(result, name, role)).is_passed]

@@ -71,8 +71,9 @@ def multistart(
     Returns
     -------
     best : FitResult
-        Fit of the lowest cost. If several fits have the same minimum (:data:`SAME_COST_RTOL`), a converged one is
-        preferred. A converged fit is tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
+        Fit of the lowest cost. If several fits have the same minimum (:data:`SAME_COST_RTOL`), a converged
+        one is preferred. A converged fit is tested as in
+        :func:`swimid.fitting.output_error.check_by_restarts`.
     ends : list of Start
         Starting points and end points in the order of the searches. After Ctrl-C the remaining searches are
         left out.

@@ -157,16 +157,16 @@ def _change_channels(
     if not any(name in trial.measured for name in change):
         return None
 
-    def change(name: str, values: Any) -> Any:
+    def convert(name: str, values: Any) -> Any:
         factor, offset = change.get(name, (1.0, 0.0))
         return factor * values + offset
 
     swim = trial.swim
     if swim.pose is not None:
-        moved = [change(name, at) for name, at in zip(pose, swim.pose, strict=False)]
+        moved = [convert(name, at) for name, at in zip(pose, swim.pose, strict=False)]
         swim = replace(swim, pose=(*moved, *swim.pose[len(moved) :]))
     measured, inputs = (
-        {name: change(name, values) for name, values in series.items()}
+        {name: convert(name, values) for name, values in series.items()}
         for series in (trial.measured, trial.inputs)
     )
     # Discard the initial velocities, which were estimated from the uncorrected channels.

@@ -349,7 +349,8 @@ def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 
 @dataclass(frozen=True)
 class Traceable:
-    """Function of a :class:`ExternalForce` that can also be traced with symbols to simulate batches of trials.
+    """Function of a :class:`ExternalForce` that can also be traced with symbols to simulate batches of
+    trials.
 
     Attributes
     ----------
@@ -586,9 +587,9 @@ class Model:
     """Interface of a model for fits, comparisons and diagnoses.
 
     A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. It overrides
-    :meth:`simulate_hooked` instead of :meth:`simulate` if it supports other hooks than ``output`` and ``clock``. Other
-    members state properties that only some models have: the coordinate on a :attr:`rig`, the links
-    (:attr:`body`), the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
+    :meth:`simulate_hooked` instead of :meth:`simulate` if it supports other hooks than ``output`` and
+    ``clock``. Other members state properties that only some models have: the coordinate on a :attr:`rig`, the
+    links (:attr:`body`), the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
 
     Effects act on a copy of the model (:meth:`with_effects`). :meth:`run` and :meth:`run_many` simulate
     trials with all effects of the model.
@@ -759,7 +760,8 @@ class Model:
         return sum((acting.hooks(values, trial) for acting in self.acting), NONE)
 
     def _arguments(self, values: Array, trial: Trial, *, measured: bool = True) -> Request:
-        """Return the arguments with which :meth:`simulate_hooked` simulates a trial with all effects of the model.
+        """Return the arguments with which :meth:`simulate_hooked` simulates a trial with all effects of the
+        model.
 
         Parameters
         ----------

@@ -207,8 +207,8 @@ def fit_output_error(
     trials : sequence of Trial
         Trials of the role ``validate`` are simulated and scored, but not fitted.
     parameters : sequence of Parameter, optional
-        Parameters of the model with the choices of the user (:func:`swimid.fitting.model.choose_parameters`). The
-        default is the parameters of the model.
+        Parameters of the model with the choices of the user (:func:`swimid.fitting.model.choose_parameters`).
+        The default is the parameters of the model.
     jobs : int, optional
         Number of threads for long simulations. The default is the number of processors. The result does not
         depend on the number of threads. With several threads, ``model.simulate`` must be safe to call from
@@ -313,7 +313,7 @@ def _objective(result: FitResult) -> float:
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _fit_with_step(search: NoiseSearch) -> FitResult:
     """Fit a model, and repeat the fit with a smaller integration step until the samples hardly change."""
-    spent, halvings = 0, steps.MAX_STEP_HALVINGS
+    spent, halvings = 0, steps.MAX_REFINEMENTS
     while True:
         result = search.run()
         if search.must_converge and not (result.converged or result.interrupted):
@@ -612,9 +612,7 @@ def with_intervals(result: FitResult) -> FitResult:
         return result
     scale, central = problem.scale, result.samples * len(theta) <= 50_000
     derivatives = problem.own_jacobians(theta, central=central)
-    rows = [
-        -part * scale[evaluate_fit] for part, evaluate_fit in zip(derivatives, problem.taken, strict=True)
-    ]
+    rows = [-part * scale[columns] for part, columns in zip(derivatives, problem.taken, strict=True)]
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     covariance, root, differences = compute_errors(problem, theta, free, rows, residuals)
     root = np.where(free, root / scale, np.nan)

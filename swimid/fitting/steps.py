@@ -19,7 +19,7 @@ from swimid.fitting.model import Array, Model, Trial
 #: of the channel.
 STEP_ERROR, STEP_LIMIT = 0.1, 1e-3
 #: Maximum number of times that the integration step is halved.
-MAX_STEP_HALVINGS = 6
+MAX_REFINEMENTS = 6
 #: Range of a channel below which nothing moves in it, in the unit of the channel.
 MIN_RANGE = 1e-9
 
@@ -56,7 +56,7 @@ def choose_step(
     runs: Sequence[tuple[Array, Trial]],
     noise: Sequence[Noise] = (),
     *,
-    halvings: int = MAX_STEP_HALVINGS,
+    halvings: int = MAX_REFINEMENTS,
 ) -> StepChoice:
     """Halve the integration step of a model until its simulations are accurate and do not break down.
 

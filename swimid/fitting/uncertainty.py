@@ -5,10 +5,10 @@ factor, or (with uncertain time stamps) it includes the speed times the error of
 divided by the standard deviation of the error follow an autoregression.
 
 The tests are functions of arrays. A residual series is one array at a constant sampling rate, in which NaN
-marks missing samples. Several trials are joined with NaN between them (:func:`join_series`). A pair of samples
-counts only if both exist, so that gaps do not bias a test. The tests of statsmodels use the same formulas,
-but count all samples. With a fifth of the samples missing, the Ljung-Box test of statsmodels rejects 0.8 % of
-white series at the 5 % level. The test of this module rejects 5.4 %.
+marks missing samples. Several trials are joined with NaN between them (:func:`join_series`). A pair of
+samples counts only if both exist, so that gaps do not bias a test. The tests of statsmodels use the same
+formulas, but count all samples. With a fifth of the samples missing, the Ljung-Box test of statsmodels
+rejects 0.8 % of white series at the 5 % level. The test of this module rejects 5.4 %.
 
 References
 ----------

@@ -215,7 +215,8 @@ class RecoilModel(Model):
         return RecoilScales(self, trials)
 
     def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the average speed of each cruise run, simulated with effects (see :meth:`Model.simulate_hooked`).
+        """Return the average speed of each cruise run, simulated with effects (see
+        :meth:`Model.simulate_hooked`).
 
         ``coefficients`` hooks change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and ``mass`` (kg).
         The factor on the thrust of a steady beat multiplies the power. A water flow along x displaces the
@@ -285,7 +286,8 @@ class SurgeModel(Model):
         return SurgeScales(self, trials)
 
     def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the surge at the samples of a trial, simulated with effects (see :meth:`Model.simulate_hooked`).
+        """Return the surge at the samples of a trial, simulated with effects (see
+        :meth:`Model.simulate_hooked`).
 
         ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass`` (1).
         All values are per unit of mass. Drag depends on the speed relative to a water flow along x.

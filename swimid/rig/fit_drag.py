@@ -7,9 +7,9 @@ and damping ratios are derived with their standard errors.
 
 The reference fit (``stated``) has the parameters that the user chose. Its rivals
 (:mod:`swimid.fitting.rivals`) free each parameter that it holds for all trials, or let it replace the
-parameters with a similar effect (:data:`swimid.rig.model.SIMILAR_PARAMETERS`). For example, dry friction replaces linear
-damping. Further rivals have another start or another pulley friction in each trial, one trial with parameters
-of its own, or another sign of the force.
+parameters with a similar effect (:data:`swimid.rig.model.SIMILAR_PARAMETERS`). For example, dry friction
+replaces linear damping. Further rivals have another start or another pulley friction in each trial, one trial
+with parameters of its own, or another sign of the force.
 
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
 squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
@@ -174,8 +174,8 @@ def fit_drag(
     fit_common.insist_identified(result, hint)
     count = sum(t.role == "fit" for t in result.trials)
     said = (
-        f"{', '.join(result.common_labels)} were estimated from {count} {experiment.name} trials ({result.samples} "
-        "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model."
+        f"{', '.join(result.common_labels)} were estimated from {count} {experiment.name} trials "
+        f"({result.samples} samples) by output-error maximum likelihood with a single-degree-of-freedom rig model."
     )
     shown: dict[str, Any] = {
         "title": f"Rig identification of {experiment.robot.name}: {experiment.name}",

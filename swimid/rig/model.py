@@ -128,8 +128,9 @@ class RigScales(Scales):
 class RigModel(Model):
     """Model of one robot on a test rig.
 
-    Create the model with :func:`falling_weight`, :func:`make_towed_model` or :func:`free_decay`. :attr:`Trial.rig` has
-    the known quantities of a trial. The input ``force_N`` of a trial is a measured force.
+    Create the model with :func:`falling_weight`, :func:`make_towed_model` or :func:`free_decay`.
+    :attr:`Trial.rig` has the known quantities of a trial. The input ``force_N`` of a trial is a measured
+    force.
     """
 
     offers = frozenset({"coefficients", "force", "flow", "output", "clock"})
@@ -240,7 +241,8 @@ class RigModel(Model):
         return {self.coordinate: x, self.speed: v}
 
     def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return displacement and speed of a trial, simulated with effects (see :meth:`Model.simulate_hooked`).
+        """Return displacement and speed of a trial, simulated with effects (see
+        :meth:`Model.simulate_hooked`).
 
         ``coefficients`` hooks change the values of :meth:`equation`. Forces of effects are added afterwards.
 
@@ -604,8 +606,8 @@ def integrate_rig(  # type: ignore[no-untyped-def]
         Velocity of the water at :func:`step_ends`, between which it is interpolated linearly.
     extra : tuple or None
         Working memory of shape (3, 3), number of forces that act on the body, and :data:`MOST_FORCES` pairs
-        of constants and compiled function of a force (:class:`swimid.fitting.model.ExternalForce`). It is None in
-        still water without further forces.
+        of constants and compiled function of a force (:class:`swimid.fitting.model.ExternalForce`). It is
+        None in still water without further forces.
 
     Returns
     -------

@@ -401,7 +401,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
 # ------------------------------------------------------------ quantities of a run
 
 
-def format_value(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
+def format_quantity(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
     """Return a quantity as text, with its unit and, if known, its standard deviation.
 
     Angles are in degrees.

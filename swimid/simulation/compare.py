@@ -28,7 +28,7 @@ from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series, compare_wave
-from swimid.simulation.cases import format_value
+from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
 from swimid.simulation.options import CompareOptions
@@ -342,10 +342,12 @@ def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> lis
     for p in profiles:
         ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
         texts = [numbers.number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
-        rows.append([p.name, len(p.trials), *texts, format_value(p.orientation_rmse_rad, "rad")])
+        rows.append([p.name, len(p.trials), *texts, format_quantity(p.orientation_rmse_rad, "rad")])
         for c in p.cycles:
             for side, known, sd in (("measured", c.measured, c.spread), ("simulated", c.simulated, {})):
-                cells = [format_value(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES]
+                cells = [
+                    format_quantity(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES
+                ]
                 strokes.append([p.name, c.cycle, side, *cells])
     sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
     names = [numbers.split_unit(name)[0].replace("_", " ") for name in CYCLE_QUANTITIES]
@@ -543,7 +545,7 @@ def _errors(name: str, s: ChannelScore) -> list[Any]:
         bias = 0.0
     channel = name + " (from pose)" * (s.source == "pose")
     shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
-    return [channel, format_value(s.rmse, s.unit), *shares, format_value(bias, s.unit)]
+    return [channel, format_quantity(s.rmse, s.unit), *shares, format_quantity(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
@@ -552,7 +554,7 @@ def _scores(file: ComparisonFile) -> ev.Table:
     for t in file.trials:
         for name, s in t.channels.items():
             fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
-            texts = [format_value(s.peak_error, s.unit), format_value(s.phase_error_rad, "rad")]
+            texts = [format_quantity(s.peak_error, s.unit), format_quantity(s.phase_error_rad, "rad")]
             rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
         id="scores",
@@ -577,8 +579,8 @@ def _speeds(file: ComparisonFile) -> ev.Table:
         if measured:
             share = (simulated - measured) / measured
         texts = [
-            format_value(measured, "m/s"),
-            format_value(simulated, "m/s"),
+            format_quantity(measured, "m/s"),
+            format_quantity(simulated, "m/s"),
             numbers.percent(share, 2),
             settles,
         ]

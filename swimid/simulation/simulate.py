@@ -28,7 +28,7 @@ from swimid.results import numbers
 from swimid.results.evidence import remove_outdated
 from swimid.results.result import Result
 from swimid.simulation import cases
-from swimid.simulation.cases import Case, format_value
+from swimid.simulation.cases import Case, format_quantity
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import SimulateOptions
 
@@ -515,7 +515,7 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
         label = f"{numbers.split_unit(name)[0].replace('_', ' ')}{tail}"
         if name == "mean_speed_BL_s":
             label = "mean speed in body lengths"
-        texts[label] = format_value(quantity.value, quantity.unit, quantity.stderr, digits=4)
+        texts[label] = format_quantity(quantity.value, quantity.unit, quantity.stderr, digits=4)
     return texts
 
 
