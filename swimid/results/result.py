@@ -159,10 +159,7 @@ class Result:
         if shown.notes:
             parts += ["", *(_wrapped(note) for note in shown.notes)]
         word = (shown.verdict.word or shown.verdict.level).upper()
-        verdict = f"{word}: {shown.verdict.text}"
-        passed = sum(check.verdict == "pass" for check in shown.checks)
-        if passed:
-            verdict += f" {passed} {('checks pass', 'check passes')[passed == 1]}."
+        verdict = f"{word}: {shown.verdict.text} {ev.count_checks(shown.checks)}".rstrip()
         return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH, break_on_hyphens=False)])
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
