@@ -1,7 +1,8 @@
 """Warnings of swimid, each with a stable code, and the interface of progress bars for long loops.
 
 Functions of swimid issue a warning with :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. A
-command collects its warnings with :func:`recorded`, prints them at its end, and stores them in its results.
+command collects its warnings with :func:`record_warnings`, prints them at its end, and stores them in its
+results.
 The caller of a long loop decides whether and how the progress of the loop is shown.
 """
 
@@ -19,7 +20,7 @@ from typing import Any
 from swimid.errors import in_words_of_the_caller
 
 #: Subject of each warning code. ``docs/warnings.md`` explains the codes.
-CODES: dict[str, str] = {
+WARNING_CODES: dict[str, str] = {
     "SWM001": "missing samples masked",
     "SWM002": "values are unusual in the stated unit",
     "SWM003": "uneven time steps",
@@ -113,7 +114,7 @@ CODES: dict[str, str] = {
 
 
 class SwimidWarning(UserWarning):
-    """Warning of swimid with a stable code, one of :data:`CODES`.
+    """Warning of swimid with a stable code, one of :data:`WARNING_CODES`.
 
     Attributes
     ----------
@@ -134,7 +135,7 @@ class SwimidWarning(UserWarning):
     """
 
     def __init__(self, code: str, text: str) -> None:
-        if code not in CODES:
+        if code not in WARNING_CODES:
             raise KeyError(f"unknown warning code {code}")
         self.code = code
         self.text = in_words_of_the_caller(text)
@@ -150,12 +151,12 @@ class Notice:
 
 
 def warn(code: str, text: str) -> None:
-    """Issue a warning to the user with the given code, one of :data:`CODES`."""
+    """Issue a warning to the user with the given code, one of :data:`WARNING_CODES`."""
     warnings.warn(SwimidWarning(code, text), stacklevel=2)
 
 
 @contextmanager
-def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
+def record_warnings(*, repeat: bool = False) -> Iterator[list[Notice]]:
     """Collect the warnings of swimid that a ``with`` block issues, and yield the list, without duplicates.
 
     The collected warnings are not shown to the user. With ``repeat`` they are issued again at the end of the

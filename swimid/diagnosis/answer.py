@@ -39,7 +39,7 @@ from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Trial
 from swimid.notices import Progress, silent
-from swimid.results.numbers import listed
+from swimid.results.numbers import join_names
 from swimid.results.parameters import Estimate
 
 #: Significance level of the two-sided test that reports parameters as changed by a refit. It applies to all
@@ -253,7 +253,7 @@ def _floor_text(noise: NoiseModel) -> str:
     said = "the noise of each channel, estimated with own parameters and smooth terms for each trial"
     slow = [f"{c} ({f.time_s:.2g} s)" for c, f in noise.forms.items() if f.time_s > 0.0]
     if slow:
-        said += f", with a memory in {listed(slow)}"
+        said += f", with a memory in {join_names(slow)}"
     return said
 
 
@@ -261,7 +261,7 @@ def _reasons(noise: NoiseModel) -> list[str]:
     differing = [f"{kind.name} ({kind.sd:.2g} of its typical size)" for kind in noise.random_effects]
     if not differing:
         return []
-    return [f"trials differ by chance in {listed(differing)}, of which each trial has its own value"]
+    return [f"trials differ by chance in {join_names(differing)}, of which each trial has its own value"]
 
 
 def _held_out(study: Study, validation: Sequence[Trial]) -> HeldOut:

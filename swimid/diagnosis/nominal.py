@@ -32,7 +32,7 @@ OF_REPEATS = {"relative_drag_deviation"}
 #: Minimum number of trials from which random effects are estimated.
 MIN_TRIALS = 3
 #: File name endings by which logs are recognised among the input files.
-LOGS = (".csv", *tabular.PARQUET)
+LOGS = (".csv", *tabular.PARQUET_ENDINGS)
 
 #: Prior standard deviation of a coefficient that was not estimated from other trials, as a fraction of its
 #: value.

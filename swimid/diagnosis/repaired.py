@@ -20,7 +20,7 @@ from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
 from swimid.fitting.model import Array, Parameter
 from swimid.results import parameters as parameters_format
-from swimid.results.numbers import listed
+from swimid.results.numbers import join_names
 from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
 from swimid.simulation.catalogue import Applied, Loaded
 from swimid.simulators.mjcf import MjcfModel
@@ -70,7 +70,7 @@ def parameters(
     model, experiment = loaded.experiment.model, loaded.experiment
     answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
     said = [
-        f"the trials cannot distinguish {c.effect} from {listed(c.equivalent, 'or')}"
+        f"the trials cannot distinguish {c.effect} from {join_names(c.equivalent, 'or')}"
         for c in file.causes
         if c.equivalent
     ]
