@@ -45,8 +45,8 @@ from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
-from tests.blind import swim_actuation
 from tests.generators import gap_trials
+from validation.blind import swim_actuation
 
 DURATION_S, REPEATS, LANES = 20.0, 7, 8
 BATCH = 16

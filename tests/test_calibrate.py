@@ -10,7 +10,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from swimid.diagnosis.posterior import Calibration, Candidate, Record
-from tests import calibrate
+from validation import calibrate
 
 RECORD = Record(1000.0, 3, 20)
 

@@ -24,8 +24,8 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.results import parameters
 from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
-from tests import export_trials
 from tests.conftest import ROOT, Ran
+from validation import export_trials
 
 Swimid = Callable[..., Ran]
 Causes = dict[str, dict[str, float]]

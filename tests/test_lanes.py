@@ -34,10 +34,10 @@ from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.model import Assembly as SpatialAssembly
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
-from tests.blind import swim_actuation
 from tests.conftest import ROOT
 from tests.generators import gap_trials, lagrange
 from tests.lifted import Lifted
+from validation.blind import swim_actuation
 
 ENGINES: dict[type[Swimmer], ModuleType] = {
     MultilinkModel: planar_engine,

@@ -291,7 +291,24 @@ class HypothesisRow(yamlio.Document):
 
 
 class GapFile(yamlio.ResultFile):
-    """Content of a gap file."""
+    """Content of a gap file: the gap between trials and a model, and its causes.
+
+    Example::
+
+        format: swimid-gap/1
+        verdict: explained
+        waterfall:
+        - {label: as given, squared: 54, expected: 1.0, rmse: {u_m_s: 0.042}}
+        - {label: refitted, squared: 45, expected: 1.1, rmse: {u_m_s: 0.031}}
+        - {label: + servo-backlash, squared: 2.6, expected: 1.1, rmse: {u_m_s: 0.0074}}
+        - {label: noise alone, squared: 1, expected: 1, rmse: {u_m_s: 0.0046}}
+        closed: {before: 54, refitted: 45, after: 2.6, share: 0.97, ci95: [0.93, 1.0], by_refit: 0.17}
+        causes:
+        - effect: servo-backlash
+          probability: 0.83
+          equivalent: [amplitude-loss]
+          parameters: {backlash_rad: {value: 0.035, stderr: 0.002, unit: rad, status: estimated}}
+    """
 
     kind: ClassVar[str] = "gap file"
     format: Literal["swimid-gap/1"] = "swimid-gap/1"

@@ -59,9 +59,9 @@ class Calibration:
     outside: float
 
 
-#: Constants of the posterior probabilities as ``python -m tests.calibrate`` computes them. The calibration
-#: uses trials that independent code simulates. Each case is also diagnosed with its true effect removed from
-#: the catalogue.
+#: Constants of the posterior probabilities as ``python -m validation.calibrate`` computes them. The
+#: calibration uses trials that independent code simulates. Each case is also diagnosed with its
+#: true effect removed from the catalogue.
 CALIBRATED = Calibration(11.4, 0.22, -3.7)
 
 
