@@ -21,7 +21,7 @@ from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
 from swimid.files.templates import environment
-from swimid.notices import Progress, read_codes, recorded, silent, warn
+from swimid.notices import Progress, read_codes, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
