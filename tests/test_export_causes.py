@@ -188,7 +188,7 @@ def test_a_law_that_mujoco_cannot_combine_is_a_filter(tmp_path: Path, swimid: Sw
     out = tmp_path / "fish.xml"
     assert swimid("export", _write(tmp_path, causes), "--to", "mjcf", "-o", out).status == 0
     filters = tmp_path / "fish_mjcf_causes.py"
-    assert "RateLimit(rate_limit_rad_s=0.8)" in filters.read_text()
+    assert "RateLimitFilter(rate_limit_rad_s=0.8)" in filters.read_text()
     assert "ServoLag" not in filters.read_text()
     servo = ET.fromstring(out.read_text()).find(".//actuator/general")
     assert servo is not None

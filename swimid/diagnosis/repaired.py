@@ -24,7 +24,7 @@ from swimid.results.numbers import join_names
 from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
 from swimid.simulation.catalogue import Applied, Loaded
 from swimid.simulators.mjcf import MjcfModel
-from swimid.simulators.repaired import SimulatorFile, repaired_file
+from swimid.simulators.repaired import SimulatorFile, make_repaired_file
 
 
 def parameters(
@@ -105,7 +105,7 @@ def simulator_file(
     trials = loaded.experiment.trials
     applied = Applied(model, made, place, trials=trials, own_effects=own_effects)
     assert isinstance(applied.model, MjcfModel)
-    return repaired_file(applied.model, applied.values(), trials[0], place)
+    return make_repaired_file(applied.model, applied.values(), trials[0], place)
 
 
 def _parameters_of(fit: Hypothesis, effect: Effect) -> list[Parameter]:
