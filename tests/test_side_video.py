@@ -15,7 +15,6 @@ from swimid.files import yamlio
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.plane import plane_of
-from swimid.notices import record_warnings
 from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot

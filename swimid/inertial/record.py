@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from swimid.errors import InputError, UsageError, extra_needed
 from swimid.files.provenance import path_of
-from swimid.files.tabular import column_error
 from swimid.inertial.options import TrackImuOptions
 from swimid.logs import log, mapping, tracks
 from swimid.logs.clocks import BAND as BAND

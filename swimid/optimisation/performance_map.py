@@ -386,7 +386,7 @@ def _axis_title(axis: MapAxis) -> str:
 
 def _heat(file: MapFile, name: str) -> ev.Panel:
     values, title = _to_plot_unit(file, name)
-    rows, columns = ([numbers.number(v, 3) for v in axis.values] for axis in file.axes)
+    rows, columns = ([numbers.format_number(v, 3) for v in axis.values] for axis in file.axes)
     cells = [[float(f"{v:.3g}") for v in row] for row in values]
     heat = ev.Heat(rows=rows, columns=columns, values=cells, scale="linear")  # type: ignore[arg-type]
     down, along = (_axis_title(axis) for axis in file.axes)

@@ -346,7 +346,7 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
         "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
     }
     return OptimisationStudy(
-        output, Checkpoint.beside(output, [origin["inputs"], origin["settings"]]), origin, head
+        output, Checkpoint.of_output(output, [origin["inputs"], origin["settings"]]), origin, head
     )
 
 
