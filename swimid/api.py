@@ -201,4 +201,4 @@ def list_robots() -> list[str]:
     """
     from swimid.robots import file
 
-    return file.built_in()
+    return file.list_built_in_robots()

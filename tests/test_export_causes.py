@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from swimid.effects.base import Effect
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import list_effects
 from swimid.exporters.mjcf import water
 from swimid.files import yamlio
 from swimid.fitting.drives import Beat
@@ -117,7 +117,7 @@ def _model() -> MultilinkModel:
 
 def _form(name: str, values: dict[str, float], model: MultilinkModel) -> tuple[Effect, np.ndarray]:
     """Return the form of an effect that has the given parameters, and their values in its order."""
-    effect = next(e for e in catalogue() if e.name == name)
+    effect = next(e for e in list_effects() if e.name == name)
     for form in effect.variants(model, [TRIAL]):
         names = [p.name for p in form.parameters(model, [TRIAL])]
         if set(names) == set(values):

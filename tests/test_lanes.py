@@ -215,7 +215,7 @@ def trials(count: int = 3) -> list[Trial]:
 def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
     """Repeats, trials and values are mixed, and effects of every stage act."""
     plain = MultilinkModel(robot_format.read("tfish"))
-    names = {e.name: e for e in effect_catalogue.catalogue()}
+    names = {e.name: e for e in effect_catalogue.list_effects()}
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
     for chosen in (
@@ -317,7 +317,7 @@ def test_a_cached_run_outlives_later_batches(fish: MultilinkModel) -> None:
 
 def test_equal_effects_share_their_runs() -> None:
     """The key of a kept trajectory is the effect, not the object that represents it."""
-    names = {e.name: e for e in effect_catalogue.catalogue()}
+    names = {e.name: e for e in effect_catalogue.list_effects()}
     tether, other = names["tether"], type(names["tether"])()
     assert tether is not other
     assert tether.content() == other.content()
@@ -444,7 +444,7 @@ def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.
         "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
     )
     assert not lanes.on_disk(text)
-    module = lanes.imported(text)
+    module = lanes.load_module(text)
     module.integrate.compile(module.SIGNATURE)
     assert lanes.on_disk(text)
     assert module.integrate(2.0) == 4.0
@@ -457,7 +457,7 @@ def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any)
         "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
         "text += '@numba.njit(cache=True)\\ndef integrate(x):\\n    return x\\n'\n"
         "before = lanes.on_disk(text)\n"
-        "lanes.imported(text).integrate(1.0)\n"
+        "lanes.load_module(text).integrate(1.0)\n"
         "print(before, lanes.on_disk(text))"
     )
     told = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

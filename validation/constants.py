@@ -119,10 +119,10 @@ def answers(folder: Path, constants: Sequence[Constant]) -> dict[str, list[Any]]
     for step in fit:
         subprocess.run([sys.executable, "-m", "swimid", *step], cwd=folder, capture_output=True, check=False)
     params = folder / told[told.index("--params") + 1]
-    kept: list[search.Search] = []
-    run = search.run
+    kept: list[search.HypothesisSearch] = []
+    run = search.search_causes
 
-    def searched(*given: Any, **options: Any) -> search.Search:
+    def searched(*given: Any, **options: Any) -> search.HypothesisSearch:
         kept.append(run(*given, **options))
         return kept[-1]
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import list_effects
 from swimid.exporters.causes import FILTERS, ExportedCause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
@@ -353,7 +353,7 @@ def _law(name: str, row: Any) -> Law:
     if not name.startswith(CAUSE):
         return lambda time_s, pose, u, v, r: _force(row, u, v, r)
     # Call the catalogue to import the modules of all effects, which register the functions of their forces.
-    catalogue()
+    list_effects()
     known = TRACEABLE[name.removeprefix(CAUSE)]
     constants = row[: known.constants]
 
