@@ -15,6 +15,7 @@ from swimid.files import yamlio
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.plane import plane_of
+from swimid.notices import record_warnings
 from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
@@ -229,7 +230,7 @@ def posed(view, changes, *, places=True):
         }
     )
     track, truth = seen(view)
-    with recorded() as notices:
+    with record_warnings() as notices:
         ground = pose.orient_plane(track, rules, plane_of(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
         found = {c.name: c for c in checks_of(track, result, rules)}

@@ -257,7 +257,7 @@ def diagnose(
             keep.done()
             could = power.PowerFile(**about, effects=rows, left_out=without)
             shown = power.build_power_evidence(could, ev.notices(notices))
-            return DetectionPower.of(could, shown).saved(output)
+            return DetectionPower.of(could, shown).write_output(output)
         as_given = _as_given(loaded)
         others, alike = readings.list_readings(experiment, fitted)
         effects = [*applicable, *others, *begun.changes]

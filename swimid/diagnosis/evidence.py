@@ -98,9 +98,9 @@ def build_gap_evidence(
     tests = list(checks(file))
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
-        tests.insert(0, ev.check("logs agree with their metadata", "no", False, reason=against))
+        tests.insert(0, ev.make_check("logs agree with their metadata", "no", False, reason=against))
     said = format_answer(file)
-    verdict = ev.judged(said, tests)
+    verdict = ev.make_verdict(said, tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     tables = [
         _waterfall(file), _parts_held_out(file), _errors(file), _causes(file), _coefficients(file),
@@ -210,7 +210,7 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         said = f"{percent(share, 2)} {format_interval(file.closed)}".strip()
         name = "squared gap closed with the failed samples"
         reason = f"{said} of the squared gap closes with the failed samples"
-        yield ev.check(
+        yield ev.make_check(
             name,
             said,
             share >= verdict.MIN_CLOSED_SHARE,
@@ -461,8 +461,8 @@ def format_answer(file: GapFile) -> str:
             said = "The refitted model describes these trials as well as their noise allows."
     elif file.verdict == "explained":
         alone = [_name_cause(c, rivals=False) for c in file.causes]
-        said = f"{listed(alone)} {plural('explains', 'together explain', names)} the gap."
-        alike = [f"{c.effect} from {listed(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
+        said = f"{join_names(alone)} {plural('explains', 'together explain', names)} the gap."
+        alike = [f"{c.effect} from {join_names(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
         if alike:
             said += f" These trials do not separate {join_names(alike)}."
     elif file.verdict == "ambiguous" and not names:
@@ -510,7 +510,7 @@ def _name_cause(cause: Cause, *, rivals: bool = True) -> str:
     """Return text that names a cause, its parameter values and its equivalent effects."""
     sizes = [f"{name} {format_value(v)}" for name, v in list(cause.parameters.items())[:2]]
     name = f"{cause.effect} ({', '.join(sizes)})" if sizes else cause.effect
-    return listed([format_changes(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
+    return join_names([format_changes(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
 
 
 def format_changes(parameters: Mapping[str, Value]) -> str:
@@ -570,7 +570,7 @@ def notes(file: GapFile) -> list[str]:
             f"{c.kind} {c.label} ({format_number(c.ratio, 2)} times the noise)".removeprefix("time ")
             for c in list(worst.values())[:MAX_PARTS]
         ]
-        said.append(f"the gap is largest at {listed(places)}")
+        said.append(f"the gap is largest at {join_names(places)}")
     for a in select_moved(file)[:1]:
         values = " without the cause and ".join(format_value(v) for v in (a.without, a.with_effect))
         said.append(f"the coefficient {a.coefficient} stood in for the cause: it is {values} with it")

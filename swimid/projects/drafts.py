@@ -27,7 +27,7 @@ from swimid.logs.mapping import FORMAT as MAPPING
 from swimid.logs.mapping import guess_mapping
 from swimid.logs.point_files import tracked_points
 from swimid.notices import Progress, silent
-from swimid.projects.survey import Recording, several
+from swimid.projects.survey import SurveyedFile, several
 from swimid.robots.file import list_built_in_robots
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup

@@ -135,7 +135,7 @@ def fit_graybox(
         trials = TrialSet(trials_format.read(trials, "fit-graybox"), Path(trials))
     if not trials.entries.robot_form:
         return _fit_simulator(trials, options, output, progress)
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         posed = FitSetup.of(trials, options, output)
         experiment, model, parameters = posed.experiment, posed.model, posed.parameters
         _require_steady_swimming(experiment, parameters)
