@@ -47,7 +47,7 @@ from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import CALIBRATED, MAX_NO_GAP_PROBABILITY
 from swimid.fitting.rivals import STRONG
 from swimid.results import numbers
-from swimid.results.numbers import listed, number, percent, probability_text
+from swimid.results.numbers import format_number, join_names, percent, probability_text
 
 #: Verdicts from the strongest to the weakest.
 VERDICT_ORDER: tuple[Verdict, ...] = ("none", "explained", "ambiguous", "partial", "unexplained")
@@ -126,7 +126,7 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
 def list_rows(facts: Facts) -> Iterator[VerdictRow]:
     """Yield the rows of the table. A question that does not apply to the trials has no row."""
     if facts.unreproduced:
-        found = listed([f"{percent(v, 2)} of {c}" for c, v in facts.unreproduced.items()])
+        found = join_names([f"{percent(v, 2)} of {c}" for c, v in facts.unreproduced.items()])
         reason = f"the model reproduces {found}"
         yield VerdictRow("output reproduced", found, "≥ 50 %", False, "unexplained", False, reason)
     if facts.proposed:
@@ -160,15 +160,15 @@ def format_otherwise(facts: Facts) -> str:
 def _inside(facts: Facts) -> VerdictRow:
     """Return the row about held-out trials whose error noise does not explain."""
     off = {name: t for name, t in facts.held_out.items() if t.after > t.limit}
-    ratios = [f"{name} has {number(t.after / t.expected, 2)} times" for name, t in off.items()]
-    reason = f"{listed(ratios)} the squared error that noise and uncertain parameters explain"
-    found = listed(list(off)) or "all within noise"
+    ratios = [f"{name} has {format_number(t.after / t.expected, 2)} times" for name, t in off.items()]
+    reason = f"{join_names(ratios)} the squared error that noise and uncertain parameters explain"
+    found = join_names(list(off)) or "all within noise"
     return VerdictRow("held-out trials", found, "within noise", not off, "unexplained", False, reason)
 
 
 def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
     """Yield the rows of a model to which the fits add causes."""
-    names = listed(list(facts.proposed))
+    names = join_names(list(facts.proposed))
     name, first = next(iter(facts.proposed.items()))
     none = facts.no_gap or 0.0
     reason = f"no gap has a probability of {probability_text(none)}"
@@ -204,7 +204,7 @@ def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
         lowers,
         reason,
     )
-    rivals = listed(first.equivalent, "or")
+    rivals = join_names(first.equivalent, "or")
     reason = f"these trials cannot tell {name} from {rivals or 'other effects'}"
     passed = first.alone >= MIN_SURE_PROBABILITY and not first.crowded
     found = f"{probability_text(first.alone)} of the probability of cause and rivals"
@@ -261,9 +261,17 @@ def _of_errors(facts: Facts, names: str) -> Iterator[VerdictRow]:
     otherwise = "ambiguous" if left is None else "partial"
     yield VerdictRow("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, otherwise, True, reason)
     worse = [n for n, t in facts.held_out.items() if _is_worse(t, as_given)]
-    reason = f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {listed(worse)} larger"
+    reason = (
+        f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {join_names(worse)} larger"
+    )
     yield VerdictRow(
-        "held-out trials", listed(worse) or "none worse", "none worse", not worse, "ambiguous", True, reason
+        "held-out trials",
+        join_names(worse) or "none worse",
+        "none worse",
+        not worse,
+        "ambiguous",
+        True,
+        reason,
     )
 
 
