@@ -174,9 +174,9 @@ def real_gaps() -> str:
         size = known = closed = ""
         unit = row["unit"].removeprefix("1")
         if row["size"]:
-            size = numbers.measured(float(row["size"]), float(row["stderr"] or "nan"))
+            size = numbers.format_estimate(float(row["size"]), float(row["stderr"] or "nan"))
         if row["known"]:
-            known = f"{numbers.number(float(row['known']), 3)} {unit}".strip()
+            known = f"{numbers.format_number(float(row['known']), 3)} {unit}".strip()
         if row["closed"]:
             closed = numbers.percent(float(row["closed"]), 2)
         rows.append([name, row["lacks"], row["verdict"], row["causes"], row["right"], size, known, closed])
