@@ -264,7 +264,7 @@ class Problem:
         return values
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
-        """Return the simulated channels of every trial. The last :data:`MAX_CACHED_POINTS` points are cached."""
+        """Return the simulated channels of every trial, which :data:`MAX_CACHED_POINTS` points cache."""
         key = np.asarray(theta, dtype=float).tobytes()
         if key not in self._simulated:
             found = self.simulate_points([(theta, k) for k in range(len(self.trials))])
