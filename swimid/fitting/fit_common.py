@@ -996,11 +996,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
     """Return checks of the errors on fitted and on validation trials, with the limits of ``compare``."""
     found = []
     for role in roles:
-        known = {
-            name: compute_score
-            for name, score in compute_scores(result, role).items()
-            if name in result.noise
-        }
+        known = {name: score for name, score in compute_scores(result, role).items() if name in result.noise}
         pairs = _own_pairs(result, role)
         still = [name for name in known if is_still(y for y, _ in pairs[name])]
         white = [name for name in known if ljung_box(_join_residuals(result, name, role)).is_passed]

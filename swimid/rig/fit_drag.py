@@ -174,8 +174,9 @@ def fit_drag(
     fit_common.insist_identified(result, hint)
     count = sum(t.role == "fit" for t in result.trials)
     said = (
-        f"{', '.join(result.common_labels)} were estimated from {count} {experiment.name} "
-        f"trials ({result.samples} samples) by output-error maximum likelihood with a single-degree-of-freedom rig model."
+        f"{', '.join(result.common_labels)} were estimated from {count} {experiment.name} trials "
+        f"({result.samples} samples) by output-error maximum likelihood with a single-degree-of-freedom rig "
+        "model."
     )
     shown: dict[str, Any] = {
         "title": f"Rig identification of {experiment.robot.name}: {experiment.name}",
