@@ -288,7 +288,7 @@ def _causes(file: GapFile) -> ev.Table:
         for name, size in ({n: value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
             rows.append([c.effect, name, size, *about])
             about = [""] * len(about)
-    columns = "effect | parameter | value ± sd | probability | equivalent | stage | what it is"
+    columns = "effect | parameter | value ± se | probability | equivalent | stage | what it is"
     caption = (
         "Probability: that it, or one of its equivalents, closes most of the gap; "
         f"{otherwise_text(file.facts)}. Several causes act together."

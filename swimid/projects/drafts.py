@@ -335,7 +335,7 @@ def _of_table(project: Project, group: Group, progress: Progress) -> None:
             open_table(group.first.path)
         except InputError as error:
             if several(error):
-                text += f"# join: may add columns of another topic (docs/mapping.md). {error.hint}\n"
+                text += f"# join: may add columns of another topic (docs/import.md). {error.hint}\n"
     project.files[name] = text
     group.columns = tuple(re.findall(r"(?m)^ *- .*target: (\w+)", text))
     if not group.columns:
