@@ -66,23 +66,23 @@ bench: $(VENV)/.ready-bench
 
 # Diagnoses trials with hidden causes, made without swimid, by the command line; a run is taken up again.
 blind: $(VENV)/.ready-dev
-	$(BIN)/python -m tests.blind --cases $(BLIND_CASES) --out $(OUT)/blind
+	$(BIN)/python -m validation.blind --cases $(BLIND_CASES) --out $(OUT)/blind
 
 # Attacks every reader and output: damaged and hostile inputs, full disks, signals, two processes at once.
 faults: $(VENV)/.ready-dev
-	$(BIN)/python -m tests.faults
+	$(BIN)/python -m validation.faults
 
 # Coverage of the stated intervals and false alarms of the checks, on simulated recordings of independent code.
 coverage: $(VENV)/.ready-dev
-	$(BIN)/python -m tests.coverage
+	$(BIN)/python -m validation.coverage
 
 # Small errors put into the package on purpose: the share that the tests notice. A run is taken up again.
 mutants: $(VENV)/.ready-dev
-	$(BIN)/python -m tests.mutants
+	$(BIN)/python -m validation.mutants
 
 # Prints all measured evidence from docs/measured, and writes its tables into the pages.
 evidence: $(VENV)/.ready-dev
-	$(BIN)/python docs/evidence.py
+	$(BIN)/python -m docs.evidence
 
 # Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
 samples: $(VENV)/.ready-dev

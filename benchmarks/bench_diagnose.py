@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from swimid.diagnosis.gap_file import GapFile
-from tests.blind import swim_actuation
 from tests.generators import gap_trials
+from validation.blind import swim_actuation
 
 COUNTS = (3, 6, 12, 24)
 DURATION_S, SIZE, SEED = 20.0, 2.0, 1

@@ -45,8 +45,8 @@ from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
-from tests.blind import swim_actuation
 from tests.generators import gap_trials
+from validation.blind import swim_actuation
 
 DURATION_S, REPEATS, LANES = 20.0, 7, 8
 BATCH = 16
@@ -79,7 +79,7 @@ def model_of(name: str) -> tuple[Swimmer, Trial]:
 
 def kernels_of(name: str) -> Swimmer:
     """A built-in robot with its kernels, not compiled."""
-    catalogue.catalogue()
+    catalogue.list_effects()
     return model_of(name)[0]
 
 
@@ -125,7 +125,7 @@ def bench_effects() -> None:
     assert isinstance(lanes, MultilinkModel)
     given = np.array([lanes.stated().get(p.name, p.start) for p in lanes.parameters])
     swims = [replace(trial, id=f"swim {k}", measured=scalar.simulate(given, trial)) for k in range(2)]
-    effects = [*catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3)]
+    effects = [*catalogue.list_effects(), ResidualForce("surge", 0.05, 0.3)]
     scalar.kernels.used = False
     lanes.prepare(effects=True)
     print(

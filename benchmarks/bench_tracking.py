@@ -94,7 +94,7 @@ def smoothing(follower: Follower) -> float:
     raw = follower.track()
     rows = np.array([np.where(raw.found[0], values, np.nan) for values in (raw.x[0], raw.y[0], raw.x[-1])])
     begin = time.perf_counter()
-    pose.smooth(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
+    pose.smooth_path(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
     return (time.perf_counter() - begin) / len(raw.times)
 
 

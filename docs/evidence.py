@@ -1,7 +1,7 @@
 """Print all measured evidence as tables, and write them into the pages that show them.
 
-python docs/evidence.py
-python docs/evidence.py --take coverage printed.txt
+python -m docs.evidence
+python -m docs.evidence --take coverage printed.txt
 
 The tables are computed from the files in docs/measured. Each of these is the table that a command of
 docs/measured/sources.yaml printed. ``--take`` replaces one of them by a new output of its command. Two
@@ -13,12 +13,15 @@ from __future__ import annotations
 import argparse
 import datetime
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 from ruamel.yaml import YAML
 
+from docs import reference
+from docs.reference import table
 from swimid.results import numbers
 
 DOCS = Path(__file__).parent
@@ -57,12 +60,6 @@ def take(name: str, printed: str, folder: Path = MEASURED) -> None:
     content = yaml.load(path.read_text())
     content[name]["date"] = datetime.date.today().isoformat()
     yaml.dump(content, path)
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table in Markdown."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(map(str, row))} |" for row in lines)
 
 
 def share(part: float, whole: float) -> str:
@@ -206,6 +203,14 @@ TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "simulators": ("your-simulator.md", whole("simulators")),
     "first-screen": ("../README.md", first_screen),
     "real": ("real-gaps.md", real_gaps),
+    "files that people write": ("formats.md", partial(reference.formats_text, reference.WRITTEN_BY_HAND)),
+    "files that commands write": (
+        "formats.md",
+        partial(reference.formats_text, reference.WRITTEN_BY_COMMANDS),
+    ),
+    "experiments": ("formats.md", reference.experiments_text),
+    "warnings": ("warnings.md", reference.warnings_text),
+    "effects": ("effects.md", reference.effects_text),
 }
 
 

@@ -141,7 +141,7 @@ def test_a_setup_may_be_a_dictionary(film: tuple[Path, Path], tmp_path: Path) ->
     assert settings["setup"] == setup_format.read(setup).model_dump(mode="json", exclude_none=True)
     inputs = made.evidence.provenance["inputs"]
     assert len(inputs) == 2
-    assert inputs["setup"] == setup_format.of(keys).digest()
+    assert inputs["setup"] == setup_format.read_setup(keys).digest()
     with pytest.raises(InputError, match="setup, 'markrs': unknown key"):
         track_video(video, setup=keys | {"markrs": []})
 

@@ -16,9 +16,9 @@ import pytest
 
 import swimid as package
 from swimid.errors import InputError
-from tests import batch_runs
 from tests.conftest import ROOT, SAMPLES, Ran
 from tests.generators import archive
+from validation import batch_runs
 
 Run = Callable[..., Ran]
 

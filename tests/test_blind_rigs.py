@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.blind import cruises, decays, figures, noise_free, rig_effects, rigs, runner, score
-from tests.blind.common import STAGE_OF, draw_fit, left_by_each, left_by_refit
+from validation.blind import cruises, decays, figures, noise_free, rig_effects, rigs, runner, score
+from validation.blind.common import STAGE_OF, draw_fit, left_by_each, left_by_refit
 
 BLIND = Path(rigs.__file__).parent
 

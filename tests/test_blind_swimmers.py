@@ -11,11 +11,11 @@ import pytest
 
 from swimid.fitting.fit_common import load_experiment
 from swimid.results import parameters as parameter_format
-from tests.blind import swim_actuation as actuation
-from tests.blind import swim_body, swim_gap, swimmers
-from tests.blind.swim_case import Act, Trial
-from tests.blind.swim_tables import Water
 from tests.generators import swimmer
+from validation.blind import swim_actuation as actuation
+from validation.blind import swim_body, swim_gap, swimmers
+from validation.blind.swim_case import Act, Trial
+from validation.blind.swim_tables import Water
 
 #: They test the generators of blind cases, not the package.
 pytestmark = pytest.mark.slow

@@ -15,10 +15,10 @@ from click.testing import CliRunner
 
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import GapFile
-from tests.blind import cruises, swim_actuation, swim_effects
-from tests.blind.swim_case import Act, Channels, Trial
 from tests.conftest import ROOT, SAMPLES, Ran
 from tests.generators import gap_trials
+from validation.blind import cruises, swim_actuation, swim_effects
+from validation.blind.swim_case import Act, Channels, Trial
 
 Run = Callable[..., Ran]
 DROOP = ROOT / "docs" / "examples" / "effect" / "my_effect.py"

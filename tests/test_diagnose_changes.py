@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis.gap_file import ChangedValue, GapFile
-from tests.blind import swimmers
 from tests.conftest import Ran
 from tests.generators.rig import click_log, fall, write_falls
+from validation.blind import swimmers
 
 Run = Callable[..., Ran]
 #: The drag coefficient of the first day, and of the second.

@@ -12,9 +12,9 @@ import pytest
 
 from tests.conftest import ROOT, Ran
 from tests.generators import real_logs
-from tests.real_gaps import program
-from tests.real_gaps.row import MissingDataError, Row, Sources
-from tests.real_gaps.rows import roll_decay, screw_drive
+from validation.real_gaps import program
+from validation.real_gaps.row import MissingDataError, Row, Sources
+from validation.real_gaps.rows import roll_decay, screw_drive
 
 Command = Callable[..., Ran]
 

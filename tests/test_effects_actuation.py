@@ -133,11 +133,11 @@ class TestOperators:
         time = np.arange(80_000) / 10_000
         found = actuation.limit_rate(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
         fundamental = 2 * abs(np.mean(found * np.exp(-2j * np.pi * time[40_000:])))
-        assert float(actuation.describing_gain(ratio)) == pytest.approx(fundamental, abs=5e-4)
+        assert float(actuation.compute_fundamental_gain(ratio)) == pytest.approx(fundamental, abs=5e-4)
 
     def test_describing_function_begins_smoothly(self):
         ratio = np.linspace(0.5, 1.0, 2001)
-        gain = actuation.describing_gain(ratio)
+        gain = actuation.compute_fundamental_gain(ratio)
         assert np.all(np.diff(gain) > 0)
         assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
 

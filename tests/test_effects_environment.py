@@ -17,7 +17,7 @@ from swimid.effects.environment import (
     Wall,
     Waves,
     _Travelling,
-    lines,
+    find_lines,
     pull_back,
     push_off,
     rise,
@@ -158,8 +158,8 @@ def test_lines_of_a_track_are_found_beside_the_beat() -> None:
         swim = SwimInput(Beat("sine", beat, 0.3))
         trials.append(Trial(str(beat), "fit", time, {"x_m": track}, swim=swim))
     model = Toy(lambda values, time: {"x_m": np.full(len(time), 0.2)}, (), ("x_m",))
-    assert lines(model, trials, "x")[0] == pytest.approx(0.63, abs=0.05)
-    assert lines(model, trials, "y") == ()
+    assert find_lines(model, trials, "x")[0] == pytest.approx(0.63, abs=0.05)
+    assert find_lines(model, trials, "y") == ()
 
 
 def test_oscillations_of_the_model_are_no_waves() -> None:
@@ -167,7 +167,7 @@ def test_oscillations_of_the_model_are_no_waves() -> None:
     own = {"x_m": 0.01 * np.sin(2 * np.pi * 0.4 * time)}
     model = Toy(lambda values, time: own, (), ("x_m",))
     trial = Trial("a", "fit", time, {"x_m": own["x_m"] + 1e-3 * np.sin(2 * np.pi * 0.9 * time)})
-    assert lines(model, [trial], "x")[0] == pytest.approx(0.9, abs=0.05)
+    assert find_lines(model, [trial], "x")[0] == pytest.approx(0.9, abs=0.05)
 
 
 # ------------------------------------------------------------ forces

@@ -11,9 +11,9 @@ import yaml
 
 import swimid
 from swimid.diagnosis.evidence import Diagnosis
-from tests.blind import rigs, swim_body, swimmers
-from tests.blind.swim_case import Act
 from tests.generators import gap_trials
+from validation.blind import rigs, swim_body, swimmers
+from validation.blind.swim_case import Act
 
 
 def found(

@@ -13,7 +13,7 @@ from swimid.effects.rig import (
     PulleyViscous,
     StartOffset,
     StringStretch,
-    oscillation,
+    solve_oscillation,
 )
 from swimid.fitting.model import Force, Hooks, RigInput, Trial, no_force
 from swimid.propulsion.model import RecoilModel
@@ -96,7 +96,9 @@ def test_a_string_oscillates_under_a_constant_pull() -> None:
     expected = (
         pull / omega**2 * (1 - decay * (np.cos(ring * time) + zeta * omega / ring * np.sin(ring * time)))
     )
-    np.testing.assert_allclose(oscillation(time, np.full(200, pull), omega, zeta, 0.0), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        solve_oscillation(time, np.full(200, pull), omega, zeta, 0.0), expected, atol=1e-12
+    )
 
 
 def test_a_stiff_string_is_stretched_in_proportion_to_acceleration() -> None:

@@ -24,7 +24,7 @@ from swimid.effects.structure import (
     LoadFriction,
     Stribeck,
     WaterIngress,
-    bent_fin,
+    add_bent_fin_force,
 )
 from swimid.fitting.model import CruiseInput, RigInput, Stroke, Trial
 from swimid.propulsion.model import RecoilModel
@@ -215,7 +215,9 @@ def test_every_joint_that_moves_can_be_locked() -> None:
 def test_a_bent_fin_pushes_forwards_with_less_load(w: float) -> None:
     compliance, gain = 0.01, 20.0
     wrench = np.zeros(3)
-    bent_fin._pyfunc(0.0, np.zeros(3), np.array([0.0, w, 0.0]), np.array([compliance, gain, 0.0]), wrench)
+    add_bent_fin_force._pyfunc(
+        0.0, np.zeros(3), np.array([0.0, w, 0.0]), np.array([compliance, gain, 0.0]), wrench
+    )
     load = gain * w * w
     assert wrench[0] == pytest.approx(compliance * load**2, rel=1e-2)
     # the speed across the bent chord is reduced by its cosine, the force by its square, its part across by

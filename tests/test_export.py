@@ -14,7 +14,7 @@ import pytest
 
 from swimid.exporters import mjcf
 from swimid.exporters.export import load
-from swimid.exporters.source import Source, about, central
+from swimid.exporters.source import ExportSource, about, central
 from swimid.files import yamlio
 from swimid.fitting import drives
 from swimid.fitting.model import SwimInput, Trial
@@ -212,7 +212,7 @@ def mujoco() -> Iterator[Any]:
     module.set_mjcb_passive(None)
 
 
-def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
+def _rate(source: ExportSource, state: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Return the rate of the state from the engine."""
     tables = source.assembly.tables(source.values).values()
     n = source.assembly.unknowns
@@ -222,7 +222,9 @@ def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
     return rate
 
 
-def _residual(mujoco: Any, source: Source, text: str, rng: np.random.Generator, *, water: bool) -> float:
+def _residual(
+    mujoco: Any, source: ExportSource, text: str, rng: np.random.Generator, *, water: bool
+) -> float:
     """Return the maximum force that MuJoCo lacks for the accelerations of the engine, as a share of all."""
     mujoco.set_mjcb_passive(None)  # MuJoCo compiles no model while a Python callback is set
     model = mujoco.MjModel.from_xml_string(text)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from swimid.effects.base import Effect
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import list_effects
 from swimid.exporters.mjcf import water
 from swimid.files import yamlio
 from swimid.fitting.drives import Beat
@@ -24,8 +24,8 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.results import parameters
 from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
-from tests import export_trials
 from tests.conftest import ROOT, Ran
+from validation import export_trials
 
 Swimid = Callable[..., Ran]
 Causes = dict[str, dict[str, float]]
@@ -117,7 +117,7 @@ def _model() -> MultilinkModel:
 
 def _form(name: str, values: dict[str, float], model: MultilinkModel) -> tuple[Effect, np.ndarray]:
     """Return the form of an effect that has the given parameters, and their values in its order."""
-    effect = next(e for e in catalogue() if e.name == name)
+    effect = next(e for e in list_effects() if e.name == name)
     for form in effect.variants(model, [TRIAL]):
         names = [p.name for p in form.parameters(model, [TRIAL])]
         if set(names) == set(values):
@@ -188,7 +188,7 @@ def test_a_law_that_mujoco_cannot_combine_is_a_filter(tmp_path: Path, swimid: Sw
     out = tmp_path / "fish.xml"
     assert swimid("export", _write(tmp_path, causes), "--to", "mjcf", "-o", out).status == 0
     filters = tmp_path / "fish_mjcf_causes.py"
-    assert "RateLimit(rate_limit_rad_s=0.8)" in filters.read_text()
+    assert "RateLimitFilter(rate_limit_rad_s=0.8)" in filters.read_text()
     assert "ServoLag" not in filters.read_text()
     servo = ET.fromstring(out.read_text()).find(".//actuator/general")
     assert servo is not None

@@ -28,9 +28,9 @@ from swimid.results import evidence, parameters
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
 from swimid.swimmer.fit_graybox import fit_graybox
-from tests.blind import swim_actuation
 from tests.conftest import SAMPLES, Ran
 from tests.generators import gap_trials, swimmer
+from validation.blind import swim_actuation
 
 Swimid = Callable[..., Ran]
 Table = dict[str, np.ndarray]

@@ -10,11 +10,11 @@ import pytest
 
 from swimid.diagnosis.gap_file import GapFile
 from tests.conftest import ROOT
-from tests.hard_gaps import CASES, Answer, Truth, outcome
+from validation.hard_gaps import CASES, Answer, Truth, outcome
 
 
 def test_the_generators_do_not_know_the_package() -> None:
-    said = "import sys, tests.hard_gaps; print([m for m in sys.modules if m.split('.')[0] == 'swimid'])"
+    said = "import sys, validation.hard_gaps; print([m for m in sys.modules if m.split('.')[0] == 'swimid'])"
     ran = subprocess.run([sys.executable, "-c", said], cwd=ROOT, capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "[]"
 

@@ -14,7 +14,7 @@ from swimid import Channel, Model, Parameter, Trial
 from swimid.fitting import output_error
 from swimid.fitting.noise import Autoregression, NoiseForm
 from swimid.fitting.output_error import FitResult
-from tests.coverage import unlike
+from validation.coverage import unlike
 
 
 class Line(Model):

@@ -34,10 +34,10 @@ from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.model import Assembly as SpatialAssembly
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
-from tests.blind import swim_actuation
 from tests.conftest import ROOT
 from tests.generators import gap_trials, lagrange
 from tests.lifted import Lifted
+from validation.blind import swim_actuation
 
 ENGINES: dict[type[Swimmer], ModuleType] = {
     MultilinkModel: planar_engine,
@@ -215,7 +215,7 @@ def trials(count: int = 3) -> list[Trial]:
 def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
     """Repeats, trials and values are mixed, and effects of every stage act."""
     plain = MultilinkModel(robot_format.read("tfish"))
-    names = {e.name: e for e in effect_catalogue.catalogue()}
+    names = {e.name: e for e in effect_catalogue.list_effects()}
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
     for chosen in (
@@ -317,7 +317,7 @@ def test_a_cached_run_outlives_later_batches(fish: MultilinkModel) -> None:
 
 def test_equal_effects_share_their_runs() -> None:
     """The key of a kept trajectory is the effect, not the object that represents it."""
-    names = {e.name: e for e in effect_catalogue.catalogue()}
+    names = {e.name: e for e in effect_catalogue.list_effects()}
     tether, other = names["tether"], type(names["tether"])()
     assert tether is not other
     assert tether.content() == other.content()

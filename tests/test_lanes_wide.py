@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from swimid.diagnosis.remainder import AXES, ResidualForce
+from swimid.diagnosis.remainder import FORCE_AXES, ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
 from swimid.fitting import drives
@@ -25,7 +25,7 @@ from tests import lanes_forms
 
 def opened(name: str) -> MultilinkModel:
     """Return a robot with both kernels, not compiled."""
-    catalogue.catalogue()
+    catalogue.list_effects()
     model = MultilinkModel(robot_format.read(name))
     model.kernels.used = True
     return model
@@ -56,8 +56,8 @@ def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
 
 def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
     """Return every variant of every effect, and artificial forces, that need the wide kernel."""
-    every = catalogue.applicable(catalogue.catalogue(), model, own)
-    every += [ResidualForce(axis, 0.05, 0.3) for axis in AXES]
+    every = catalogue.applicable(catalogue.list_effects(), model, own)
+    every += [ResidualForce(axis, 0.05, 0.3) for axis in FORCE_AXES]
     found = {}
     for effect in every:
         names = [p.name for p in effect.parameters(model, own)]

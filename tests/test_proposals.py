@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import proposals
-from swimid.diagnosis.proposals import Limits, Proposal, Segment, Swim, protocol_of
+from swimid.diagnosis.proposals import Proposal, Segment, Swim, TrialLimits, protocol_of
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Model, RigInput, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
@@ -27,10 +27,10 @@ USUAL, FASTER, SLOWER, LARGER = (
 )  # fmt: skip
 
 
-def limits(**stated: Any) -> Limits:
+def limits(**stated: Any) -> TrialLimits:
     """Return limits of an experiment with the boxfish."""
     experiment: Any = SimpleNamespace(facts={"waveform": "sine"}, robot=robots.read("boxfish"))
-    return Limits(experiment, **stated)
+    return TrialLimits(experiment, **stated)
 
 
 def proposed(

@@ -17,7 +17,7 @@ from swimid.rig import model
 from swimid.rig import model as rig_model
 from tests.conftest import Ran
 from tests.generators import rig as generator
-from tests.real_gaps.rows import screw_drive
+from validation.real_gaps.rows import screw_drive
 
 Run = Callable[..., Ran]
 

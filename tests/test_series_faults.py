@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import swimid
 from swimid.notices import SwimidWarning
-from tests.coverage import uosc
 from tests.generators import series
+from validation.coverage import uosc
 
 MOTOR = {"input_column": "duty", "output_column": "speed_rad_s", "na": 1, "nb": 1, "held_out": (0.25,)}
 
@@ -121,6 +121,6 @@ def test_a_sensor_that_never_rests_keeps_its_stated_units(rng: np.random.Generat
 
 @pytest.mark.slow
 def test_the_band_of_the_surge_covers_simulated_swims() -> None:
-    """Ten swims; three hundred are measured by ``python -m tests.coverage uosc``."""
+    """Ten swims; three hundred are measured by ``python -m validation.coverage uosc``."""
     shares = [uosc.one(seed).get("u_osc, whole log", np.nan) for seed in range(1, 11)]
     assert np.nanmean(shares) > 0.9

@@ -231,7 +231,7 @@ def posed(view, changes, *, places=True):
     )
     track, truth = seen(view)
     with recorded() as notices:
-        ground = pose.facing(track, rules, plane_of(rules, view.width, view.height))
+        ground = pose.orient_plane(track, rules, plane_of(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
         found = {c.name: c for c in checks_of(track, result, rules)}
     return result, truth, found, [n.code for n in notices]

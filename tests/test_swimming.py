@@ -5,7 +5,7 @@ import pytest
 
 from swimid.logs import kinematics
 from swimid.logs.kinematics import Track
-from swimid.tracking.pose import smooth
+from swimid.tracking.pose import smooth_path
 
 RATE, BEAT, SWAY, TURN = 30.0, 1.3, 0.02, 0.15
 
@@ -17,11 +17,11 @@ def made(path, heading=None, *, noise=5e-4, seconds=16.0, seed=0, hidden=(0.0, 0
     measured = ~((time >= hidden[0]) & (time < hidden[1]))
     raw = np.where(measured, np.array(path(time)) + rng.normal(0, noise, (2, len(time))), np.nan)
     weights, whole = np.ones(len(time)), [(0, len(time))]
-    smoothed = smooth(time, raw, weights, whole)
+    smoothed = smooth_path(time, raw, weights, whole)
     angle = turn = None
     if heading is not None:
         angle = np.where(measured, heading(time) + rng.normal(0, 0.005, len(time)), np.nan)
-        turn = smooth(time, angle[None], weights, whole).position[0]
+        turn = smooth_path(time, angle[None], weights, whole).position[0]
     return Track(time, measured, raw, smoothed.position, smoothed.velocity, angle, turn)
 
 

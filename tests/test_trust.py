@@ -132,7 +132,7 @@ def test_a_gait_that_swims_tail_first_is_bad() -> None:
         **BEAT,
     )
     found.file.quantities["mean_surge_from_start_m_s"] = -0.1
-    assert optimise_gait.evidence_of(found.file, [], {}).verdict.level == "bad"
+    assert optimise_gait.make_gait_evidence(found.file, [], {}).verdict.level == "bad"
     assert study.forwards_check([0.1, None])[0].verdict == "pass"
     assert study.forwards_check([None]) == []
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.blind import runner
+from validation.blind import runner
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.gapbench import labels, real
-from tests.blind import runner
+from validation.blind import runner
 
 
 def make(folder: Path, *, cases: int, seed: int, robots: Sequence[str] = ()) -> int:

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import swimid
-from tests.real_gaps.row import Sources
-from tests.real_gaps.rows import ramp, roll_decay, screw_drive, tanks
+from validation.real_gaps.row import Sources
+from validation.real_gaps.rows import ramp, roll_decay, screw_drive, tanks
 
 
 class Recording(NamedTuple):

@@ -15,7 +15,7 @@ from scipy.stats import binomtest
 from benchmarks.gapbench import answers, labels
 from benchmarks.gapbench.answers import Answer, Cause
 from benchmarks.gapbench.labels import Label
-from tests.blind.score import LARGEST_SET, closed_share
+from validation.blind.score import LARGEST_SET, closed_share
 
 #: A gap is large from the second of these on, and to be seen from the first: noise alone is 1.
 SEEN, LARGE = 1.5, 3.0

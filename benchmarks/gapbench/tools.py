@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 
 from benchmarks.gapbench import answers
 from benchmarks.gapbench.answers import Answer
-from tests.blind import runner
+from validation.blind import runner
 
 ROOT = Path(__file__).parents[2]
 PEERS = ("bic", "regression", "lisdd", "sindy")

@@ -15,8 +15,8 @@ from swimid.diagnosis import answer, evidence, nominal, power, readings, repaire
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.power import DetectionPower
-from swimid.diagnosis.proposals import Limits
-from swimid.diagnosis.study import Study
+from swimid.diagnosis.proposals import TrialLimits
+from swimid.diagnosis.study import GapStudy
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
@@ -63,7 +63,7 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
     return compare_series.pool(done, experiment.model)
 
 
-def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequence[str]:
+def _check_requested(effects: Sequence[str], names: list[str], model: Model) -> Sequence[str]:
     """Return the effects that the user requests, after checking that they are hypotheses.
 
     Raises
@@ -80,7 +80,7 @@ def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequen
     return effects
 
 
-def _checked_place(
+def _check_outputs(
     options: DiagnoseOptions,
     output: Path | None,
     inputs: Sequence[Input],
@@ -118,7 +118,9 @@ def _checked_place(
     return place
 
 
-def _written(made: Diagnosis, output: Path | None, place: Path | None, command: Path | None) -> Diagnosis:
+def _write_outputs(
+    made: Diagnosis, output: Path | None, place: Path | None, command: Path | None
+) -> Diagnosis:
     """Write all outputs of a diagnosis or none, and return it with their paths."""
     with atomic.together():
         if output is not None:
@@ -214,17 +216,17 @@ def diagnose(
         experiment = loaded.experiment
         model = experiment.model
         inputs = [*experiment.inputs, *options.own_effects]
-        place = _checked_place(options, output, inputs, allow, model.file_ending)
+        place = _check_outputs(options, output, inputs, allow, model.file_ending)
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # The noise is estimated with the whole catalogue, even if only some effects are asked for.
-        known = [*effect_catalogue.catalogue(), *own]
+        known = [*effect_catalogue.list_effects(), *own]
         # An effect of the parameter file is part of the model, and no hypothesis.
         known = [e for e in known if e.joins(model.effects)]
-        begun = nominal.begun(loaded)
+        begun = nominal.prepare_diagnosis(loaded)
         asked = None
         if options.effects:
-            names = [*(e.name for e in (*known, *begun.changes)), *readings.names(experiment)]
-            asked = {*_requested(options.effects, names, model), *(e.name for e in own)}
+            names = [*(e.name for e in (*known, *begun.changes)), *readings.list_names(experiment)]
+            asked = {*_check_requested(options.effects, names, model), *(e.name for e in own)}
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
@@ -233,7 +235,9 @@ def diagnose(
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress, effects=True)
         jobs = options.jobs or os.cpu_count() or 1
-        study = Study(model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs)
+        study = GapStudy(
+            model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs
+        )
         applicable = effect_catalogue.applicable(known, model, fitted)
         given = experiment.values_from
         reasons = [NOT_GIVEN.format(given)]
@@ -249,19 +253,19 @@ def diagnose(
         }
         if options.power:
             with threadpool_limits(limits=1, user_api="blas"):
-                rows, without = power.shown(study, applicable, asked, seed=options.seed)
+                rows, without = power.compute_power(study, applicable, asked, seed=options.seed)
             keep.done()
             could = power.PowerFile(**about, effects=rows, left_out=without)
-            shown = power.evidence(could, ev.notices(notices))
+            shown = power.build_power_evidence(could, ev.notices(notices))
             return DetectionPower.of(could, shown).saved(output)
         as_given = _as_given(loaded)
-        others, alike = readings.others(experiment, fitted)
+        others, alike = readings.list_readings(experiment, fitted)
         effects = [*applicable, *others, *begun.changes]
-        found = search.run(
+        found = search.search_causes(
             study, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
             progress=progress,
         )  # fmt: skip
-        limits = Limits(
+        limits = TrialLimits(
             experiment,
             options.tank_length_m,
             options.max_frequency_hz or math.inf,
@@ -272,12 +276,12 @@ def diagnose(
         folder = trials_format.place(trials).parent
         if place is not None:
             folder = place.parent
-        repaired_file = repaired.parameters(
+        repaired_file = repaired.build_repaired(
             found, file, loaded, folder, readings=options.readings, provenance=origin
         )
         simulator = None
         if repaired_file is not None and place is not None:
-            edited = repaired.simulator_file(loaded, repaired_file, place, options.own_effects)
+            edited = repaired.build_simulator_file(loaded, repaired_file, place, options.own_effects)
             simulator = edited and (model.file_ending, edited)
         if repaired_file is None and place is not None and place.exists():
             warn("SWM061", f"{place.name} belongs to an earlier run: this one found no cause to write to it")
@@ -301,8 +305,10 @@ def diagnose(
         "as_given": as_given,
     }
     file = file.model_copy(update=about)
-    rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
+    rests_on = evidence.build_gap_evidence(
+        file, worst, sources=experiment.robot.sources, notices=ev.notices(notices)
+    )
     made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file, simulator=simulator)
-    made = _written(made, output, place, options.next)
+    made = _write_outputs(made, output, place, options.next)
     keep.done()
     return made

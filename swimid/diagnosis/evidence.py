@@ -17,14 +17,14 @@ from swimid.diagnosis.gap_file import (
     Cause,
     Cell,
     ChangedValue,
+    EffectRow,
     GapFile,
-    Score,
-    Step,
     Value,
+    WaterfallStep,
 )
 from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import Candidate, are_twins
-from swimid.diagnosis.verdict import interval_text, otherwise_text
+from swimid.diagnosis.verdict import format_interval, format_otherwise
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
 from swimid.fitting.fit_common import ROBOT_FILE, TRIALS_FILE
@@ -40,7 +40,7 @@ from swimid.simulators.repaired import SimulatorFile
 if TYPE_CHECKING:
     import pandas as pd
 
-    from swimid.diagnosis.held_out import Piece
+    from swimid.diagnosis.held_out import HeldOutSeries
 
 
 Rows = list[list[Any]]
@@ -71,7 +71,7 @@ BOX = (
 REPAIRED = "repaired.yaml"
 
 #: Minimum share of the gap that is stated in a sentence.
-LEAST = 0.005
+MIN_REFIT_SHARE = 0.005
 #: Definition of the squared error of a held-out part.
 SQUARED = (
     "The squared error is the squared Mahalanobis distance from the prediction, whose covariance has the "
@@ -79,9 +79,9 @@ SQUARED = (
 )
 
 
-def evidence(
+def build_gap_evidence(
     file: GapFile,
-    worst: Sequence[Piece] = (),
+    worst: Sequence[HeldOutSeries] = (),
     *,
     sources: Sequence[str] = (),
     notices: Sequence[ev.NoticeRecord] = (),
@@ -99,7 +99,7 @@ def evidence(
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
         tests.insert(0, ev.check("logs agree with their metadata", "no", False, reason=against))
-    said = answer_text(file)
+    said = format_answer(file)
     verdict = ev.judged(said, tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     tables = [
@@ -109,10 +109,10 @@ def evidence(
     about = {
         "Trials": f"{len(file.trials)} against {file.params}",
         "Model": file.model,
-        "Tried": _tried_text(file),
+        "Tried": _count_tried(file),
     }
     if file.facts.no_gap is not None:
-        about["Probability"] = otherwise_text(file.facts)
+        about["Probability"] = format_otherwise(file.facts)
     methods = _methods(file, said)
     cited = [*sources, *REFERENCES]
     if any(a.separates for a in file.advice):
@@ -134,7 +134,7 @@ def evidence(
     )
 
 
-def _tried_text(file: GapFile) -> str:
+def _count_tried(file: GapFile) -> str:
     """Return the numbers of effects, changed parameters and other readings that were tried."""
     names = {s.effect for s in file.scores}
     changes = {name for name in names if name.startswith(PREFIX)}
@@ -154,13 +154,13 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     """Yield the checks of a diagnosis, which decide whether its verdict is a pass, a caution or a failure."""
     grades: dict[bool, Literal["warn", "fail"]] = {False: "warn", True: "fail"}
     passed: bool | None
-    for row in verdict.rows(file.facts):
+    for row in verdict.list_rows(file.facts):
         otherwise = grades[row.otherwise == "unexplained"]
         yield ev.check(
             row.question, row.found, row.passed, row.needed, otherwise=otherwise, reason=row.reason
         )
     if file.moved:
-        said = changes_text(file.moved)
+        said = format_changes(file.moved)
         reason = f"the parameters as given are others than those refitted: {said}"
         yield ev.check("parameters as given", said, False, "within their errors", reason=reason)
     if file.at_bound:
@@ -180,7 +180,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     if file.causes:
         yield from _of_causes(file)
         passed = passed or None
-    said = remaining_text(file)
+    said = format_remaining(file)
     text = "whether a description without any physics still gains on held-out trials"
     otherwise = grades[file.verdict == "unexplained"]
     yield ev.check("structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said)
@@ -200,10 +200,16 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         yield ev.check(name, said, not found, "inside their bounds", reason=said)
     if file.facts.failed_samples and file.closed is not None:
         share = file.closed.share or 0.0
-        said = f"{percent(share, 2)} {interval_text(file.closed)}".strip()
+        said = f"{percent(share, 2)} {format_interval(file.closed)}".strip()
         name = "squared gap closed with the failed samples"
         reason = f"{said} of the squared gap closes with the failed samples"
-        yield ev.check(name, said, share >= verdict.MOST, f"≥ {percent(verdict.MOST)}", reason=reason)
+        yield ev.check(
+            name,
+            said,
+            share >= verdict.MIN_CLOSED_SHARE,
+            f"≥ {percent(verdict.MIN_CLOSED_SHARE)}",
+            reason=reason,
+        )
 
 
 # ---------------------------------------------------------------- tables
@@ -255,7 +261,7 @@ def _errors(file: GapFile) -> ev.Table:
     If the diagnosis found no cause, the table has the errors on all trials.
     """
     rows: Rows = [
-        [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed)] for s in file.closing
+        [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed)] for s in file.channel_errors
     ]
     if rows:
         title = "Errors on held-out data"
@@ -285,22 +291,22 @@ def _causes(file: GapFile) -> ev.Table:
     rows: Rows = []
     for c in file.causes:
         about = [probability_text(c.probability), ", ".join(c.equivalent), c.stage or "", c.meaning]
-        for name, size in ({n: value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
+        for name, size in ({n: format_value(v) for n, v in c.parameters.items()} or {"": ""}).items():
             rows.append([c.effect, name, size, *about])
             about = [""] * len(about)
     columns = "effect | parameter | value ± se | probability | equivalent | stage | what it is"
     caption = (
         "Probability: that it, or one of its equivalents, closes most of the gap; "
-        f"{otherwise_text(file.facts)}. Several causes act together."
+        f"{format_otherwise(file.facts)}. Several causes act together."
     )
     return _table("causes", "Causes", columns, rows, caption, folded=False)
 
 
 def _coefficients(file: GapFile) -> ev.Table:
-    strayed = {a.coefficient for a in moved(file)}
+    strayed = {a.coefficient for a in select_moved(file)}
     rows: Rows = []
     for a in (a for c in file.causes for a in c.absorbed):
-        values = ["" if v is None else value_text(v) for v in (a.given, a.without, a.with_effect)]
+        values = ["" if v is None else format_value(v) for v in (a.given, a.without, a.with_effect)]
         rows.append([a.coefficient, *values, a.coefficient in strayed])
     columns = "coefficient | as given | refitted without | refitted with | stood in"
     caption = (
@@ -311,7 +317,7 @@ def _coefficients(file: GapFile) -> ev.Table:
     return _table("coefficients", title, columns, rows, caption)
 
 
-def _twins(file: GapFile) -> list[list[Score]]:
+def _twins(file: GapFile) -> list[list[EffectRow]]:
     """Return the effects in groups whose members leave the same residuals, in the order of the scores."""
     alone = {
         h.effects[0]: Candidate(frozenset(h.effects), np.array(h.deviances, dtype=float))
@@ -319,7 +325,7 @@ def _twins(file: GapFile) -> list[list[Score]]:
         if len(h.effects) == 1
     }
     plain = sum(v or 0.0 for h in file.hypotheses if not h.effects for v in h.deviances)
-    groups: list[list[Score]] = []
+    groups: list[list[EffectRow]] = []
     for score in file.scores:
         mine = alone.get(score.effect)
         # An effect that changes nothing leaves the residuals of the model without effects.
@@ -370,7 +376,7 @@ def _parts(file: GapFile) -> ev.Table:
 # ---------------------------------------------------------------- figures
 
 
-def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
+def _steps(steps: Sequence[WaterfallStep]) -> list[ev.Figure]:
     """Plot the squared errors on held-out data as given, after each cause in turn, and of the noise alone."""
     if not steps:
         return []
@@ -404,7 +410,7 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
     return [figure]
 
 
-def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
+def _residuals(worst: Sequence[HeldOutSeries], caused: bool) -> list[ev.Figure]:
     panels = []
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
         factor, unit = numbers.in_degrees(numbers.split_unit(p.channel)[1])
@@ -434,18 +440,18 @@ MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
 MAX_NOTES, MAX_PARTS = 5, 3
 
 
-def answer_text(file: GapFile) -> str:
+def format_answer(file: GapFile) -> str:
     """Return the answer of a diagnosis as sentences.
 
     They name the causes with their sizes, and say by how much the causes reduce the held-out errors.
     """
-    names = [_named(c) for c in file.causes]
+    names = [_name_cause(c) for c in file.causes]
     if file.verdict == "none":
         said = "The model describes these trials as well as their noise allows."
         if file.moved or file.params in (ROBOT_FILE, TRIALS_FILE):
             said = "The refitted model describes these trials as well as their noise allows."
     elif file.verdict == "explained":
-        alone = [_named(c, rivals=False) for c in file.causes]
+        alone = [_name_cause(c, rivals=False) for c in file.causes]
         said = f"{listed(alone)} {plural('explains', 'together explain', names)} the gap."
         alike = [f"{c.effect} from {listed(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
         if alike:
@@ -464,10 +470,10 @@ def answer_text(file: GapFile) -> str:
         said = "The model follows the trials it is fitted to, but not the validation trials."
     else:
         said = "The model has a gap, and no effect that was tried closes it."
-    return f"{said} {_closed_text(file)}".rstrip()
+    return f"{said} {_format_closed(file)}".rstrip()
 
 
-def _closed_text(file: GapFile) -> str:
+def _format_closed(file: GapFile) -> str:
     """Return a sentence with the held-out errors of the parameters as given, their refit, and the causes."""
     closed, where = file.closed, HELD_OUT[file.held_out]
     if closed is None or closed.share is None:
@@ -476,8 +482,8 @@ def _closed_text(file: GapFile) -> str:
         f"goes from {number(closed.before, 3)} as given to {number(closed.after, 3)} times its expectation"
     )
     if closed.share > 0.0:
-        parts += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
-    if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= LEAST:
+        parts += f": {percent(closed.share, 2)} of the gap closes {format_interval(closed)}".rstrip()
+    if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= MIN_REFIT_SHARE:
         by_refit, rest = percent(closed.by_refit, 2), percent(max(closed.by_causes, 0.0), 2)
         causes = plural("the cause closes", "the causes close", file.causes)
         said = f"A refit alone closes {by_refit}, and {causes} {rest} of what it leaves"
@@ -492,14 +498,14 @@ def plural(one: str, several: str, things: Collection[object]) -> str:
     return one if len(things) == 1 else several
 
 
-def _named(cause: Cause, *, rivals: bool = True) -> str:
+def _name_cause(cause: Cause, *, rivals: bool = True) -> str:
     """Return text that names a cause, its parameter values and its equivalent effects."""
-    sizes = [f"{name} {value_text(v)}" for name, v in list(cause.parameters.items())[:2]]
+    sizes = [f"{name} {format_value(v)}" for name, v in list(cause.parameters.items())[:2]]
     name = f"{cause.effect} ({', '.join(sizes)})" if sizes else cause.effect
-    return listed([changes_text(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
+    return listed([format_changes(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
 
 
-def changes_text(parameters: Mapping[str, Value]) -> str:
+def format_changes(parameters: Mapping[str, Value]) -> str:
     """Return text for changed parameters: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
     said = []
     for name, v in parameters.items():
@@ -509,7 +515,7 @@ def changes_text(parameters: Mapping[str, Value]) -> str:
     return listed(said)
 
 
-def value_text(value: Value) -> str:
+def format_value(value: Value) -> str:
     """Return text for an estimate with its standard error and unit."""
     if value.status == "unidentifiable":
         return "not identifiable"
@@ -519,7 +525,7 @@ def value_text(value: Value) -> str:
     return text
 
 
-def remaining_text(file: GapFile) -> str:
+def format_remaining(file: GapFile) -> str:
     """Return text that says which fraction of the squared gap the causes do not close, and where."""
     left = file.remaining
     share = "an unknown share" if left.share is None else percent(left.share, 2)
@@ -527,7 +533,7 @@ def remaining_text(file: GapFile) -> str:
     return f"{share} of the squared gap remains{where}"
 
 
-def moved(file: GapFile) -> list[Absorbed]:
+def select_moved(file: GapFile) -> list[Absorbed]:
     """Return the coefficients that compensated for missing causes, sorted from the largest change down."""
     far = []
     for a in (a for c in file.causes for a in c.absorbed):
@@ -557,8 +563,8 @@ def notes(file: GapFile) -> list[str]:
             for c in list(worst.values())[:MAX_PARTS]
         ]
         said.append(f"the gap is largest at {listed(places)}")
-    for a in moved(file)[:1]:
-        values = " without the cause and ".join(value_text(v) for v in (a.without, a.with_effect))
+    for a in select_moved(file)[:1]:
+        values = " without the cause and ".join(format_value(v) for v in (a.without, a.with_effect))
         said.append(f"the coefficient {a.coefficient} stood in for the cause: it is {values} with it")
     said += [
         f"to work with the other reading: --reading {c.effect.removeprefix(READING)}"
@@ -579,7 +585,7 @@ def _methods(file: GapFile, answer: str) -> list[str]:
         f"of {refitted}{of} candidate effects as part of the model (Kennedy and O'Hagan 2001).",
         "Sets of effects were compared by the log predictive density of held-out data, by one Gauss-Newton "
         "step for each fold (Rad and Maleki 2020), with a discrepancy of unknown variance and folds weighted "
-        f"by the Bayesian bootstrap (Yao et al. 2018): {otherwise_text(file.facts)}.",
+        f"by the Bayesian bootstrap (Yao et al. 2018): {format_otherwise(file.facts)}.",
     ]
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
@@ -729,6 +735,6 @@ class Diagnosis(FileResult[GapFile]):
 
     def bare(self) -> ev.Evidence:
         """Return the evidence that follows from the gap file only, if its evidence file is missing."""
-        found = evidence(self.file)
+        found = build_gap_evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
         return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})

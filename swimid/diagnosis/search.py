@@ -24,13 +24,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, noise, odd, posterior, remainder
-from swimid.diagnosis.candidates import Tried
-from swimid.diagnosis.dropouts import Dropouts, look
-from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
+from swimid.diagnosis.candidates import Screening
+from swimid.diagnosis.dropouts import Dropouts, detect_failures
+from swimid.diagnosis.posterior import MAX_NO_GAP_PROBABILITY, Candidate, DataSize, Posterior
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.remainder import Left
-from swimid.diagnosis.study import FEW, FINE, HEAT, ROUGH, Hypothesis, Study
-from swimid.diagnosis.verdict import SURE
+from swimid.diagnosis.remainder import Structure
+from swimid.diagnosis.study import FINE, HEAT, MAX_FOLD_ITERATIONS, ROUGH, GapStudy, Hypothesis
+from swimid.diagnosis.verdict import MIN_SURE_PROBABILITY
 from swimid.effects.base import Effect
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.fit_common import step_check
@@ -58,11 +58,11 @@ RIVALS = 4
 PROBABLE, CONTENDERS = 1e-4, 6
 #: Minimum cosine between the changes of the trials by an effect and by a changed parameter at which the two
 #: changes count as equal. At this cosine, each change explains nine tenths of the square of the other.
-SAME_COSINE = 0.95
+MIN_SAME_COSINE = 0.95
 #: Maximum number of effects in one hypothesis.
-COMBINED = 3
+MAX_EFFECTS = 3
 #: Maximum number of times that the noise is learnt before sets of effects are tried.
-LEARNT = 3
+MAX_NOISE_UPDATES = 3
 
 Key = frozenset[int]
 
@@ -86,7 +86,7 @@ class Round:
     @property
     def effect(self) -> Effect:
         """Return the cause."""
-        return self.ranked[0].added.effect
+        return self.ranked[0].last_screening.effect
 
     @property
     def name(self) -> str:
@@ -94,7 +94,7 @@ class Round:
         return self.effect.name
 
 
-def step_of(
+def choose_model_step(
     model: Model,
     vectors: Sequence[Array],
     trials: Sequence[Trial],
@@ -124,7 +124,7 @@ def step_of(
     return choose_step(model, runs, allowances)
 
 
-def step_of_search(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> Step:
+def choose_search_step(study: GapStudy, fit: Hypothesis, effects: Sequence[Effect]) -> Step:
     """Choose the integration step by the fitted model, and by the model with each effect on the commands.
 
     A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. The
@@ -133,13 +133,13 @@ def step_of_search(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> 
     """
     trials = study.trials
     vectors = [fit.problem.vector(fit.theta, k) for k in range(len(trials))]
-    found = step_of(study.model, vectors, trials, [{}] * len(trials))
+    found = choose_model_step(study.model, vectors, trials, [{}] * len(trials))
     without = study.model.run_many(list(zip(vectors, trials, strict=True)))
     for effect in effects:
         tries = effect.tries(effect.parameters(study.model, trials))
         if not tries or effect.in_place_of(study.model) is not study.model:
             continue
-        affected = study.affected((effect,))
+        affected = study.build_model((effect,))
         own = [np.concatenate((values, tries[len(tries) // 2])) for values in vectors]
         if not affected.hooks(own[0], trials[0]).command:
             continue
@@ -148,13 +148,13 @@ def step_of_search(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> 
             {name: float(np.max(np.abs(seen[name] - plain[name]))) for name in trial.measured}
             for trial, seen, plain in zip(trials, simulated, without, strict=True)
         ]
-        needed = step_of(affected, own, trials, changes)
+        needed = choose_model_step(affected, own, trials, changes)
         if needed.halvings > found.halvings:
             found = needed
     return found
 
 
-def prepare(given: Study, effects: Sequence[Effect]) -> tuple[Study, Hypothesis, Dropouts]:
+def prepare_study(given: GapStudy, effects: Sequence[Effect]) -> tuple[GapStudy, Hypothesis, Dropouts]:
     """Remove failed samples from the trials, estimate the noise, and fit the model without effects.
 
     Returns
@@ -168,32 +168,32 @@ def prepare(given: Study, effects: Sequence[Effect]) -> tuple[Study, Hypothesis,
     fine, trials = given.model, given.trials
     start = [np.array([p.start for p in given.parameters])] * len(trials)
     # The search may take twice the given step if that is accurate enough.
-    model = step_of(fine.coarser() or fine, start, trials, [{}] * len(trials)).model
-    study = given.replaced(model, trials)
-    known, fit = noise.weigh(study)
-    dropouts = look(study.trials, fit.problem.simulations(fit.theta))
+    model = choose_model_step(fine.coarser() or fine, start, trials, [{}] * len(trials)).model
+    study = given.copy_with(model, trials)
+    known, fit = noise.estimate_weights(study)
+    dropouts = detect_failures(study.trials, fit.problem.simulations(fit.theta))
     if dropouts.count:
-        study = given.replaced(model, dropouts.without(trials))
-        known, fit = noise.weigh(study)
+        study = given.copy_with(model, dropouts.remove_from(trials))
+        known, fit = noise.estimate_weights(study)
     # The step was small enough at the start values of the parameters. It may be too large at the fitted
     # values, or for effects.
-    needed = step_of_search(study, fit, effects)
+    needed = choose_search_step(study, fit, effects)
     if needed.halvings:
         study = study.finer(needed.halvings)
-        known, fit = noise.weigh(study)
+        known, fit = noise.estimate_weights(study)
     if study.model is not fine and fine.swimmer is not None:
         # The model with the original step is not simulated any more.
         fine.swimmer.forget(study.trials)
     study = study.with_noise(known)
-    terms = remainder.generic_terms(study, fit)
-    differing = noise.possible(study, fit, effects)
+    terms = remainder.simulate_terms(study, fit)
+    differing = noise.list_random_candidates(study, fit, effects)
     changes = [t.changes for t in terms]
-    known = noise.learn(study, fit, changes, differing)
+    known = noise.estimate_measurement_noise(study, fit, changes, differing)
     return study.with_noise(known), fit, dropouts
 
 
 @dataclass(eq=False)
-class Search:
+class HypothesisSearch:
     """Search over all hypotheses for one set of trials.
 
     Parameters
@@ -238,7 +238,7 @@ class Search:
         Trials that were left out because they have parameters of their own, and how these differ.
     """
 
-    study: Study
+    study: GapStudy
     effects: Sequence[Effect]
     every: Sequence[Effect]
     rng: np.random.Generator
@@ -249,8 +249,8 @@ class Search:
     null: Hypothesis = field(init=False)
     pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
     first: list[Hypothesis] = field(init=False, default_factory=list)
-    screens: dict[Key, list[Tried]] = field(init=False, default_factory=dict)
-    first_screen: list[Tried] = field(init=False, default_factory=list)
+    screens: dict[Key, list[Screening]] = field(init=False, default_factory=dict)
+    first_screen: list[Screening] = field(init=False, default_factory=list)
     left_out: dict[str, str] = field(init=False, default_factory=dict)
     posterior: Posterior = field(init=False)
     base: Hypothesis = field(init=False)
@@ -258,7 +258,7 @@ class Search:
     singles: list[Hypothesis] = field(init=False, default_factory=list)
     rounds: list[Round] = field(init=False, default_factory=list)
     dropouts: Dropouts = field(init=False)
-    left: Left = field(init=False)
+    left: Structure = field(init=False)
     odd_trials: dict[str, str] = field(init=False, default_factory=dict)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
@@ -270,7 +270,7 @@ class Search:
         Worker processes would compile them several times.
         """
         for effects in acting:
-            self.study.affected(effects).prepare(effects=True)
+            self.study.build_model(effects).prepare(effects=True)
 
     def begin(self, start: Array) -> Hypothesis:
         """Fit the model without effects.
@@ -283,7 +283,7 @@ class Search:
         self.pool[self.null.key] = self.null
         return self.null
 
-    def screened(self, parent: Hypothesis) -> list[Tried]:
+    def screen(self, parent: Hypothesis) -> list[Screening]:
         """Screen all effects that can be added to a hypothesis.
 
         The screening simulates each effect at several sizes and linearises the model about each of them.
@@ -291,14 +291,14 @@ class Search:
         if parent.key not in self.screens:
             self.prepare([parent.effects])
             rest = [e for e in self.effects if e.joins(parent.effects)]
-            found: list[Tried] = []
+            found: list[Screening] = []
             left_out: dict[str, str] = {}
             for readings in (False, True):
                 # Screen the interpretations of the robot separately from all other effects, so that they do
                 # not change the rounding errors of the other inner products.
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
-                more, without = candidates.screen(
-                    self.study, parent, candidates.simulate(self.study, parent, part)
+                more, without = candidates.screen_effects(
+                    self.study, parent, candidates.simulate_effects(self.study, parent, part)
                 )
                 found += more
                 left_out |= without
@@ -308,15 +308,15 @@ class Search:
                 self.first_screen, self.left_out = found, left_out
         return self.screens[parent.key]
 
-    def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
+    def add_effects(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
         """Fit each hypothesis of ``parents`` with one more effect, and add the results to the pool.
 
         All hypotheses are fitted roughly first. Those that are not improbable are then fitted to the optimum.
         If ``most`` is given, only this number of the most promising combinations is fitted.
         """
-        promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
+        promised: dict[Key, tuple[float, Hypothesis, Screening]] = {}
         for parent in parents:
-            for t in self.screened(parent):
+            for t in self.screen(parent):
                 key = parent.key | {id(t.effect)}
                 expected = parent.deviance - t.gain
                 if key not in promised or expected < promised[key][0]:
@@ -327,7 +327,7 @@ class Search:
         self._fit_all([(self._name((*p.effects, t.effect)), p, t) for p, t in new])
         self.finish()
 
-    def _fit_all(self, new: Sequence[tuple[str, Hypothesis, Tried]]) -> None:
+    def _fit_all(self, new: Sequence[tuple[str, Hypothesis, Screening]]) -> None:
         """Add rough fits of hypotheses with one more effect to the pool, or those of an interrupted run.
 
         The fits of hypotheses that are far from the best one after one iteration end there.
@@ -336,13 +336,13 @@ class Search:
 
         def begin(k: int) -> Array:
             known = kept[k]
-            return self._packed(self.fitted(*new[k][1:])) if known is None else known
+            return self._pack(self.fit_step(*new[k][1:])) if known is None else known
 
         def proceed(k: int) -> Array:
             _, parent, tried = new[k]
             effects = (*parent.effects, tried.effect)
-            start = self._unpacked(effects, results[k]).theta
-            return self._packed(
+            start = self._unpack(effects, results[k]).theta
+            return self._pack(
                 self.study.fit(effects, [start], tolerance=ROUGH, iterations=HEAT, brief=True, hold=parent)
             )
 
@@ -359,15 +359,15 @@ class Search:
             name, parent, tried = new[k]
             if kept[k] is None:
                 self.checkpoint.put(name, found)
-            h = self._unpacked((*parent.effects, tried.effect), found, tried)
+            h = self._unpack((*parent.effects, tried.effect), found, tried)
             self.pool[h.key] = h
             self.step(tried.effect.name)
 
-    def _packed(self, h: Hypothesis) -> Array:
+    def _pack(self, h: Hypothesis) -> Array:
         """Return a hypothesis with its deviances as one array, for a checkpoint or another process."""
         return np.concatenate((h.deviances, h.log_determinant, h.theta, [h.strain, h.cost]))
 
-    def _unpacked(self, effects: Sequence[Effect], values: Array, tried: Tried | None = None) -> Hypothesis:
+    def _unpack(self, effects: Sequence[Effect], values: Array, tried: Screening | None = None) -> Hypothesis:
         """Return the hypothesis with the given numbers (:meth:`_packed`). Its fit is rough."""
         own, log, theta = np.split(values[:-2], np.array([1, 2]) * self.study.folds.count)
         strain, cost = values[-2:].tolist()
@@ -388,7 +388,7 @@ class Search:
         self.fits[name] += 1
         return f"{name}+{self.fits[name]}"
 
-    def fitted(self, parent: Hypothesis, tried: Tried) -> Hypothesis:
+    def fit_step(self, parent: Hypothesis, tried: Screening) -> Hypothesis:
         """Return the first step of a joint fit of the hypothesis ``parent`` and one more effect.
 
         The starting points are the size that the screen predicts, the size that reduced the residuals most
@@ -407,7 +407,7 @@ class Search:
         if others:
             # From distorted coefficients, the predicted size is inaccurate, and one step does not show which
             # starting point is best.
-            steps, starts = FEW, starts[-1:]
+            steps, starts = MAX_FOLD_ITERATIONS, starts[-1:]
         fit = study.fit(
             effects, starts, others=others, tolerance=ROUGH, iterations=steps, brief=True, hold=parent
         )
@@ -416,7 +416,7 @@ class Search:
             fit = replace(fit, theta=study.start(effects, parent), cost=parent.cost)
         return fit
 
-    def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
+    def refit_without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
         """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
 
         The starting points are the optima of the hypothesis and of the smaller one. Otherwise further effects
@@ -453,12 +453,12 @@ class Search:
         The refits make sure that the smaller sets are at their best optima.
         """
         while True:
-            self.posterior = self.weighed()
+            self.posterior = self.compute_posterior()
             likeliest = (h for h in self.best(len(self.posterior.best)) if h.names == self.posterior.best)
             self.base = next(likeliest, self.null)
             before = len(self._returned)
             for effect in self.base.effects:
-                self.without(self.base, effect)
+                self.refit_without(self.base, effect)
             if len(self._returned) == before:
                 return
 
@@ -475,10 +475,10 @@ class Search:
 
     def contenders(self) -> list[Hypothesis]:
         """Return the hypotheses that are not improbable, and the best ones of each size."""
-        sets = self.weighed().sets
+        sets = self.compute_posterior().sets
         least = PROBABLE * max(sets.values(), default=0.0)
         found = []
-        for size in range(1, COMBINED + 1):
+        for size in range(1, MAX_EFFECTS + 1):
             for rank, h in enumerate(self.best(size)):
                 if rank < CONTENDERS or sets.get(h.names, 0.0) > least:
                     found.append(h)
@@ -487,10 +487,10 @@ class Search:
     def finish(self) -> None:
         """Fit the hypotheses that are not improbable to their optimum."""
         while wanted := [h for h in self.contenders() if h.rough]:
-            for h in self._refitted(self.study, wanted):
+            for h in self._refit_all(self.study, wanted):
                 self._put(h)
 
-    def _refitted(self, study: Study, wanted: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
+    def _refit_all(self, study: GapStudy, wanted: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
         """Yield hypotheses in a study, which are continued to their optimum."""
 
         def one(h: Hypothesis) -> tuple[Array, float, list[Array], list[Array]]:
@@ -510,25 +510,25 @@ class Search:
         keys, names = {id(e) for e in effects}, {e.name for e in effects}
         self.effects = effects
         self.pool = {key: h for key, h in self.pool.items() if key <= keys}
-        self.first = [h for h in self.first if h.added.effect.name in names]
+        self.first = [h for h in self.first if h.last_screening.effect.name in names]
         self.first_screen = [t for t in self.first_screen if t.effect.name in names]
         self.left_out = {name: why for name, why in self.left_out.items() if name in names}
         self.finish()
 
     # ------------------------------------------------------------ noise and integration step
 
-    def leading(self) -> Hypothesis:
+    def select_leading(self) -> Hypothesis:
         """Return the hypothesis from whose residuals the noise is estimated.
 
-        It is the one whose probability exceeds that of a sure answer (:data:`SURE`). Otherwise the trials'
-        random effects may change which hypothesis is probable. The most probable effects and the model
-        without effects are then compared by :meth:`likelihood`. That comparison is not used for a sure
-        answer, because its linear step is too optimistic far from an optimum.
+        It is the one whose probability exceeds that of a sure answer (:data:`MIN_SURE_PROBABILITY`).
+        Otherwise the trials' random effects may change which hypothesis is probable. The most probable
+        effects and the model without effects are then compared by :meth:`likelihood`. That comparison is not
+        used for a sure answer, because its linear step is too optimistic far from an optimum.
         """
-        known = self.posterior.known
-        if self.posterior.sets.get(self.posterior.best, 0.0) > SURE:
+        known = self.posterior.probabilities
+        if self.posterior.sets.get(self.posterior.best, 0.0) > MIN_SURE_PROBABILITY:
             return self.base
-        if self.posterior.none > SURE:
+        if self.posterior.none > MIN_SURE_PROBABILITY:
             return self.null
         likeliest = sorted(self.best(1), key=lambda h: -known[h.names])
         scores = {h.key: self.likelihood(h) for h in (self.null, *likeliest[:CONTENDERS])}
@@ -543,14 +543,14 @@ class Search:
         """
         study = self.study
         self.prepare([h.effects])
-        differing = noise.possible(study, h, self.every)
+        differing = noise.list_random_candidates(study, h, self.every)
         known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
-        strain = self._moved(h, study.with_noise(known), h).strain
-        price = posterior.price(
+        strain = self._shift(h, study.with_noise(known), h).strain
+        price = posterior.compute_price(
             replace(self._candidate(h), strain=strain), self._candidate(self.null), self.record
         )
         if h.names:
-            price -= posterior.prior(len(h.names), self.count)
+            price -= posterior.compute_prior_log_odds(len(h.names), self.count)
         return known.log_likelihood - price
 
     def learn(self, leading: Hypothesis) -> float:
@@ -569,17 +569,17 @@ class Search:
         uncertain = any(trial.stamps_uncertain for trial in study.trials)
         # Repeats show the error of the stamps by themselves.
         if uncertain and not noise.has_repeats(study.trials):
-            study = study.with_noise(noise.reweigh(study, fit))
-            fit = self._moved(leading, study, leading)
-        terms = remainder.generic_terms(study, fit)
-        differing = noise.possible(study, fit, self.every)
+            study = study.with_noise(noise.update_weights(study, fit))
+            fit = self._shift(leading, study, leading)
+        terms = remainder.simulate_terms(study, fit)
+        differing = noise.list_random_candidates(study, fit, self.every)
         changes = [t.changes for t in terms]
-        known = noise.learn(study, fit, changes, differing)
-        left = remainder.find(study.with_noise(known), fit, terms, rng=self.rng)
+        known = noise.estimate_measurement_noise(study, fit, changes, differing)
+        left = remainder.find_structure(study.with_noise(known), fit, terms, rng=self.rng)
         largest = noise.BESIDE_GAP
-        if not left.found:
+        if not left.is_present:
             # Nothing that the trials share remains, so that everything else is noise.
-            known = noise.learn(study, fit, [], differing, brief=bool(fit.effects))
+            known = noise.estimate_measurement_noise(study, fit, [], differing, brief=bool(fit.effects))
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
         self.change(study.with_noise(known))
@@ -593,19 +593,19 @@ class Search:
 
         The first leading hypothesis was fitted with other random effects, and may have absorbed them.
         """
-        leading = self.leading()
-        for _ in range(LEARNT):
+        leading = self.select_leading()
+        for _ in range(MAX_NOISE_UPDATES):
             largest = self.learn(leading)
             self.compare()
-            before, leading = leading, self.leading()
+            before, leading = leading, self.select_leading()
             study = self.study
-            differing = noise.possible(study, leading, self.every)
+            differing = noise.list_random_candidates(study, leading, self.every)
             known = noise.with_random_effects(study, leading, study.noise, differing, largest=largest)
             names = [{e.name for e in of.random_effects} for of in (known, study.noise)]
             if leading.key == before.key and names[0] == names[1]:
                 return
 
-    def change(self, study: Study) -> None:
+    def change(self, study: GapStudy) -> None:
         """Continue with another noise model or integration step.
 
         The model without effects is refitted. The deviances of all other hypotheses follow from one step at
@@ -613,8 +613,8 @@ class Search:
         """
         kept = [h for h in self.pool.values() if h.effects]
         if not self.first:
-            self.first = self.ranked(self.null, self.best(1))
-        (fit,) = self._refitted(study, [self.null])
+            self.first = self.rank(self.null, self.best(1))
+        (fit,) = self._refit_all(study, [self.null])
         self.study = study
         for known in (self.pool, self.screens, self._cosines, self._returned):
             known.clear()
@@ -630,7 +630,7 @@ class Search:
                 if known is None or h.deviance < known.deviance:
                     self._put(h)
 
-        put([self._moved(h, study, fit) for h in kept])
+        put([self._shift(h, study, fit) for h in kept])
         # An effect cannot increase the deviance, because its null value gives the model without it. Where it
         # does, the parameters are far from their optimum with the other noise. A step from the null value
         # finds it again if the effect is smooth.
@@ -639,10 +639,10 @@ class Search:
             for h in self.pool.values()
             if h.effects and h.deviance > fit.deviance and all(e.smooth for e in h.effects)
         ]
-        put([self._moved(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
+        put([self._shift(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
         self.finish()
 
-    def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
+    def _shift(self, h: Hypothesis, study: GapStudy, null: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the same parameters in another study.
 
         Its derivatives are those that are known, or else those of ``null`` and of its own effects. Further
@@ -662,7 +662,7 @@ class Search:
         """
         study, best = self.study, self.base
         vectors = [best.problem.vector(best.theta, k) for k in range(len(study.trials))]
-        needed = step_of(study.affected(best.effects), vectors, study.trials)
+        needed = choose_model_step(study.build_model(best.effects), vectors, study.trials)
         if not needed.halvings:
             step_check([trial.id for trial in study.trials], needed.changes)
             return False
@@ -671,10 +671,12 @@ class Search:
 
     # ------------------------------------------------------------ probabilities
 
-    def weighed(self) -> Posterior:
+    def compute_posterior(self) -> Posterior:
         """Return the posterior probability of each set of effects fitted so far."""
-        found = [self._candidate(h) for size in range(1, COMBINED + 1) for h in self.best(size)]
-        return posterior.posterior(self._candidate(self.null), found, record=self.record)
+        found = [self._candidate(h) for size in range(1, MAX_EFFECTS + 1) for h in self.best(size)]
+        return posterior.compute_posterior_probabilities(
+            self._candidate(self.null), found, record=self.record
+        )
 
     @property
     def count(self) -> int:
@@ -682,19 +684,19 @@ class Search:
         return max(len({e.name for e in self.effects}), 1)
 
     @property
-    def record(self) -> Record:
+    def record(self) -> DataSize:
         """Return the size of the data set: numbers of residuals, folds and effects."""
-        return Record(float(sum(self.null.problem.counts)), self.study.folds.count, self.count)
+        return DataSize(float(sum(self.null.problem.counts)), self.study.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
         mine = {e.name for e in h.effects}
         shared = [n for n in h.labels if "[" not in n and n.rpartition("/")[0] in mine]
-        wider = self.study.loosened(h.problem)
+        wider = self.study.widen_priors(h.problem)
         widening = sum(math.log(sd / self.study.prior[name][1]) for name, (_, sd) in wider.items())
         deviances = h.deviances - self.null.log_determinant
-        return Candidate(h.names, deviances, h.strain, len(shared), widening, self._alike(h))
+        return Candidate(h.names, deviances, h.strain, len(shared), widening, self._compute_similarities(h))
 
-    def _alike(self, h: Hypothesis) -> dict[str, float]:
+    def _compute_similarities(self, h: Hypothesis) -> dict[str, float]:
         """Return for each effect of a hypothesis its largest similarity to another effect of the hypothesis.
 
         The similarity of two effects is the squared cosine between the changes of the trials that they
@@ -711,11 +713,11 @@ class Search:
                 continue
             pair = frozenset((id(first), id(second)))
             if pair not in self._cosines:
-                self._cosines[pair] = candidates.alike(self.study, self.null, first, second)
+                self._cosines[pair] = candidates.compute_cosine(self.study, self.null, first, second)
             found[one], found[other] = (max(found[n], self._cosines[pair] ** 2) for n in (one, other))
         return found
 
-    def ranked(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def rank(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return copies of hypotheses sorted by deviance, best first, with their gains over ``base``.
 
         Each hypothesis has one effect more than the hypothesis ``base``.
@@ -724,35 +726,35 @@ class Search:
         for h in sorted(hypotheses, key=lambda h: h.deviance):
             (last,) = [e for e in h.effects if id(e) not in base.key]
             one = copy.copy(h)
-            one.tried, one.gains = self.tried(base, h, last), base.deviances - h.deviances
+            one.tried, one.gains = self.find_screening(base, h, last), base.deviances - h.deviances
             found.append(one)
         return found
 
-    def tried(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Tried:
+    def find_screening(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Screening:
         """Return the screening result of an effect of hypothesis ``h`` that is added to hypothesis
         ``base``.
         """
         if h.tried is not None and h.tried.effect is effect:
             return h.tried
-        found = next((t for t in self.screened(base) if t.effect is effect), None)
+        found = next((t for t in self.screen(base) if t.effect is effect), None)
         if found is None:
             parameters = effect.parameters(self.study.model, self.study.trials)
             null = np.array([p.start for p in parameters])
             signature = [np.zeros(count) for count in base.problem.counts]
-            found = Tried(effect, parameters, null, np.zeros(self.study.folds.count), 1.0, signature)
+            found = Screening(effect, parameters, null, np.zeros(self.study.folds.count), 1.0, signature)
         return found
 
 
-def run(
-    given: Study,
+def search_causes(
+    given: GapStudy,
     effects: Sequence[Effect],
     *,
     asked: Collection[str] | None = None,
     seed: int = 0,
-    most: int = COMBINED,
+    most: int = MAX_EFFECTS,
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
-) -> Search:
+) -> HypothesisSearch:
     """Run the complete search of a diagnosis: noise, fits of hypotheses, and choice of the causes.
 
     Parameters
@@ -765,51 +767,51 @@ def run(
     """
     odd_trials: dict[str, str] = {}
 
-    def begun(study: Study, fit: Hypothesis) -> Search:
+    def start_search(study: GapStudy, fit: Hypothesis) -> HypothesisSearch:
         """Return a search with the fits of single effects."""
         with progress("effects", total=len(effects)) as shown:
-            found = Search(
+            found = HypothesisSearch(
                 study, effects, effects, rng=np.random.default_rng(seed),
                 checkpoint=checkpoint or Checkpoint(),
                 step=partial(show, shown),
             )  # fmt: skip
             found.begin(study.start((), fit))
-            found.beside([found.null])
+            found.add_effects([found.null])
             found.compare()
         return found
 
     with threadpool_limits(limits=1, user_api="blas"):
         while True:
-            study, fit, dropouts = prepare(given, effects)
-            differing = noise.possible(study, fit, effects)
-            search = begun(odd.usual(study, differing), fit)
+            study, fit, dropouts = prepare_study(given, effects)
+            differing = noise.list_random_candidates(study, fit, effects)
+            search = start_search(odd.add_random_effects(study, differing), fit)
             known = [search.null, *search.best(1)[:PARENTS]]
-            trial = odd.find(known, search.record, differing)
+            trial = odd.find_contradicting_trial(known, search.record, differing)
             said = None if trial is None else odd.describe(trial, differing)
             if trial is None or said is None:
                 break
             odd_trials[trial.trial] = said
-            given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])
+            given = given.copy_with(given.model, [t for t in given.trials if t.id != trial.trial])
         search.settle()
         if search.posterior.outside > 0.5 and search.study.noise.random_effects:
             # The random values of the trials may have taken up what an effect explains.
-            other = begun(study, fit)
+            other = start_search(study, fit)
             other.settle()
             if other.posterior.outside < search.posterior.outside:
                 search = other
         search.restrict([e for e in effects if asked is None or e.name in asked])
         search.odd_trials, search.dropouts = odd_trials, dropouts
-        choose(search, most, progress)
+        choose_causes(search, most, progress)
         if dropouts.count:
             simulated = search.base.problem.simulations(search.base.theta)
-            search.dropouts = dropouts.confirmed(look(given.trials, simulated))
+            search.dropouts = dropouts.confirm(detect_failures(given.trials, simulated))
         search.study = search.study.with_noise(noise.with_floors(search.study, search.base))
-        terms = remainder.generic_terms(search.study, search.base)
-        search.left = remainder.find(search.study, search.base, terms, rng=search.rng)
+        terms = remainder.simulate_terms(search.study, search.base)
+        search.left = remainder.find_structure(search.study, search.base, terms, rng=search.rng)
     return search
 
 
-def choose(search: Search, most: int, progress: Progress = silent) -> None:
+def choose_causes(search: HypothesisSearch, most: int, progress: Progress = silent) -> None:
     """Choose the most probable set of causes, and compare each cause with its alternatives.
 
     Larger sets are tried as long as the remaining excess could make one of them more probable.
@@ -818,18 +820,23 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
     count = search.count
     while 0 < len(search.base.names) < min(most, count):
         best, size = search.base, len(search.base.names)
-        loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
+        loses = posterior.compute_prior_log_odds(size, count) - posterior.compute_prior_log_odds(
+            size + 1, count
+        )
         # The noise was estimated from the residuals of the best hypothesis, so it may contain part of the
         # excess of this hypothesis. Add the gain that the screening predicts.
-        gains = [0.0, *(t.gain for t in search.screened(best))]
-        if posterior.most(search.posterior.excess[best.names] + max(gains), search.record) < loses:
+        gains = [0.0, *(t.gain for t in search.screen(best))]
+        if (
+            posterior.compute_largest_gain(search.posterior.excess[best.names] + max(gains), search.record)
+            < loses
+        ):
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:
             search.step = partial(show, shown)
             parents = search.best(size)[:PARENTS]
-            search.beside([*parents, *([best] if best not in parents else [])], SETS)
+            search.add_effects([*parents, *([best] if best not in parents else [])], SETS)
         larger = min(search.best(size + 1), key=lambda h: h.deviance, default=best)
-        if best.deviance - larger.deviance < posterior.unit(search.record, 0.0):
+        if best.deviance - larger.deviance < posterior.compute_tolerance(search.record, 0.0):
             break
         # The noise was estimated from residuals that may contain what a larger set explains.
         before = search.study.noise
@@ -837,34 +844,34 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
         search.compare()
         if len(search.base.names) <= size:
             # With the noise of the larger set, that set is not needed. Go back, unless no gap is left then.
-            if search.posterior.none < SURE:
+            if search.posterior.none < MIN_SURE_PROBABILITY:
                 search.change(search.study.with_noise(before))
                 search.compare()
             break
     best = search.base
     for effect in best.effects if len(best.names) > 1 else ():
-        search.beside([search.without(best, effect)], RIVALS)
+        search.add_effects([search.refit_without(best, effect)], RIVALS)
     search.compare()
     if search.refine():
         search.compare()
-    search.base = best = in_parameters(search)
-    search.singles = search.ranked(search.null, search.best(1))
-    known = {h.added.effect.name for h in search.singles}
-    search.singles += [h for h in search.first if h.added.effect.name not in known]
+    search.base = best = prefer_parameters(search)
+    search.singles = search.rank(search.null, search.best(1))
+    known = {h.last_screening.effect.name for h in search.singles}
+    search.singles += [h for h in search.first if h.last_screening.effect.name not in known]
     for effect in best.effects:
-        base = search.without(best, effect)
+        base = search.refit_without(best, effect)
         rivals = [h for h in search.best(len(best.names)) if base.key < h.key and h.key != best.key]
-        ranked = [*search.ranked(base, [best]), *search.ranked(base, rivals)]
-        likely = search.posterior.known
+        ranked = [*search.rank(base, [best]), *search.rank(base, rivals)]
+        likely = search.posterior.probabilities
         least = PROBABLE * likely.get(best.names, 0.0)
         same = [
-            h.added.effect.name
+            h.last_screening.effect.name
             for h in ranked[1:]
-            if _twins(search.posterior, best.names, base.names | {h.added.effect.name})
+            if _are_twins(search.posterior, best.names, base.names | {h.last_screening.effect.name})
             or (
                 effect.adds_to is not None
                 and likely.get(h.names, 0.0) > least
-                and _same_change(search, base, ranked[0].added, h.added)
+                and _is_same_change(search, base, ranked[0].last_screening, h.last_screening)
             )
         ]
         search.rounds.append(Round(ranked, tuple(same)))
@@ -872,39 +879,39 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
     search.rounds.sort(key=lambda r: (r.effect.adds_to is None, -r.ranked[0].gain))
     smaller = best
     for last in reversed(search.rounds[1:]):
-        smaller = search.without(smaller, last.effect)
+        smaller = search.refit_without(smaller, last.effect)
         search.between.insert(0, smaller)
 
 
-def in_parameters(search: Search) -> Hypothesis:
+def prefer_parameters(search: HypothesisSearch) -> Hypothesis:
     """Return the most probable hypothesis, with changed parameters in place of equivalent effects.
 
     The changed parameter is preferred because it needs no additional physics.
     """
-    best, known = search.base, search.posterior.known
+    best, known = search.base, search.posterior.probabilities
     for effect in best.effects:
         if effect.adds_to is not None:
             continue
-        base = search.without(best, effect)
-        mine = search.tried(base, best, effect)
+        base = search.refit_without(best, effect)
+        mine = search.find_screening(base, best, effect)
         for h in search.best(len(best.names)):
             rest = [e for e in h.effects if id(e) not in base.key]
             if not base.key < h.key or rest[0].adds_to is None:
                 continue
-            likely = known.get(h.names, 0.0) >= UNSURE * known.get(best.names, 0.0)
-            if likely and _same_change(search, base, mine, search.tried(base, h, rest[0])):
+            likely = known.get(h.names, 0.0) >= MAX_NO_GAP_PROBABILITY * known.get(best.names, 0.0)
+            if likely and _is_same_change(search, base, mine, search.find_screening(base, h, rest[0])):
                 best = h
                 break
     return best
 
 
-def _twins(found: Posterior, *sets: frozenset[str]) -> bool:
+def _are_twins(found: Posterior, *sets: frozenset[str]) -> bool:
     """Return whether two sets of effects leave the same residuals."""
     known = {c.names: c for c in found.candidates}
     return all(names in known for names in sets) and posterior.are_twins(*(known[names] for names in sets))
 
 
-def _same_change(search: Search, base: Hypothesis, first: Tried, second: Tried) -> bool:
+def _is_same_change(search: HypothesisSearch, base: Hypothesis, first: Screening, second: Screening) -> bool:
     """Return whether two effects change the trials in the same way when added to a hypothesis.
 
     The deviances with the two effects, and with their strains, must differ by no more than noise. Effects
@@ -912,6 +919,9 @@ def _same_change(search: Search, base: Hypothesis, first: Tried, second: Tried) 
     """
     known = {c.names: c.deviance + c.strain for c in search.posterior.candidates}
     one, other = (known.get(base.names | {t.effect.name}, np.inf) for t in (first, second))
-    if not abs(one - other) <= posterior.unit(search.record, 0.0):
+    if not abs(one - other) <= posterior.compute_tolerance(search.record, 0.0):
         return False
-    return abs(one - other) < STRONG or abs(candidates.alike(search.study, base, first, second)) > SAME_COSINE
+    return (
+        abs(one - other) < STRONG
+        or abs(candidates.compute_cosine(search.study, base, first, second)) > MIN_SAME_COSINE
+    )

@@ -16,13 +16,13 @@ from scipy.linalg import norm
 from swimid.diagnosis import crossval
 from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR, PREFIX
-from swimid.diagnosis.settings import folds
+from swimid.diagnosis.settings import divide_folds
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem, Watch, map_in_processes
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.candidates import Tried
+    from swimid.diagnosis.candidates import Screening
 
 #: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0
@@ -32,7 +32,7 @@ CHANGE_WIDTH = 10.0
 #: The prior mean comes from the first samples of the trial.
 START_PRIOR = 30.0
 #: Weight of the mean of a random effect that is held at 0, in units of its standard error by chance.
-CENTRED = 100.0
+ZERO_MEAN_WEIGHT = 100.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
 #: Search from several starting points: number of iterations from the best one (HEAT), maximum number of
@@ -40,18 +40,18 @@ TOLERANCE = 1e-5
 #: (ROUGH) and in them (FINE).
 HEAT, STEPS, ROUGH, FINE = 4, 80, 1e-3, 1e-4
 #: Ratio of the costs of two brief searches, after the same number of iterations, at which the worse one ends.
-BEATEN = 3.0
+MAX_COST_RATIO = 3.0
 #: Maximum number of iterations of a refit without one fold, which begins at the fit to all folds, and of the
 #: first steps from distorted coefficients.
-FEW = 3
+MAX_FOLD_ITERATIONS = 3
 #: Distance of a coefficient from its prior mean, in prior standard deviations, above which a missing effect
 #: may have distorted the coefficient.
-DISTORTED = 2.0
+MAX_PRIOR_DISTANCE_SD = 2.0
 #: Maximum standard deviation of an informative prior, as a fraction of the coefficient. In place of a wider
 #: prior, a prior of this width about the published value is used.
-LOOSE = 0.3
+MAX_INFORMATIVE_SHARE = 0.3
 #: Maximum change of the parameters, in standard errors, up to which a fit uses earlier derivatives again.
-NEAR = 0.3
+MAX_REUSE_STDERR = 0.3
 
 
 #: Type of a prior correlation: names of coefficients, and the correlation matrix of their priors.
@@ -59,7 +59,7 @@ Correlation = tuple[Sequence[str], Array]
 NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
 #: Number added to the diagonal of a correlation matrix to make it positive definite. This is necessary
 #: because files round correlations to a few digits.
-ROUNDING = 1e-6
+CORRELATION_RIDGE = 1e-6
 
 
 @dataclass(eq=False)
@@ -89,12 +89,12 @@ class Hypothesis:
         last; empty if the two were not compared.
     """
 
-    study: Study
+    study: GapStudy
     effects: tuple[Effect, ...]
     theta: Array
     cost: float
     problem: Problem
-    tried: Tried | None = None
+    tried: Screening | None = None
     rough: bool = False
     gains: Array = field(default_factory=lambda: np.empty(0))
 
@@ -109,7 +109,7 @@ class Hypothesis:
         return frozenset(e.name for e in self.effects)
 
     @property
-    def added(self) -> Tried:
+    def last_screening(self) -> Screening:
         """Return the screening result of the effect that was added last."""
         assert self.tried is not None
         return self.tried
@@ -132,9 +132,9 @@ class Hypothesis:
         strain : float
             Squared distance of the parameters from their prior means.
         """
-        equations = crossval.normal_equations(self.study, self)
-        distance, log_determinant = crossval.deviances(equations)
-        return distance + log_determinant, log_determinant, crossval.strain(equations)
+        equations = crossval.form_normal_equations(self.study, self)
+        distance, log_determinant = crossval.compute_deviances(equations)
+        return distance + log_determinant, log_determinant, crossval.compute_strain(equations)
 
     @property
     def deviances(self) -> Array:
@@ -253,7 +253,7 @@ class Hypothesis:
                 parts.setdefault(channel, []).append(series[np.isfinite(series)])
         return {c: np.concatenate(p) for c, p in parts.items()}
 
-    def measured(self) -> dict[str, Array]:
+    def collect_measured(self) -> dict[str, Array]:
         """Return the measured samples of all trials by channel, in the channel's unit."""
         parts: dict[str, list[Array]] = {}
         for k, trial in enumerate(self.problem.trials):
@@ -282,7 +282,7 @@ def _brief_watch(tolerance: float) -> Watch:
     def watch(theta: Array, cost: float, iteration: int) -> str | None:
         nonlocal last
         lowered, last = last - cost, cost
-        beaten = cost > BEATEN * lowest.get(iteration, cost)
+        beaten = cost > MAX_COST_RATIO * lowest.get(iteration, cost)
         lowest[iteration] = min(cost, lowest.get(iteration, cost))
         if iteration and (beaten or lowered <= tolerance * cost):
             return "another starting point is better, or the cost falls slowly"
@@ -291,7 +291,7 @@ def _brief_watch(tolerance: float) -> Watch:
     return watch
 
 
-class Study:
+class GapStudy:
     """Model, trials, priors and noise that all fits of a diagnosis share.
 
     Parameters
@@ -334,27 +334,27 @@ class Study:
             np.concatenate([np.empty(0), *(trial.time_s[mask] for mask in masks)])
             for trial, masks in zip(self.trials, self.shape.masks, strict=True)
         ]
-        self.folds = folds(self.trials, stamps)
+        self.folds = divide_folds(self.trials, stamps)
 
-    def replaced(self, model: Model, trials: Sequence[Trial]) -> Study:
+    def copy_with(self, model: Model, trials: Sequence[Trial]) -> GapStudy:
         """Return a study with the same priors, but with another model and other trials."""
         more = {"correlation": self.correlation, "jobs": self.jobs}
-        return Study(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
+        return GapStudy(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
-    def finer(self, halvings: int) -> Study:
+    def finer(self, halvings: int) -> GapStudy:
         """Return a study with the same trials and noise, whose model has a halved integration step."""
         model = self.model
         for _ in range(halvings):
             model = model.refined() or model
-        return self.replaced(model, self.trials).with_noise(self.noise)
+        return self.copy_with(model, self.trials).with_noise(self.noise)
 
-    def with_noise(self, noise: NoiseModel) -> Study:
+    def with_noise(self, noise: NoiseModel) -> GapStudy:
         """Return a study with another noise model."""
         other = copy.copy(self)
         other.noise = noise
         return other
 
-    def affected(self, effects: Sequence[Effect]) -> Model:
+    def build_model(self, effects: Sequence[Effect]) -> Model:
         """Return the model with the random effects and the given effects added."""
         # Cache the model with effects, because the typical scales of effects are computed from the trials.
         acting = [*(one.effect for one in self.noise.random_effects), *effects]
@@ -370,11 +370,11 @@ class Study:
         return np.array(own, dtype=np.intp)
 
     @property
-    def centred(self) -> list[str]:
+    def zero_mean_names(self) -> list[str]:
         """Return the names of the random effects whose mean over the trials is held at 0."""
         return [one.parameter for one in self.noise.random_effects if one.is_centred]
 
-    def settled(self, problem: Problem, k: int, own: Iterable[int]) -> NDArray[np.intp]:
+    def select_nonrandom(self, problem: Problem, k: int, own: Iterable[int]) -> NDArray[np.intp]:
         """Return those of the unknowns ``own`` of trial ``k`` that are no random effects."""
         random = self.random(problem, k).tolist()
         return np.array([j for j in own if j not in random], dtype=np.intp)
@@ -385,7 +385,7 @@ class Study:
         The shape is (n_k, q).
         """
         random = self.random(fit.problem, k)
-        return fit.columns(k, random) / self.expected(fit.problem)[1][random]
+        return fit.columns(k, random) / self.compute_prior(fit.problem)[1][random]
 
     def problem(
         self,
@@ -404,13 +404,13 @@ class Study:
         known : mapping of label to float, optional
             Shared parameters that are held at these values.
         """
-        model = self.affected(effects)
+        model = self.build_model(effects)
         own = model.parameters[len(self.parameters) :]
-        parameters = held_at((*self.parameters, *own), known or {})
+        parameters = fix_parameters((*self.parameters, *own), known or {})
         problem = Problem(
             model, parameters, self.trials if trials is None else trials, jobs=jobs or self.jobs
         )
-        problem.near = NEAR
+        problem.near = MAX_REUSE_STDERR
         if trials is None and self.noise.sd:
             problem.sd = [list(sds) for sds in self.noise.sd]
         return problem
@@ -429,11 +429,11 @@ class Study:
             dtype=bool,
         )
 
-    def shared(self, fit: Hypothesis) -> NDArray[np.intp]:
+    def select_shared(self, fit: Hypothesis) -> NDArray[np.intp]:
         """Return the indices of the parameters that all folds share and that are not at a bound."""
         return np.flatnonzero(~self.single(fit.problem) & fit.inside)
 
-    def apart(self, fit: Hypothesis, k: int) -> NDArray[np.intp]:
+    def select_own(self, fit: Hypothesis, k: int) -> NDArray[np.intp]:
         """Return the indices of the parameters of trial ``k`` that are refitted in a held-out fold.
 
         Parameters at a bound are left out.
@@ -441,7 +441,7 @@ class Study:
         free = self.single(fit.problem) & fit.inside
         return np.array([j for j in fit.problem.own(k) if free[j]], dtype=int)
 
-    def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
+    def widen_priors(self, problem: Problem) -> dict[str, tuple[float, float]]:
         """Return wider priors of coefficients for a model with another interpretation of the robot's source.
 
         The result is empty for the interpretation in the robot file. The usual priors come from other trials
@@ -453,14 +453,14 @@ class Study:
         own = {p.name: OWN_PRIOR * max(abs(p.start), 0.1 * p.scale) for p in self.parameters}
         return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
 
-    def expected(self, problem: Problem) -> tuple[Array, Array]:
+    def compute_prior(self, problem: Problem) -> tuple[Array, Array]:
         """Return the prior mean and the inverse prior standard deviation of each parameter.
 
         The inverse standard deviation of a parameter without a prior is 0.
         """
         mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
         random = {one.parameter: one.sd for one in self.noise.random_effects}
-        known = {**self.prior, **self.loosened(problem)}
+        known = {**self.prior, **self.widen_priors(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
             if owner is None and p.name in known:
@@ -487,22 +487,22 @@ class Study:
         left_out : collection of int, optional
             Indices of trials that are not fitted. They do not belong to the mean.
         """
-        _, weight = self.expected(problem)
-        root, loosened = np.diag(weight), self.loosened(problem)
+        _, weight = self.compute_prior(problem)
+        root, loosened = np.diag(weight), self.widen_priors(problem)
         names, correlation = self.correlation
         at = {problem.parameters[i].name: j for j, (i, owner) in enumerate(problem.slots) if owner is None}
         known = [(at[n], i) for i, n in enumerate(names) if n in at and n not in loosened]
         if known:
             places, rows = (list(ends) for ends in zip(*known, strict=True))
             own = correlation[np.ix_(rows, rows)]
-            inverse = np.linalg.inv(own + ROUNDING * np.eye(len(rows)))
+            inverse = np.linalg.inv(own + CORRELATION_RIDGE * np.eye(len(rows)))
             root[np.ix_(places, places)] = np.linalg.cholesky(inverse).T * weight[places]
         rows = [root[weight > 0]]
-        for name in self.centred if len(problem.trials) > 1 else ():
+        for name in self.zero_mean_names if len(problem.trials) > 1 else ():
             mine = [
                 problem.parameters[i].name == name and owner not in left_out for i, owner in problem.slots
             ]
-            rows.append(np.atleast_2d(CENTRED * weight * mine / math.sqrt(max(sum(mine), 1))))
+            rows.append(np.atleast_2d(ZERO_MEAN_WEIGHT * weight * mine / math.sqrt(max(sum(mine), 1))))
         return np.concatenate(rows)
 
     def precision(self, problem: Problem) -> Array:
@@ -518,19 +518,19 @@ class Study:
         states beside the prior means, because the initial states may be distorted as well.
         """
         plain, distorted = theta.copy(), False
-        known = {**self.prior, **self.loosened(problem)}
+        known = {**self.prior, **self.widen_priors(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
             if owner is not None or p.name not in known:
                 continue
             mean, sd = known[p.name]
             size = max(abs(mean), p.scale)
-            if p.known is not None and sd > LOOSE * size:
+            if p.known is not None and sd > MAX_INFORMATIVE_SHARE * size:
                 # The prior was estimated from these trials, so a missing effect biases the prior too. Use the
                 # published value of the coefficient instead of this prior.
-                mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
+                mean, sd = p.known, MAX_INFORMATIVE_SHARE * max(abs(p.known), p.scale)
             plain[j] = mean
-            distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
+            distorted = distorted or abs(theta[j] - mean) > MAX_PRIOR_DISTANCE_SD * sd
         if not distorted:
             return []
         rest = plain.copy()
@@ -563,8 +563,8 @@ class Study:
             Further starting points, of which only the one with the lowest cost is used.
         brief : bool
             Whether the fit only has to show which starting point is best. A search then ends as soon as its
-            cost is :data:`BEATEN` times that of an earlier one after the same number of iterations, or when
-            its cost falls by less than the tolerance.
+            cost is :data:`MAX_COST_RATIO` times that of an earlier one after the same number of iterations,
+            or when its cost falls by less than the tolerance.
         hold : Hypothesis, optional
             Nearby fit, whose derivatives replace those with respect to the parameters that both fits have.
         reuse : Hypothesis, optional
@@ -576,7 +576,7 @@ class Study:
         """
         problem = self.problem(effects, jobs=None if hold is None and reuse is None else 1, known=known)
         left_out = [] if kept is None else [k for k, fitted in enumerate(kept) if not fitted.any()]
-        problem.prior = self.expected(problem)[0], self.root(problem, left_out)
+        problem.prior = self.compute_prior(problem)[0], self.root(problem, left_out)
         if hold is not None:
             problem.hold_derivatives(hold.problem, hold.derivatives)
         if reuse is not None:
@@ -612,7 +612,7 @@ class Study:
             fit.effects, [start], tolerance=tolerance, iterations=STEPS, reuse=fit if is_same else None
         )
 
-    def without_each(self, fit: Hypothesis) -> list[Array]:
+    def refit_folds(self, fit: Hypothesis) -> list[Array]:
         """Return the estimates of refits that leave out one fold each, one array of shape (p,) for each fold.
 
         The noise model is not re-estimated. Per-trial parameters of the held-out fold are not estimated.
@@ -621,7 +621,12 @@ class Study:
         def one(f: int) -> Array:
             kept = [owner != f for owner in self.folds.owner]
             theta = self.fit(
-                fit.effects, [fit.theta], tolerance=ROUGH, iterations=FEW, reuse=fit, kept=kept
+                fit.effects,
+                [fit.theta],
+                tolerance=ROUGH,
+                iterations=MAX_FOLD_ITERATIONS,
+                reuse=fit,
+                kept=kept,
             ).theta.copy()
             # Nothing determines the initial state of a trial that is held out as a whole.
             for k in (k for k, fitted in enumerate(kept) if not fitted.any()):
@@ -704,13 +709,13 @@ class Study:
         mine = np.array([j for j in problem.own(k) if inside[j]], dtype=int) if to is None else to
         if not len(mine):
             return noise.whiten(problem, k, block)
-        mean, weight = self.expected(problem)
+        mean, weight = self.compute_prior(problem)
         n, scale = len(block), problem.scale[mine]
         seen = noise.whiten(problem, k, np.column_stack((fit.columns(k, mine) * scale, block)))
         own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
         wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
         wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
-        return np.asarray(wanted - own @ crossval.solved(own.T @ own, own.T @ wanted))
+        return np.asarray(wanted - own @ crossval.solve_normal(own.T @ own, own.T @ wanted))
 
     def changes(self, base: Hypothesis, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
         """Return the changes of the simulated samples by an effect for several parameter values.
@@ -725,14 +730,14 @@ class Study:
         points : sequence of ndarray
             Values of all parameters of the effect.
         """
-        model = self.affected((*base.effects, effect))
+        model = self.build_model((*base.effects, effect))
         own = [base.problem.vector(base.theta, k) for k in range(len(self.trials))]
         runs = [
             (np.concatenate((values, point[: len(model.acting[-1].parameters)])), trial)
             for point in points
             for values, trial in zip(own, self.trials, strict=True)
         ]
-        without = self.affected(base.effects).run_many(list(zip(own, self.trials, strict=True)))
+        without = self.build_model(base.effects).run_many(list(zip(own, self.trials, strict=True)))
         simulated = iter(model.run_many(runs))
         unaffected = [base.problem.stacked(k, seen) for k, seen in enumerate(without)]
         return [
@@ -744,15 +749,10 @@ class Study:
         ]
 
 
-def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
+def fix_parameters(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
     """Return the parameters, with those in ``known`` fixed at the values given there."""
     found = list(parameters)
     for i, p in enumerate(parameters):
         if p.name in known:
             found[i] = replace(p, free=False, start=known[p.name])
     return tuple(found)
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square of an array."""
-    return float(np.sqrt(np.mean(values**2)))

@@ -78,10 +78,10 @@ class AmplitudeOffset(base.Actuation):
                 return angle
             return trimmed(time_s, angle, joint)
 
-        def beaten(stroke: Stroke) -> Stroke:
+        def change_beat(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        return replace(base.on_command(model, trial, command, of_angles=True), stroke=(beaten,))
+        return replace(base.on_command(model, trial, command, of_angles=True), stroke=(change_beat,))
 
 
 #: Ratio of a rate limit to the largest rate of a sine below which the rate-limited sine is a triangle wave:
@@ -93,7 +93,8 @@ class RateLimit(base.Actuation):
     """Limit of the rate with which a joint follows its command.
 
     The effect has no influence if the limit is the largest commanded rate. In models of the average over a
-    beat, the steady beat has the amplitude of the fundamental of the limited sine (:func:`describing_gain`).
+    beat, the steady beat has the amplitude of the fundamental of the limited sine
+    (:func:`compute_fundamental_gain`).
     """
 
     name = "rate-limit"
@@ -117,7 +118,7 @@ class RateLimit(base.Actuation):
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Return the amplitude of a steady beat: that of the fundamental of the rate-limited sine."""
         rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
-        return stroke.amplitude_rad * describing_gain(value / np.maximum(rate, 1e-12))
+        return stroke.amplitude_rad * compute_fundamental_gain(value / np.maximum(rate, 1e-12))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -145,7 +146,7 @@ def limit_rate(time, signal, limit):  # type: ignore[no-untyped-def]
     return output
 
 
-def describing_gain(ratio: Array | float) -> Array:
+def compute_fundamental_gain(ratio: Array | float) -> Array:
     """Return the amplitude of the fundamental of a rate-limited sine, divided by the amplitude of the sine.
 
     Parameters
@@ -153,7 +154,7 @@ def describing_gain(ratio: Array | float) -> Array:
     ratio : ndarray or float
         Rate limit divided by the largest rate of the sine. From a ratio of one, the sine is unchanged.
 
-    >>> [round(float(v), 6) for v in describing_gain(np.array([0.0, 0.5, 1.0, 2.0]))]
+    >>> [round(float(v), 6) for v in compute_fundamental_gain(np.array([0.0, 0.5, 1.0, 2.0]))]
     [0.0, 0.63662, 1.0, 1.0]
     """
     nodes, gains = _middle()
@@ -178,10 +179,10 @@ def _middle() -> tuple[Array, Array]:
     for k, ratio in enumerate(ratios[1:-1], start=1):
         leave = math.asin(ratio)
 
-        def ahead(theta: float, ratio: float = ratio, leave: float = leave) -> float:
+        def line_gap(theta: float, ratio: float = ratio, leave: float = leave) -> float:
             return math.cos(leave) - math.cos(theta) - ratio * (theta - leave)
 
-        meet = brentq(ahead, max(math.pi - leave, leave + 1e-9), math.pi + leave)
+        meet = brentq(line_gap, max(math.pi - leave, leave + 1e-9), math.pi + leave)
         theta = np.linspace(leave, leave + math.pi, 4001)
         line = -math.cos(leave) + ratio * (theta - leave)
         angle = np.where(theta < meet, line, -np.cos(theta))

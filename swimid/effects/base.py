@@ -359,11 +359,11 @@ class Actuation(Effect, ABC):
         """Return hooks that change the commands of the joints, and the amplitude of a steady beat."""
         value = float(values[0])
 
-        def beaten(stroke: Stroke) -> Stroke:
+        def change_beat(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
         hooks = follow_commands(model, trial, partial(self.follow, value), of_angles=self.of_angles)
-        return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
+        return replace(hooks, stroke=(change_beat,)) if "stroke" in self.needs else hooks
 
 
 def on_command(model: Model, trial: Trial, change: Command, *, of_angles: bool = False) -> Hooks:
@@ -495,7 +495,7 @@ def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
 
-class Clock(Effect, ABC):
+class ClockError(Effect, ABC):
     """Error of the clock of a log, or only of the clock of the camera.
 
     Parameters
@@ -530,7 +530,7 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
     A sample with time stamp ``time_s`` has the pose of the time ``happened(time_s)``.
     """
 
-    def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+    def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
         # A cubic spline extrapolates well over two samples, but not further.
         end = time_s[-1] + 2.0 * np.median(np.diff(time_s))
         then = np.clip(happened(time_s), time_s[0], end)
@@ -542,7 +542,7 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
         shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
         return {**channels, **dict(zip(poses, shifted.T, strict=True))}
 
-    return Hooks(output=(seen,) * (len(trial.time_s) > 3))
+    return Hooks(output=(observe,) * (len(trial.time_s) > 3))
 
 
 class Sensing(Effect, ABC):
@@ -561,8 +561,8 @@ class Sensing(Effect, ABC):
     def show(self, change: Callable[[str, Array], Array]) -> Hooks:
         """Return hooks that apply ``change(name, simulated)`` to every channel of the effect."""
 
-        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             mine = {n: change(n, v) for n, v in channels.items() if n in self.channels}
             return {**channels, **mine}
 
-        return Hooks(output=(seen,))
+        return Hooks(output=(observe,))

@@ -96,9 +96,9 @@ class Mjcf(SimulatorTrials):
         trials, sources = self.read_trials(path, list(entry.inputs.values()), list(entry.outputs))
         state = options.get("start_state", "auto")
         states = [state if state != "auto" else one.start_state for one in self.trials]
-        trials = [model.started(trial, one) for trial, one in zip(trials, states, strict=True)]
+        trials = [model.set_start(trial, one) for trial, one in zip(trials, states, strict=True)]
         _warn_of_step(model, trials)
-        return self.posed(path, model, trials, [file, *sources])
+        return self.make_experiment(path, model, trials, [file, *sources])
 
 
 def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:

@@ -62,7 +62,7 @@ class Python(SimulatorTrials):
         entry = self.model
         try:
             simulate, file = find_function(entry.python, path.parent)
-            parameters = [p.made(name) for name, p in entry.parameters.items()]
+            parameters = [p.to_parameter(name) for name, p in entry.parameters.items()]
         except InputError as error:
             if error.file is not None:
                 raise
@@ -84,4 +84,4 @@ class Python(SimulatorTrials):
                 column="model.python",
                 hint="seed its random numbers in each call, or leave its noise out",
             )
-        return self.posed(path, model, trials, [file, *sources] if file else sources)
+        return self.make_experiment(path, model, trials, [file, *sources] if file else sources)

@@ -14,9 +14,9 @@ from typing import Any, NotRequired
 import swimid
 from swimid.errors import InputError, UsageError
 from swimid.exporters import gazebo, mjcf, movement, vehicle
-from swimid.exporters.causes import Cause, filters_text, limits_of
+from swimid.exporters.causes import ExportedCause, filters_text, limits_of
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Exported, Link, Source, central
+from swimid.exporters.source import Exported, ExportedLink, ExportSource, central
 from swimid.files import atomic, tabular
 from swimid.files.provenance import digests_of, is_own
 from swimid.fitting.model import Parameter
@@ -155,15 +155,17 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
     if limits:
         carried = f"{len(limits)} limits, see the warnings"
     summary = f"{source.robot.name} as {title}: {carried}"
-    summary += _compared(source, options, params, text, result)
+    summary += _compare_with_mujoco(source, options, params, text, result)
     return ExportedText("export", summary, result, list(files), document=text)
 
 
-def _compared(source: Source, options: ExportOptions, params: Any, text: str, result: dict[str, Any]) -> str:
+def _compare_with_mujoco(
+    source: ExportSource, options: ExportOptions, params: Any, text: str, result: dict[str, Any]
+) -> str:
     """Add the difference between MuJoCo and swimid to a result, and return it in words; empty without one."""
     if options.to != "mjcf" or options.added_mass != "fold" or options.draw:
         return ""
-    compared = mjcf.compare(source, params, text)
+    compared = mjcf.compare_with_mujoco(source, params, text)
     if compared is None:
         return ""
     result["compared"] = compared
@@ -171,7 +173,7 @@ def _compared(source: Source, options: ExportOptions, params: Any, text: str, re
     return f"; in MuJoCo with its callback it differs by {difference:.1f} mm after {way:.2f} m"
 
 
-def _format_of(source: Source, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:
+def _format_of(source: ExportSource, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:
     """Return title and function of a format for a robot in a plane or in 3-D.
 
     Raises
@@ -187,7 +189,7 @@ def _format_of(source: Source, target: str) -> tuple[str, Callable[[Any, ExportO
     return gazebo.TITLE, vehicle.export
 
 
-def load(params: parameters.Source) -> Source:
+def load(params: parameters.Source) -> ExportSource:
     """Read a parameter file and the robot file that it names, and return both as the source of an export.
 
     Raises
@@ -197,7 +199,7 @@ def load(params: parameters.Source) -> Source:
     """
     path = parameters.place(params)
     file = parameters.read(params, model=("multilink", "multibody"))
-    kind = Source
+    kind = ExportSource
     if file.model == "multibody":
         kind = vehicle.VehicleSource
     if file.robot is None:
@@ -215,7 +217,7 @@ def load(params: parameters.Source) -> Source:
     return source
 
 
-def _check_robot(source: Source, place: Path | str, path: Path) -> None:
+def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
     """Raise an error if the robot cannot be exported with the parameters of the parameter file.
 
     The robot must have links in a plane, a valid mass matrix, and all coefficients of the
@@ -254,7 +256,7 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
 NOTABLE = 0.1
 
 
-def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
+def _samples(source: ExportSource, count: int, seed: int) -> list[dict[str, float]]:
     """Draw random samples of all parameters that the trials share, according to their uncertainty.
 
     Each sample is a mapping of parameter names to values.
@@ -274,7 +276,7 @@ def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
         for name, e in shared.items()
         if "/" in name
     }
-    model.parameters = tuple(_bounded(p, shared.get(p.name)) for p in (own | effects).values())
+    model.parameters = tuple(_with_bounds(p, shared.get(p.name)) for p in (own | effects).values())
     # Leave out the effects of the file, because their parameters are already among those of the model.
     applied = Applied(model, source.parameters.model_copy(update={"effects": []}), source.path)
     if not applied.uncertain()[0]:
@@ -288,7 +290,7 @@ def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
     return [{name: float(vector[k]) for name, k in index} for vector in vectors]
 
 
-def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
+def _with_bounds(p: Parameter, estimate: Estimate | None) -> Parameter:
     """Return a copy of a parameter with the bounds of its estimate, or fixed if it has no estimate."""
     if estimate is None:
         return replace(p, free=False)
@@ -296,7 +298,7 @@ def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
     return replace(p, lower=lower, upper=upper)
 
 
-def _at(source: Source, values: dict[str, float], words: str) -> Source:
+def _at(source: ExportSource, values: dict[str, float], words: str) -> ExportSource:
     """Return a copy of the source of an export with other values of its parameters.
 
     ``words`` describes the origin of the values, such as ``draw 3 of seed 1``.
@@ -308,7 +310,7 @@ def _at(source: Source, values: dict[str, float], words: str) -> Source:
     return replace(source, parameters=file, origin={**source.origin, "draw": words})
 
 
-def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
+def _table(source: ExportSource, samples: list[dict[str, float]], seed: int) -> str:
     """Return random samples of the parameters as CSV text, with one row for each sample.
 
     There is one column for each parameter, with the unit in its name.
@@ -331,7 +333,7 @@ def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
 # ---------------------------------------------------------------- JSON
 
 
-def _to_json(source: Source, _: ExportOptions) -> Exported:
+def _to_json(source: ExportSource, _: ExportOptions) -> Exported:
     """Return the JSON document of a multi-link robot. This format can represent all force elements."""
     file, body, links = source.parameters.model_dump(mode="json"), source.body, source.links
     data: dict[str, Any] = {
@@ -360,7 +362,7 @@ def _to_json(source: Source, _: ExportOptions) -> Exported:
     return Exported(text, [*source.input_limits, *limits_of(source.causes, [], forces=True)], [])
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def _cause(cause: ExportedCause) -> dict[str, Any]:
     """Return the entry of an effect in the JSON document.
 
     ``contained`` states whether the links, joints and force elements of the document include the influence of
@@ -375,7 +377,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
     }
 
 
-def _link(link: Link, links: list[Link]) -> dict[str, Any]:
+def _link(link: ExportedLink, links: list[ExportedLink]) -> dict[str, Any]:
     mass, centre, moment = central(link.rigid)
     parents = {i: parent.name for i, parent in enumerate(links)}
     return {
@@ -392,7 +394,7 @@ def _link(link: Link, links: list[Link]) -> dict[str, Any]:
     }
 
 
-def _joint(source: Source, link: Link) -> dict[str, Any]:
+def _joint(source: ExportSource, link: ExportedLink) -> dict[str, Any]:
     assert link.joint is not None
     columns = {axis.joint.name: axis.column for axis in (*source.assembly.driven, *source.assembly.passive)}
     joint = link.joint.model_dump(mode="json")
@@ -410,7 +412,7 @@ def _joint(source: Source, link: Link) -> dict[str, Any]:
 
 #: Export formats. The key is a value of the option ``--to``. Each format has its title and the function that
 #: writes it.
-TARGETS: dict[str, tuple[str, Callable[[Source, ExportOptions], Exported]]] = {
+TARGETS: dict[str, tuple[str, Callable[[ExportSource, ExportOptions], Exported]]] = {
     "mjcf": (mjcf.TITLE, mjcf.export),
     "gazebo": (gazebo.TITLE, gazebo.export),
     "json": ("JSON", _to_json),

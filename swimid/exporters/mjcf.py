@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects.catalogue import catalogue
-from swimid.exporters.causes import FILTERS, Cause
+from swimid.effects.catalogue import list_effects
+from swimid.exporters.causes import FILTERS, ExportedCause
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
+from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
 from swimid.fitting.model import TRACEABLE, Force
 from swimid.notices import recorded
 from swimid.swimmer.tree import SYMMETRIC
@@ -41,12 +41,12 @@ USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
 #: follows the second.
 PREFIX, CAUSE = "water:", "water:cause:"
 #: Prefix of the names of the MuJoCo sites whose user data are an added mass that differs by direction: the
-#: upper triangle of :attr:`swimid.exporters.source.Link.directional`, row by row.
-MASS = "mass:"
+#: upper triangle of :attr:`swimid.exporters.source.ExportedLink.directional`, row by row.
+MASS_PREFIX = "mass:"
 #: Beat with which an exported model is compared with swimid.
 COMPARED = {"frequency_hz": 1.0, "amplitude_deg": 20.0, "duration_s": 6.0}
 #: Time step of the exported MuJoCo model, s.
-STEP_S = 0.002
+MJCF_STEP_S = 0.002
 #: Fractions into which the half-width of the play of a servo is divided. The first is the range of an
 #: additional hinge. The second is the angle by which the dry friction in this hinge deflects the servo.
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
@@ -54,7 +54,7 @@ PLAY_RANGE, PLAY_HELD = 0.9, 0.1
 
 #: Functions that compute settings of the MuJoCo actuator of a driven joint from the arguments of the command
 #: filter of an effect (:data:`swimid.exporters.causes.FILTERS`). The key is the name of the effect.
-SERVOS: dict[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = {
+SERVO_SETTINGS: dict[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = {
     "amplitude-loss": lambda values: {"gain": 1.0 - values["loss"]},
     "amplitude-offset": lambda values: {"offset_rad": values["offset_rad"]},
     "joint-locked": lambda values: {"gain": 1.0 - values["lock"]},
@@ -67,7 +67,7 @@ SERVOS: dict[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = {
 NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
 
 
-def export(source: Source, options: ExportOptions) -> Exported:
+def export(source: ExportSource, options: ExportOptions) -> Exported:
     """Return the MJCF document of a multi-link robot, and sentences on what it cannot represent."""
     fold = options.added_mass == "fold"
     inertias = source.inertias(fold=fold)
@@ -99,11 +99,11 @@ def export(source: Source, options: ExportOptions) -> Exported:
         limits,
         filtered,
         forces=True,
-        step_s=STEP_S,
+        step_s=MJCF_STEP_S,
         point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
         rigid=[central(inertia) for inertia in inertias],
         directional=[mass[np.triu_indices(3)] for mass in directional],
-        mass_prefix=MASS,
+        mass_prefix=MASS_PREFIX,
         user=_user,
         user_size=max([USER_SIZE, *(len(force.constants) for _, force in source.forces)]),
         prefix=PREFIX,
@@ -119,7 +119,7 @@ def _site(force: Force) -> str:
     return CAUSE + next(name for name, known in TRACEABLE.items() if known.function is force.function)
 
 
-def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
+def _settings(source: ExportSource) -> tuple[list[dict[str, float]], list[ExportedCause]]:
     """Return the MuJoCo settings of the actuator of each driven joint, and the effects that need a filter.
 
     MuJoCo applies delay, lag, gain and play in this order. An effect needs a filter of the commands if MuJoCo
@@ -133,9 +133,9 @@ def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
         if not cause.hooks.command:
             continue
         own: list[Mapping[str, float]] = []
-        if cause.name in SERVOS and not source.transmissions:
+        if cause.name in SERVO_SETTINGS and not source.transmissions:
             given = [FILTERS[cause.name][1](cause, actuator, source.model) for actuator in actuators]
-            own = [values and SERVOS[cause.name](values) for values in given]
+            own = [values and SERVO_SETTINGS[cause.name](values) for values in given]
         names, taken = ({key for one in many for key in one} for many in (own, settings))
         limited = "rate_rad_s" in names | taken
         if not own or names & taken or (limited and (names | taken) & NOT_WITH_RATE):
@@ -167,7 +167,7 @@ def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
             "moment": servo["moment"],
         }
     if "delay_s" in own:
-        samples = str(math.ceil(own["delay_s"] / STEP_S))
+        samples = str(math.ceil(own["delay_s"] / MJCF_STEP_S))
         attributes |= {"nsample": samples, "interp": "linear", "delay": own["delay_s"]}
     if "rate_rad_s" in own:
         tag, attributes["input"] = "pid", "pos"
@@ -184,13 +184,13 @@ def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
     return {"tag": tag, "attributes": attributes, "play": play}
 
 
-def _user(element: Element) -> list[float]:
+def _user(element: ExportedElement) -> list[float]:
     """Return the user data of the MuJoCo site of a force element: index of its kind, and coefficients."""
     row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
     return [list(KINDS).index(element.kind), *row]
 
 
-def _wires(source: Source) -> list[dict[str, Any]]:
+def _wires(source: ExportSource) -> list[dict[str, Any]]:
     """Return a MuJoCo spatial tendon for each passive joint that has a wire with a spring.
 
     The tension of the wire is ``K_t (D + constant)``, where D is the distance between the ends of the wire.
@@ -216,7 +216,7 @@ def _wires(source: Source) -> list[dict[str, Any]]:
     return wires
 
 
-def compare(source: Source, params: Any, text: str) -> dict[str, float] | None:
+def compare_with_mujoco(source: ExportSource, params: Any, text: str) -> dict[str, float] | None:
     """Return the difference between MuJoCo with an exported file and swimid after a swim.
 
     Both have the beat of :data:`COMPARED`, and MuJoCo has the callback :func:`water`. The result is None
@@ -237,7 +237,7 @@ def compare(source: Source, params: Any, text: str) -> dict[str, float] | None:
     if source.causes or not columns or not source.model.free_base:
         return None
     with recorded():
-        log = simulate(params=params, sample_rate_hz=1.0 / STEP_S, **COMPARED).frame
+        log = simulate(params=params, sample_rate_hz=1.0 / MJCF_STEP_S, **COMPARED).frame
     before = mujoco.get_mjcb_passive()
     mujoco.set_mjcb_passive(None)
     model = mujoco.MjModel.from_xml_string(text)
@@ -291,7 +291,7 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, i) or "" for i in range(model.nsite)]
     rows = list(zip(range(model.nsite), names, np.array(model.site_user), strict=True))
     laws = [(site, _law(name, row)) for site, name, row in rows if name.startswith(PREFIX)]
-    masses = [(site, row[SYMMETRIC]) for site, name, row in rows if name.startswith(MASS)]
+    masses = [(site, row[SYMMETRIC]) for site, name, row in rows if name.startswith(MASS_PREFIX)]
     plane = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "swimid_plane")
     begin, size = int(model.text_adr[plane]), int(model.text_size[plane])
     upright = bytes(model.text_data)[begin : begin + size].rstrip(b"\0") == b"vertical"
@@ -354,7 +354,7 @@ def _law(name: str, row: Any) -> Law:
     if not name.startswith(CAUSE):
         return lambda time_s, pose, u, v, r: _force(row, u, v, r)
     # Call the catalogue to import the modules of all effects, which register the functions of their forces.
-    catalogue()
+    list_effects()
     known = TRACEABLE[name.removeprefix(CAUSE)]
     constants = row[: known.constants]
 

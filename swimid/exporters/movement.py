@@ -24,7 +24,7 @@ from swimid.results.result import Result
 
 #: Name of the point that a log tracks, and pattern of the columns with a coordinate of a point.
 REFERENCE = "reference"
-_COORDINATE = re.compile(r"((?P<point>.+)_)?(?P<axis>[xyz])_(?P<unit>m|px)")
+COORDINATE_COLUMN = re.compile(r"((?P<point>.+)_)?(?P<axis>[xyz])_(?P<unit>m|px)")
 
 
 class Dataset(Result):
@@ -75,7 +75,7 @@ def export(source: LogLike, output: str | Path | None) -> Dataset:
 
 def _content(record: Log, path: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Return the variables, the coordinates and the attributes of the dataset of a log."""
-    hits = {name: hit for name in record.signals if (hit := _COORDINATE.fullmatch(name))}
+    hits = {name: hit for name in record.signals if (hit := COORDINATE_COLUMN.fullmatch(name))}
     unit = "m" if any(hit["unit"] == "m" for hit in hits.values()) else "px"
     places: dict[str, dict[str, str]] = {}
     for name, hit in hits.items():

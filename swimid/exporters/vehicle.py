@@ -18,7 +18,7 @@ from swimid.errors import InputError
 from swimid.exporters.causes import limits_of
 from swimid.exporters.gazebo import DART_ONLY
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import NO_ERRORS, Exported, Source, xml_text
+from swimid.exporters.source import NO_ERRORS, Exported, ExportSource, xml_text
 from swimid.fitting.model import Array
 from swimid.swimmer.spatial.engine import DAMPING, DRAG, LOAD
 from swimid.swimmer.spatial.model import Assembly, MultibodyModel, centre_of_mass, cross_matrix, full
@@ -32,7 +32,7 @@ SAME_M = 1e-9
 
 
 @dataclass(frozen=True)
-class VehicleSource(Source):
+class VehicleSource(ExportSource):
     """Parameter file and robot of an export of a robot in 3-D."""
 
     part: ClassVar[str] = "multibody"
@@ -106,7 +106,7 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
     )
 
 
-def _drag(source: Source, centre: Array) -> tuple[list[dict[str, Any]], dict[str, float]]:
+def _drag(source: ExportSource, centre: Array) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Return helper links for drag away from the centre of mass, and the derivatives of the main link."""
     rows = [dict(zip(DRAG, row, strict=True)) for row in source.tables["drag"]]
     own = np.zeros((2, 6))
@@ -133,7 +133,7 @@ def _tags(values: Array) -> dict[str, float]:
     return {tag: float(value) for tag, value in tags.items() if value}
 
 
-def _volumes(source: Source, centre: Array, mass: float) -> tuple[list[dict[str, Any]], list[str]]:
+def _volumes(source: ExportSource, centre: Array, mass: float) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the boxes of water that the vehicle displaces, and sentences on other forces."""
     fluid = source.robot.fluid
     volumes, limits = [], []
@@ -155,7 +155,7 @@ def _volumes(source: Source, centre: Array, mass: float) -> tuple[list[dict[str,
     return volumes, limits
 
 
-def _propellers(source: Source, centre: Array) -> tuple[list[dict[str, Any]], list[str]]:
+def _propellers(source: ExportSource, centre: Array) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the propeller links of the loads, and sentences on what their commands must be."""
     names, laws = list(source.body.inputs), list(source.body.inputs.values())
     propellers, limits = [], []

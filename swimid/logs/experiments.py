@@ -44,10 +44,13 @@ FOLDER = Path(__file__).parents[1] / "experiments"
 class Drive(yamlio.Document):
     """Drive of a free-swimming trial: the commanded tail beat."""
 
+    #: Sine, or the oscillators of the tendon fish paper: Hopf, and asymmetric CPG.
     waveform: Literal["sine", "hopf", "a-cpg"] = "sine"
     frequency_hz: PositiveFloat
     amplitude_deg: Annotated[float, Field(ge=0)]
+    #: Mean angle about which the joint beats, degrees.
     bias_deg: float = 0.0
+    #: Difference between the durations of the two half strokes, for the waveform a-cpg.
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
     #: Phase of the tail beat at time zero, degrees.
@@ -86,8 +89,11 @@ class TrialEntry(yamlio.Document):
     #: its name.
     _held: Log | None = PrivateAttr(default=None)
 
+    #: Name of the trial; by default the name of the log file.
     id: str = ""
+    #: Path of the log, relative to the trials file.
     log: str
+    #: Whether the trial is fitted, or held out to validate the fit.
     role: Literal["fit", "validate"] = "fit"
     #: Start and end of the part of the log that is used, s; by default the start and the end of the log.
     start_s: float | None = None

@@ -19,8 +19,8 @@ from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.problem import MAX_STEPS, Limit, Problem, interval95, merit
-from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
+from swimid.optimisation.problem import MAX_STEPS, GaitProblem, Limit, interval95, merit
+from swimid.optimisation.study import BEAT, STROKE, OptimisationStudy, Performance, StudyFile, study_of
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -163,13 +163,13 @@ def optimise_gait(
         if known:
             performance.applied.warn_without_error("the intervals")
             _set_intervals(problem, file, options, progress)
-    return study.saved(BestGait, file, evidence_of(file, notices, study.origin))
+    return study.save(BestGait, file, make_gait_evidence(file, notices, study.origin))
 
 
 # ------------------------------------------------------------ the problem
 
 
-def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> Problem:
+def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> GaitProblem:
     if not options.vary:
         raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
     performance.check_gaits(options.vary, "--vary")
@@ -191,7 +191,7 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
             raise UsageError(f"--limit {name} is not for this robot")
     if options.goal == "power" and options.reach_speed_m_s is None:
         raise UsageError("the least power is that of no motion", hint="give the speed: --reach-speed-m-s")
-    return Problem(performance, options.vary, [(quantity, sign)], limits, checkpoint=keep)
+    return GaitProblem(performance, options.vary, [(quantity, sign)], limits, checkpoint=keep)
 
 
 def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str, Limit]:
@@ -221,7 +221,7 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 # ------------------------------------------------------------ searches
 
 
-def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
+def _choose_starts(problem: GaitProblem, options: OptimiseGaitOptions) -> Array:
     """Return the best points of a Sobol sequence as starting points of the search, in the unit cube.
 
     Also set the typical scale of the goal in ``problem``, which the penalties need.
@@ -232,13 +232,15 @@ def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
     points = qmc.Sobol(len(problem.vary), seed=options.seed).random_base2(exponent)
     table = problem.table(points)
     problem.performance.insist(table)
-    wanted = problem.wanted(table)[:, 0]
+    wanted = problem.compute_objectives(table)[:, 0]
     if np.isfinite(wanted).any():
         problem.scale = float(np.nanmedian(np.abs(wanted)))
     return points[np.argsort(merit(problem.parts(table)), kind="stable")[: options.starts]]
 
 
-def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
+def _find(
+    problem: GaitProblem, options: OptimiseGaitOptions, study: OptimisationStudy, progress: Progress
+) -> GaitFile:
     """Search for the best gait from several starting points; return it with its simulated quantities."""
     starts = _choose_starts(problem, options)
     with progress("search", total=MAX_STEPS) as step:
@@ -270,7 +272,7 @@ def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress
 
 
 def _set_intervals(
-    problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
+    problem: GaitProblem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
 ) -> None:
     """Set the 95 % intervals of the varied parameters and of the goal in ``file``, from random samples."""
     vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
@@ -292,7 +294,7 @@ def _set_intervals(
 # ------------------------------------------------------------ evidence
 
 
-def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+def make_gait_evidence(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the checks, tables and figures of the best gait that a search has found."""
     limits = [
         f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
@@ -307,7 +309,7 @@ def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any
     figures = []
     if file.drawn:
         figures.append(_draws_figure(file))
-    return studies.evidence(
+    return studies.make_evidence(
         file, "optimise gait", answer(file), _checks(file), facts, notices, origin,
         tables=[_gait_table(file), _quantity_table(file)], figures=figures, methods=_methods(file),
     )  # fmt: skip
@@ -329,7 +331,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
     checks.append(studies.region_check(file.identified, [{**drive, **file.at}]))
     if file.inside is None:
-        return [*checks, studies.unknown_check("uncertainty of the gait")]
+        return [*checks, studies.make_undefined_check("uncertainty of the gait")]
     checks.append(studies.draws_check(file.inside))
     if file.kept_in_draws is not None:
         passed, value = file.kept_in_draws >= MIN_KEPT, numbers.percent(file.kept_in_draws, 2)

@@ -21,7 +21,7 @@ from swimid.fitting.model import Array
 from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.problem import Problem
+from swimid.optimisation.problem import GaitProblem
 from swimid.optimisation.study import BEAT, Performance, StudyFile, in_parallel, points_of, study_of
 from swimid.options import takes
 from swimid.results import evidence as ev
@@ -30,7 +30,7 @@ from swimid.results.result import FileResult
 
 #: Degree of the polynomial of the frequency that gives the stiffness at one amplitude (Algorithm 1 of
 #: "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin").
-DEGREE = 2
+CURVE_DEGREE = 2
 #: Radius of the finite differences in the first step and at the end of the final search, as a fraction of the
 #: stiffness range. The final search starts at the best point of a Pareto front.
 SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
@@ -131,13 +131,13 @@ class RuleFile(StudyFile):
             if len(amplitudes) > 1:
                 raise UsageError("this rule depends on the amplitude: give amplitude_deg")
             amplitude_deg = amplitudes[0]
-        f = _within(frequency_hz, self.frequency_hz, "frequency_hz", outside)
-        a = _within(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)
+        f = _limit_to_range(frequency_hz, self.frequency_hz, "frequency_hz", outside)
+        a = _limit_to_range(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)
         values = [np.polyval(curve.coefficients[::-1], f) for curve in self.curves]
         return float(np.interp(a, amplitudes, np.clip(values, *self.between)))
 
 
-def _within(value: float, ends: tuple[float, float], name: str, outside: Outside) -> float:
+def _limit_to_range(value: float, ends: tuple[float, float], name: str, outside: Outside) -> float:
     low, high = ends
     slack = 1e-9 * max(abs(low), abs(high))
     if not math.isfinite(value) or (outside == "refuse" and not low - slack <= value <= high + slack):
@@ -152,7 +152,7 @@ def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Cu
     >>> bool(np.allclose(made.coefficients, [1.0, 0.0, 2.0]))
     True
     """
-    found = np.polynomial.polynomial.polyfit(frequency_hz, stiffness, DEGREE)
+    found = np.polynomial.polynomial.polyfit(frequency_hz, stiffness, CURVE_DEGREE)
     residuals = stiffness - np.polynomial.polynomial.polyval(frequency_hz, found)
     rms = float(np.sqrt(np.mean(residuals**2)))
     return Curve(amplitude_deg=amplitude_deg, coefficients=tuple(found.tolist()), rms=rms)
@@ -257,17 +257,17 @@ def optimise_stiffness(
             uncertain=bool(performance.applied.uncertain()[0]),
         )
         _assess(performance, file)
-    return study.saved(StiffnessRule, file, evidence_of(file, notices, study.origin))
+    return study.save(StiffnessRule, file, make_rule_evidence(file, notices, study.origin))
 
 
-def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
+def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> GaitProblem:
     """Return the optimisation problem that is solved at every grid point; raise an error for bad options."""
     if options.stroke is not None or performance.model.in_space:
         raise UsageError("a stiffness rule is for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
         raise UsageError("--over takes frequency_hz, and amplitude_deg where the rule depends on it")
     performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
-    if options.over["frequency_hz"][2] <= DEGREE or options.over.get("amplitude_deg", (0, 0, 2))[2] < 2:
+    if options.over["frequency_hz"][2] <= CURVE_DEGREE or options.over.get("amplitude_deg", (0, 0, 2))[2] < 2:
         raise UsageError(
             "--over: a quadratic rule needs three frequencies or more, and two amplitudes or none"
         )
@@ -280,7 +280,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
     goals = [(COST, 1.0), (SPEED, -1.0)]
     if options.objective == "speed":
         goals = [("mean_surge_from_start_m_s", -1.0), (f"{performance.turn}_rate_range_rad_s", 1.0)]
-    return Problem(performance, {name: (low, high)}, goals, {})
+    return GaitProblem(performance, {name: (low, high)}, goals, {})
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
@@ -299,7 +299,9 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
 # ------------------------------------------------------------ search
 
 
-def _front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
+def _front_at(
+    problem: GaitProblem, number: int, reference: float, options: OptimiseStiffnessOptions
+) -> Array:
     """Search for the Pareto front over the stiffness at one grid point, and refine its best point.
 
     The best point has the minimum of the first objective. It is refined by a search with finite differences.
@@ -316,7 +318,7 @@ def _front_at(problem: Problem, number: int, reference: float, options: Optimise
         front = front[np.argsort(front[:, 1], kind="stable")]
         problem.scale = float(abs(front[0, 1]))
         refined = problem.minimise(front[:1, :1], first=SEARCH_RADIUS, last=MIN_RADIUS).points
-        found = np.hstack([refined, problem.wanted(problem.table(refined))])
+        found = np.hstack([refined, problem.compute_objectives(problem.table(refined))])
         if found[0, 1] < front[0, 1]:
             # Remove the points that are worse than the refined point in both objectives.
             front = np.vstack([found, front[front[:, 2] < found[0, 2]]])
@@ -324,7 +326,7 @@ def _front_at(problem: Problem, number: int, reference: float, options: Optimise
     return front
 
 
-def _optimum(problem: Problem, front: Array) -> Optimum:
+def _optimum(problem: GaitProblem, front: Array) -> Optimum:
     if not len(front):
         raise NoTrustworthyResult(
             f"every simulation breaks down at {problem.fixed}",
@@ -373,7 +375,7 @@ def _loss(file: RuleFile) -> Array:
         return np.asarray(_column(file, "ruled", COST) / _column(file, "best", COST) - 1.0)
 
 
-def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+def make_rule_evidence(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a stiffness rule, with checks, tables and figures."""
     first, second = (name.replace("_", " ") for name in file.objectives)
     facts = {
@@ -388,7 +390,7 @@ def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any
         f"{file.duration_s:g} s began at rest. A quadratic function of the frequency for each amplitude was "
         "fitted to the best values of the first objective."
     ]
-    return studies.evidence(
+    return studies.make_evidence(
         file, "optimise stiffness", answer(file), _checks(file), facts, notices, origin,
         tables=[_curve_table(file), _optima_table(file)],
         figures=[_rule_figure(file)],
@@ -418,7 +420,7 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     grid = [{**drive, "frequency_hz": o.frequency_hz, "amplitude_deg": o.amplitude_deg} for o in file.optima]
     checks.append(studies.region_check(file.identified, grid))
     if not file.uncertain:
-        return [*checks, studies.unknown_check("uncertainty of the rule")]
+        return [*checks, studies.make_undefined_check("uncertainty of the rule")]
     name, text = "uncertainty of the rule", "optimise gait gives the interval of the stiffness at one gait"
     reason = "the standard errors of the coefficients are not in the rule"
     return [*checks, ev.check(name, "not computed", False, text=text, reason=reason)]

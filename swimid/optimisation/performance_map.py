@@ -25,7 +25,7 @@ from swimid.logs.log import to_xarray
 from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.study import BATCH, BEAT, STROKE, Performance, Point, StudyFile, points_of
+from swimid.optimisation.study import BATCH_GAITS, BEAT, STROKE, Performance, Point, StudyFile, points_of
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import xarray
 
 #: Maximum number of grid points of a map.
-MAX_POINTS = 100_000
+MAX_GRID_POINTS = 100_000
 #: Quantities that the evidence of a map plots and tabulates, in this order, if the robot has them.
 DRAWN = (
     "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
@@ -51,7 +51,7 @@ N_LEVELS = 6
 BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
 
 
-class Axis(yamlio.Document):
+class MapAxis(yamlio.Document):
     """Axis of a map: name, unit and values of a varied parameter."""
 
     name: str
@@ -78,7 +78,7 @@ class MapFile(StudyFile):
 
     kind: ClassVar[str] = "map file"
     format: Literal["swimid-map/1"] = "swimid-map/1"
-    axes: list[Axis]
+    axes: list[MapAxis]
     quantities: dict[str, Mapped]
     #: Number of simulations that broke down, and number of simulations in which the speed still changes at
     #: the end.
@@ -166,8 +166,8 @@ def performance_map(
         performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
         if any(axis[2] < 2 for axis in options.over.values()):
             raise UsageError("--over: an axis has two points or more")
-        if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:
-            raise UsageError(f"a map has at most {MAX_POINTS} points")
+        if math.prod(axis[2] for axis in options.over.values()) > MAX_GRID_POINTS:
+            raise UsageError(f"a map has at most {MAX_GRID_POINTS} points")
         axes = {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
         study = studies.study_of(performance, options, output)
         keep = study.checkpoint
@@ -196,12 +196,12 @@ def performance_map(
             change = values[:, units.index("speed_change_per_beat_m_s")]
         file = MapFile(
             **study.head,
-            axes=[Axis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
+            axes=[MapAxis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
             quantities=quantities,
             broken=int((~np.isfinite(values)).all(axis=1).sum()),
             unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
         )
-    return study.saved(PerformanceMap, file, evidence_of(file, notices, study.origin))
+    return study.save(PerformanceMap, file, make_map_evidence(file, notices, study.origin))
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ def _simulate(
 
     The result has the shape (n, quantities, 2): values and standard errors. Unknown standard errors are NaN.
     """
-    size = BATCH
+    size = BATCH_GAITS
     if cells.uncertain:
         size = 1
     parts = [points[k : k + size] for k in range(0, len(points), size)]
@@ -256,7 +256,7 @@ def _simulate(
 # ------------------------------------------------------------ evidence
 
 
-def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+def make_map_evidence(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a map, with checks, tables and figures."""
     axes = " and ".join(f"{axis.name} ({len(axis.values)} values)" for axis in file.axes)
     grid = [
@@ -269,7 +269,7 @@ def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]
         "torques, by inverse dynamics of the simulated motion; the cost of transport is mean positive "
         "power over speed. Standard deviations, where known, are those of the delta method."
     ]
-    return studies.evidence(
+    return studies.make_evidence(
         file, "map", answer(file), _checks(file),
         {"Grid": ", ".join(grid)},
         notices, origin, tables=[_best_table(file)], figures=_figures(file), methods=methods,
@@ -290,7 +290,7 @@ def _checks(file: MapFile) -> list[ev.Check]:
     if (surge := file.quantities.get("mean_surge_from_start_m_s")) is not None:
         checks += studies.forwards_check(np.array(surge.values, dtype=object).ravel().tolist())
     if all(q.stderr is None for q in file.quantities.values()):
-        checks.append(studies.unknown_check("uncertainty of the map"))
+        checks.append(studies.make_undefined_check("uncertainty of the map"))
     return checks
 
 
@@ -321,7 +321,7 @@ def _best_table(file: MapFile) -> ev.Table:
     for i, at in enumerate(first.values):
         row: dict[str, ev.Cell] = {first.name: numbers.number(at)}
         if len(file.axes) == 1:
-            row |= {name: _cell(file, name, i, 0) for name in _drawn(file)}
+            row |= {name: _cell(file, name, i, 0) for name in _select_plotted(file)}
         for name in BEST if len(file.axes) == 2 else ():
             if name in file.quantities:
                 word, sign = BEST[name]
@@ -340,7 +340,7 @@ def _cell(file: MapFile, name: str, row: int, column: int) -> str:
     return value_text(q.values[row][column], q.unit, sd)
 
 
-def _drawn(file: MapFile) -> list[str]:
+def _select_plotted(file: MapFile) -> list[str]:
     return [name for name in DRAWN if name in file.quantities]
 
 
@@ -348,10 +348,10 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     drive = ", ".join(f"{name} {value}" for name, value in file.drive.items())
     caption = f"Runs of {file.duration_s:g} s from rest, over their last whole beats; {drive}."
     if len(file.axes) == 1:
-        curves = [_curve(file, name) for name in _drawn(file)]
+        curves = [_curve(file, name) for name in _select_plotted(file)]
         return [ev.panels("map", "Over the gait", caption, curves)]
-    heats = [_heat(file, name) for name in _drawn(file)]
-    contours = [_contours(file, name) for name in _drawn(file)]
+    heats = [_heat(file, name) for name in _select_plotted(file)]
+    contours = [_contours(file, name) for name in _select_plotted(file)]
     lines = "Lines of equal value; outside the frame of the identification trials they are extrapolation."
     return [
         ev.panels("map", "Over the grid of gaits", caption, heats),
@@ -359,7 +359,7 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     ]
 
 
-def _shown(file: MapFile, name: str) -> tuple[Array, str]:
+def _to_plot_unit(file: MapFile, name: str) -> tuple[Array, str]:
     """Return the values of a quantity of a map in the unit of the plot, and the title of the quantity."""
     bare, unit = numbers.split_unit(name)[0].replace("_", " "), file.quantities[name].unit
     factor, shown = numbers.in_degrees(unit)
@@ -371,7 +371,7 @@ def _title(name: str, unit: str) -> str:
     return f"{name} ({printed})" if printed else name
 
 
-def _axis_title(axis: Axis) -> str:
+def _axis_title(axis: MapAxis) -> str:
     """Return the title of an axis of a map.
 
     The title of a drive parameter has the unit from its name. The name of a coefficient is not split into
@@ -383,7 +383,7 @@ def _axis_title(axis: Axis) -> str:
 
 
 def _heat(file: MapFile, name: str) -> ev.Panel:
-    values, title = _shown(file, name)
+    values, title = _to_plot_unit(file, name)
     rows, columns = ([numbers.number(v, 3) for v in axis.values] for axis in file.axes)
     cells = [[float(f"{v:.3g}") for v in row] for row in values]
     heat = ev.Heat(rows=rows, columns=columns, values=cells, scale="linear")  # type: ignore[arg-type]
@@ -392,7 +392,7 @@ def _heat(file: MapFile, name: str) -> ev.Panel:
 
 
 def _contours(file: MapFile, name: str) -> ev.Panel:
-    values, title = _shown(file, name)
+    values, title = _to_plot_unit(file, name)
     down, along = file.axes
     traces = []
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -412,7 +412,7 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
 
 
 def _curve(file: MapFile, name: str) -> ev.Panel:
-    values, title = _shown(file, name)
+    values, title = _to_plot_unit(file, name)
     axis, q = file.axes[0], file.quantities[name]
     x, y = np.array(axis.values), values[:, 0]
     traces = [ev.Trace(x=x, y=y, label="model")]

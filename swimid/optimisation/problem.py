@@ -21,7 +21,7 @@ from swimid.optimisation.study import Performance, Point
 #: of a gradient search, as a fraction of the range of a parameter; and maximum number of steps of the search.
 FIRST_RADIUS, LAST_RADIUS, MAX_STEPS = 0.1, 1e-3, 24
 #: Value of the penalised goal where it cannot be computed. It is worse than any computed value.
-BROKEN = 1e9
+FAILED_GOAL = 1e9
 #: Number of points at which the quadratic model of the objective is evaluated in one round of its
 #: minimisation, and number of rounds. Each round has a smaller search region.
 N_MODEL_POINTS, N_ZOOMS = 512, 3
@@ -58,7 +58,7 @@ def merit(parts: Array) -> Array:
     penalty (satisfied limit) counts as 0.
     """
     total = parts[:, 0] + np.maximum(parts[:, 1:], 0.0).sum(axis=1)
-    return np.minimum(np.nan_to_num(total, nan=BROKEN, posinf=BROKEN), BROKEN)
+    return np.minimum(np.nan_to_num(total, nan=FAILED_GOAL, posinf=FAILED_GOAL), FAILED_GOAL)
 
 
 def descend(
@@ -181,7 +181,7 @@ class Limit(yamlio.Document):
 
 
 @dataclass
-class Problem:
+class GaitProblem:
     """Optimisation problem over gaits, with goals and limits as functions on the unit cube.
 
     The axes of the cube are the varied parameters, scaled to their ranges.
@@ -255,7 +255,7 @@ class Problem:
             columns.append(column)
         return np.column_stack(columns)
 
-    def wanted(self, table: Array) -> Array:
+    def compute_objectives(self, table: Array) -> Array:
         """Return the goals of each simulation with the signs for minimisation, shape (n, goals)."""
         return self.goal_values(table) * np.array([sign for _, sign in self.goals])
 
@@ -282,7 +282,9 @@ class Problem:
 
         The result has the shape (n, 1 + limits).
         """
-        return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
+        return np.hstack(
+            [self.compute_objectives(table)[:, :1], PENALTY * self.scale * self.violations(table)]
+        )
 
     def minimise(self, starts: Array, vectors: Sequence[Array] | None = None, **how: Any) -> Minima:
         """Minimise the first goal from several starting points (see :func:`descend`).
@@ -308,7 +310,8 @@ class Problem:
         """
         width = len(self.vary)
         found = global_search.nsga2(
-            lambda points: self.wanted(self.table(points)), np.zeros(width), np.ones(width), objectives=2,
+            lambda points: self.compute_objectives(self.table(points)),
+            np.zeros(width), np.ones(width), objectives=2,
             population=population, generations=generations, seed=seed, first=first,
         )  # fmt: skip
         sound = (found.objectives < global_search.BROKEN_OBJECTIVE).all(axis=1)

@@ -40,16 +40,16 @@ from swimid.swimmer.model import Swimmer
 #: Minimum and maximum allowed values of drive parameters, by name. The units are in the names.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
 #: Number of gaits that are simulated in one batch.
-BATCH = 8
+BATCH_GAITS = 8
 #: Maximum number of times that the integration step is halved for a single gait that breaks down.
-MAX_HALVINGS = 2
+MAX_STEP_HALVINGS = 2
 
 Point = Mapping[str, float]
 #: Codes of two warnings about coefficients: they lie outside their bounds, or their fit did not converge or
 #: could not identify them.
 DOUBTFUL_CODES = ("SWM053", "SWM062")
 #: Default values of drive parameters that a gait does not state.
-NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
+NEUTRAL_DRIVE = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
 #: Minimum fraction of random samples of the coefficients that lie within the bounds of the coefficients.
 MIN_INSIDE = 0.5
 REFERENCES = [
@@ -131,7 +131,7 @@ class Performance:
         return {**drive, **shared}
 
     @property
-    def identified(self) -> dict[str, tuple[float, float]]:
+    def trial_ranges(self) -> dict[str, tuple[float, float]]:
         """Range of each drive parameter in the trials of the fit, by name; empty if it is unknown."""
         file = self.applied.file
         if file is None or file.fit is None:
@@ -214,7 +214,7 @@ class Performance:
         vectors = [self.at(point, vector) for point, vector in zip(points, given, strict=True)]
         found = cases.quantities_of(self.model, runs, vectors)
         for k in np.flatnonzero(~np.isfinite(found).any(axis=1)):
-            own = choose_step(self.applied.model, [(vectors[k], runs[k].trial)], halvings=MAX_HALVINGS)
+            own = choose_step(self.applied.model, [(vectors[k], runs[k].trial)], halvings=MAX_STEP_HALVINGS)
             if own.halvings:
                 found[k] = cases.quantities_of(own.model.swimmer, [runs[k]], [vectors[k]])[0]
         self.model.forget([run.trial for run in runs])
@@ -223,7 +223,7 @@ class Performance:
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
         """Simulate gaits in several threads, and return their quantities as :meth:`table` does."""
         given = [self.values] * len(points) if values is None else values
-        parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
+        parts = [slice(k, k + BATCH_GAITS) for k in range(0, len(points), BATCH_GAITS)]
         tables = in_parallel(
             lambda k: self.table(points[parts[k]], given[parts[k]]), len(parts), self.options.jobs
         )
@@ -287,7 +287,7 @@ Made = TypeVar("Made", bound=FileResult[Any])
 
 
 @dataclass(frozen=True)
-class Study:
+class OptimisationStudy:
     """Output, checkpoint, provenance and first file keys of the computation of a map, rule or best gait.
 
     Attributes
@@ -303,7 +303,7 @@ class Study:
     origin: dict[str, Any]
     head: dict[str, Any]
 
-    def saved(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
+    def save(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
         """Write file content and evidence to the output, if there is one; return them as a result."""
         file.verdict = evidence.verdict.level
         result = made.of(file, evidence).saved(self.output)
@@ -311,7 +311,7 @@ class Study:
         return result
 
 
-def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> Study:
+def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> OptimisationStudy:
     """Return output, checkpoint, provenance and first file keys for the options of a command.
 
     Raises
@@ -342,10 +342,12 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
         "params": params,
         "drive": drive,
         "duration_s": options.duration_s,
-        "identified": performance.identified,
+        "identified": performance.trial_ranges,
         "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
     }
-    return Study(output, Checkpoint.beside(output, [origin["inputs"], origin["settings"]]), origin, head)
+    return OptimisationStudy(
+        output, Checkpoint.beside(output, [origin["inputs"], origin["settings"]]), origin, head
+    )
 
 
 def in_parallel(
@@ -369,7 +371,7 @@ def in_parallel(
 # ------------------------------------------------------------ evidence
 
 
-def evidence(
+def make_evidence(
     file: Any,
     command: str,
     answer: str,
@@ -415,7 +417,7 @@ def draws_check(inside: float) -> ev.Check:
     return ev.check(name, value, passed, "half or more", text, reason=reason)
 
 
-def unknown_check(name: str) -> ev.Check:
+def make_undefined_check(name: str) -> ev.Check:
     """Return an entry of the evidence which states that the uncertainty named ``name`` is not known."""
     return ev.check(name, "not known", None, text="give a parameter file with standard errors: --params")
 
@@ -451,7 +453,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
     for name, (low, high) in region.items():
         slack = 1e-9 * (1.0 + max(abs(low), abs(high)))
         # A stroke for which no frequency is stated has a frequency of its own, which is not compared.
-        value = at.get(name, NEUTRAL.get(name))
+        value = at.get(name, NEUTRAL_DRIVE.get(name))
         if value is not None and not low - slack <= value <= high + slack:
             found.append(name)
     return found

@@ -15,7 +15,7 @@ from swimid.logs.experiments import Trials
 from swimid.logs.foreign import Peek, formats, is_text, open_table
 from swimid.logs.point_files import tracked_points
 from swimid.notices import Progress, recorded, silent
-from swimid.tracking.frames import ENDINGS as PICTURES
+from swimid.tracking.frames import PICTURE_EXTENSIONS as PICTURES
 from swimid.tracking.frames import Video
 
 #: Endings of films. FFmpeg decodes all of them.

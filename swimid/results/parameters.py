@@ -129,7 +129,26 @@ class Fit(yamlio.Document):
 
 
 class ParameterFile(yamlio.ResultFile):
-    """Content of a parameter file: the estimates of a fit, with its settings, errors and provenance."""
+    """Content of a parameter file: the estimates of a fit, with its settings, errors and provenance.
+
+    Every fit writes one. Use the value of a parameter that is not identifiable only to simulate the whole
+    model. A name such as ``start_offset[w10]`` is a parameter of one trial.
+
+    Example::
+
+        format: swimid-parameters/1
+        model: falling-weight
+        robot: boxfish
+        parameters:
+          drag_coefficient: {value: 0.705, stderr: 0.0004, unit: '1', bounds: [0.0, 5.0], status: estimated}
+          linear_drag: {value: 0.0, stderr: null, unit: N s/m, bounds: [0.0, null], status: fixed}
+        derived:
+          terminal_speed[w10]: {value: 0.1654, stderr: 4.2e-05, unit: m/s, status: estimated}
+        fit:
+          trials: [w10]
+          channels: {x_m: {rmse: 0.0021, nrmse: 0.0015, unit: m, samples: 240}}
+          converged: true
+    """
 
     kind: ClassVar[str] = "parameter file"
 

@@ -21,7 +21,7 @@ from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
 from swimid.files.templates import environment
-from swimid.notices import CODES, Progress, recorded, silent, warn
+from swimid.notices import Progress, read_codes, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
@@ -388,7 +388,7 @@ def _warnings(
             entry = (result.path.name, notice.text.removeprefix(f"{result.path.name}, "))
             if entry not in texts.setdefault(notice.code, []):
                 texts[notice.code].append(entry)
-    return [(code, CODES.get(code, "unknown code"), texts[code]) for code in sorted(texts)]
+    return [(code, read_codes().get(code, "unknown code"), texts[code]) for code in sorted(texts)]
 
 
 def _markdown(text: str) -> str:

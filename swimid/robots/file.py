@@ -40,7 +40,9 @@ class Body(yamlio.Document):
     """Masses, dimensions and moments of inertia of a robot that is regarded as a single rigid body."""
 
     inertial_mass_kg: PositiveFloat | None = None
+    #: Without it a fit estimates the coefficient of quadratic drag in place of the drag coefficient.
     frontal_area_m2: PositiveFloat | None = None
+    #: Length, width and height give the added mass of a box, with which reports compare.
     length_m: PositiveFloat | None = None
     width_m: PositiveFloat | None = None
     height_m: PositiveFloat | None = None
@@ -117,6 +119,15 @@ class Reading(yamlio.Document):
 
 class Robot(yamlio.Document):
     """Content of a robot file: the known properties of a robot before any fit.
+
+    Example::
+
+        format: swimid-robot/1
+        name: my-fish
+        sources: ["weighed and measured, 3 May"]
+        body: {inertial_mass_kg: 1.2, length_m: 0.26, width_m: 0.1, height_m: 0.14}
+        rig: {pulley_inertia_kg: 0.02, encoder_resolution_m: 0.00785}
+        fins: {large: {shape: rectangle, height_m: 0.0875, length_m: 0.0437, axle_gap_m: 0.007}}
 
     Attributes
     ----------

@@ -164,13 +164,20 @@ class Actuator(yamlio.Document):
 
 
 class Driven(Actuator):
-    """Law of a driven joint: its own actuator, or the transmission by which it follows a shared actuator."""
+    """Law of a driven joint: its own actuator, or the transmission by which it follows a shared actuator.
+
+    A shared actuator is named under ``actuators``, such as a tendon over several joints. The drive of a trial
+    moves the actuator. Without a drive, the log has its measured angle (``joint_tendon_rad``) or its command
+    (``cmd_tendon_rad``). Logged angles of the joints are then channels that a fit compares. Servo, limits and
+    effects of actuation act on the actuator, and the joints follow without play.
+    """
 
     #: Name of the shared actuator; by default the joint has its own.
     actuator: str | None = None
     #: Angle of the joint divided by that of the shared actuator.
     ratio: Quantity = 1.0
-    #: Rows of actuator angle and joint angle, degrees, in place of a ratio. The actuator angles increase.
+    #: Rows of actuator angle and joint angle, degrees, in place of a ratio. The actuator angles increase. A
+    #: monotone cubic (PCHIP) interpolates the rows; beyond them the joint follows the tangent (SWM077).
     table_deg: Annotated[list[tuple[float, float]], Field(min_length=2)] | None = None
 
     @property
@@ -228,7 +235,16 @@ class Input(yamlio.Document):
     """Column of a log that loads act by, and the law of the actuator between the column and the loads.
 
     The law maps a value u of the column to ``sign(u) (|u| - dead_band)^power``, or 0 within the dead band.
-    The result is multiplied by ``reverse`` if u is negative. It follows with a first-order lag.
+    The result is multiplied by ``reverse`` if u is negative. It follows with a first-order lag. Between its
+    samples a column is linear.
+
+    Example::
+
+        inputs:
+          bow: {column: bow_N, measured: true}
+          stern: {column: stern_pwm, power: 2, dead_band: 0.07, reverse: k_back, lag_s: tau}
+        elements:
+          - {kind: load, link: body, input: stern, at_m: 0.2, forward_N: k_s}
     """
 
     #: Column of the log: a measured force or torque, or the command of an actuator.
@@ -586,7 +602,11 @@ class DerivativeTerms(OnLink):
 
     X, Y, Z are forces and K, M, N moments along x, y, z. u, v, w are velocities and p, q, r right-handed
     rates along and about the same axes, and U is the speed. The terms act at a point of the link, whose
-    velocities they contain.
+    velocities they contain. A name is a component, ``_``, and up to six velocities: ``u``, an absolute value
+    ``|v|``, the speed ``U``, or a division ``/U``. For coefficients from axes with y to starboard and z down,
+    change the sign if an odd number of the letters Y, Z, M, N, v, w, q, r is in the name. The element
+    ``added-mass`` has the moment of added mass in oblique motion, (m_y - m_x) u v. Most publications count it
+    in N_v: add it as ``N_uv``.
     """
 
     kind: Literal["derivatives"]
@@ -635,7 +655,14 @@ class Reference(yamlio.Document):
 
 
 class Holder(yamlio.Document):
-    """Holder of a robot on a fixed base, between the robot and the load cell: a damped resonance."""
+    """Holder of a robot on a fixed base, between the robot and the load cell: a damped resonance.
+
+    A robot with ``base: fixed`` has the force and the torque on its holder as channels, about the reference
+    point and in the axes of the world: ``force_x_N``, ``force_y_N``, ``torque_yaw_N_m`` in the horizontal
+    plane, ``force_x_N``, ``force_z_N``, ``torque_pitch_N_m`` in the vertical plane, and three forces and
+    three torques in space. A fit estimates offset and drift of each channel in each trial. State the
+    ``drive`` of such trials: a force of inertia from an encoder has the noise of a second derivative.
+    """
 
     natural_frequency_hz: Quantity
     damping_ratio: Quantity = 0.05
@@ -653,7 +680,31 @@ class Place(yamlio.Document):
 
 
 class Multilink(yamlio.Document):
-    """Robot that moves in a plane: a tree of links with their joints and hydrodynamic elements."""
+    """Robot that moves in a plane: a tree of links with their joints and hydrodynamic elements.
+
+    The first link is the base. Its front end is the point whose pose the log holds, unless ``reference``
+    names another point. Stations are measured along a link from its front end backwards, offsets to port
+    (upwards in the vertical plane).
+
+    Example::
+
+        multilink:
+          plane: horizontal
+          coefficients:
+            c_n: {value: 1.5, bounds: [0, 5], meaning: normal drag, source: guess}
+            k_t: {value: 0.1, unit: N m/rad, bounds: [0, 2], free: false}
+          links:
+            - {name: body, length_m: 0.2, mass_kg: 0.8, com_m: 0.09, inertia_kg_m2: 0.003, inertia_about: com}
+            - {name: tail, length_m: 0.1, mass_kg: 0.05, com_m: 0.04, inertia_kg_m2: 4e-5, inertia_about: com}
+            - {name: fin, length_m: 0.06, mass_kg: 0.01, com_m: 0.03, inertia_kg_m2: 3e-6, inertia_about: com}
+          joints:                     # joint1_rad, joint2_rad, ... in the log, in this order
+            - {name: hip, parent: body, child: tail, driven: {gain: 1.0}}
+            - {name: hinge, parent: tail, child: fin, passive: {stiffness_N_m_rad: k_t}}
+          elements:
+            - {kind: drag, link: body, normal_area_m2: 0.02, normal_coefficient: c_n, strips: 4}
+            - {kind: added-mass, link: body, surge_kg: 0.1, sway_kg: 0.7, inertia_kg_m2: 0.002}
+            - {kind: foil, link: fin, area_m2: 0.005, at_m: 0.02, lift_coefficient: 1.2}
+    """
 
     plane: Literal["horizontal", "vertical"]
     base: Literal["free", "fixed"] = "free"

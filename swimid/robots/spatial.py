@@ -334,7 +334,23 @@ class Reference(yamlio.Document):
 
 
 class Multibody(yamlio.Document):
-    """Robot that moves in 3-D: a tree of links with their hinges, hydrodynamic elements and strokes."""
+    """Robot that moves in 3-D: a tree of links with their hinges, hydrodynamic elements and strokes.
+
+    Vectors are in the axes of their link: x forward, y to port, z up.
+
+    Example::
+
+        multibody:
+          coefficients: {z_drag: {value: 1.2, bounds: [0.1, 4]}}
+          links:
+            - {name: body, mass_kg: 24, com_m: [0, 0, -0.01], inertia_kg_m2: [0.17, 1.25, 1.25]}
+            - {name: flipper, mass_kg: 0.5, com_m: [0, 0.16, 0], inertia_kg_m2: [0.0045, 0.0007, 0.0051]}
+          joints:
+            - {name: sweep, parent: body, child: flipper, at_m: [0.2, 0.1, 0], axis: [0, 0, 1], driven: {}}
+          elements:
+            - {kind: drag, link: body, area_m2: [0.04, 0.19, 0.19], coefficient: [0.25, 1, z_drag]}
+            - {kind: plate, link: flipper, span_m: 0.32, chord_m: 0.12, at_m: [0, 0.16, 0]}
+    """
 
     base: Literal["free", "fixed"] = "free"
     holder: Holder | None = None

@@ -315,7 +315,7 @@ def named_effects(file: ParameterFile, path: Path | None, own: Sequence[Effect] 
     InputError
         If there is no such effect.
     """
-    known = {e.name: e for e in (*effect_catalogue.catalogue(), *own)}
+    known = {e.name: e for e in (*effect_catalogue.list_effects(), *own)}
     for name in file.effects:
         if name not in known:
             hint = suggestion(name, list(known))
@@ -340,7 +340,7 @@ def form_of(
     """
     name = effect.name
     names = list(file.of_effect(name))
-    form = effect_catalogue.restored(effect, names, constants_of(file, name), model, trials)
+    form = effect_catalogue.restore_form(effect, names, constants_of(file, name), model, trials)
     if form is None or file.effects.count(name) > 1:
         hint = "name each effect once, and give all of its parameters as 'effect/parameter'"
         first = next(iter(effect_catalogue.forms(effect, model, trials)), None)

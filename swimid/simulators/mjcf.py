@@ -21,7 +21,7 @@ from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales
 from swimid.simulators.model import SimulatorModel
 
 #: Number of simulations that are in memory at once.
-BATCH = 32
+MAX_BATCH = 32
 #: Number of samples from which the initial velocity of a trial is estimated.
 FIRST_SAMPLES = 8
 #: Slope of a channel over its first samples, in standard errors, above which a trial begins in motion.
@@ -36,7 +36,7 @@ BALL = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
 @dataclass(frozen=True)
-class Place:
+class ArrayEntries:
     """Entries of an array of a compiled model that an attribute of the file sets.
 
     Attributes
@@ -69,7 +69,7 @@ class Attribute:
     """
 
     path: str
-    places: tuple[Place, ...]
+    places: tuple[ArrayEntries, ...]
     unit: str
     inertia_of: int | None = None
 
@@ -119,7 +119,7 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, int | None, str]]] = {
     },
 }
 #: Attributes of joints: array by joint, by degree of freedom or by coordinate.
-JOINT = {
+JOINT_ARRAYS = {
     "stiffness": "jnt_stiffness",
     "damping": "dof_damping",
     "armature": "dof_armature",
@@ -128,7 +128,7 @@ JOINT = {
 }
 
 
-class Output(NamedTuple):
+class SensorOutput(NamedTuple):
     """Output of a model of MuJoCo: entries of the sensor data, and their meaning.
 
     Attributes
@@ -295,7 +295,7 @@ class MjcfModel(SimulatorModel):
             entries = np.ravel(base_array(self.compiled, first.field)[first.index])
             start = float(entries[0]) / first.factor
             self.attributes.append(attribute)
-            made.append(entry.made(name, start=start, unit=attribute.unit, source=attribute.path))
+            made.append(entry.to_parameter(name, start=start, unit=attribute.unit, source=attribute.path))
         self.actuators = [self._element("actuator", name) for name in inputs]
         self._key = -1 if keyframe is None else self._element("key", keyframe)
         data = module.MjData(self.compiled)
@@ -331,7 +331,7 @@ class MjcfModel(SimulatorModel):
     @property
     def together(self) -> int:
         """Number of simulations in a batch."""
-        return BATCH
+        return MAX_BATCH
 
     def at_step(self, step_s: float) -> MjcfModel:
         """Return the model with another time step."""
@@ -354,9 +354,9 @@ class MjcfModel(SimulatorModel):
             groups.setdefault(self._steps(trial, hooks), []).append(k)
         found: dict[int, dict[str, Array]] = {}
         for steps, members in groups.items():
-            for first in range(0, len(members), BATCH):
-                part = members[first : first + BATCH]
-                found |= dict(zip(part, self._simulated([runs[k] for k in part], steps), strict=True))
+            for first in range(0, len(members), MAX_BATCH):
+                part = members[first : first + MAX_BATCH]
+                found |= dict(zip(part, self._simulate_batch([runs[k] for k in part], steps), strict=True))
         return [found[k] for k in range(len(runs))]
 
     # -------------------------------------------------------- simulation
@@ -378,7 +378,7 @@ class MjcfModel(SimulatorModel):
         hooks.changed(found, "tables")
         return found
 
-    def _simulated(self, runs: Sequence[Request], steps: int) -> list[dict[str, Array]]:
+    def _simulate_batch(self, runs: Sequence[Request], steps: int) -> list[dict[str, Array]]:
         """Simulate runs with the same number of steps as one batch."""
         module = mujoco()
         batch = module.batch.Batch(self.compiled, len(runs), nthread=_threads())
@@ -405,7 +405,7 @@ class MjcfModel(SimulatorModel):
         clock = int(module.mjtState.mjSTATE_TIME)
         record = batch.rollout(steps, control, record=("sensordata", clock))
         return [
-            self._seen(record["sensordata"][k], record[clock][k, :, 0], trial, hooks)
+            self._read_outputs(record["sensordata"][k], record[clock][k, :, 0], trial, hooks)
             for k, (_, trial, hooks) in enumerate(runs)
         ]
 
@@ -421,7 +421,7 @@ class MjcfModel(SimulatorModel):
             mujoco().mj_integratePos(self.compiled, place, np.ascontiguousarray(offset), 1.0)
         return place, self._rest[1] + rate
 
-    def _seen(self, data: Array, time: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+    def _read_outputs(self, data: Array, time: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the outputs at the samples of a trial from the sensor data of each step.
 
         The data of a step belong to the state before it.
@@ -443,7 +443,7 @@ class MjcfModel(SimulatorModel):
 
     # -------------------------------------------------------- start of a trial
 
-    def started(self, trial: Trial, state: str = "auto") -> Trial:
+    def set_start(self, trial: Trial, state: str = "auto") -> Trial:
         """Return a trial with the start offsets and initial velocities that its log shows.
 
         Parameters
@@ -586,40 +586,42 @@ def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool
     kind, name, word = parts[0], "/".join(parts[1:-1]), parts[-1]
     bracket = re.fullmatch(r"(\w+)\[(\d)\]", word)
     key, part = (bracket[1], int(bracket[2])) if bracket else (word, None)
-    table = {**dict.fromkeys(JOINT), "kp": None, "kv": None} if kind in ("joint", "actuator") else {}
+    table = {**dict.fromkeys(JOINT_ARRAYS), "kp": None, "kv": None} if kind in ("joint", "actuator") else {}
     table |= ATTRIBUTES.get(kind, {})
     if kind not in (*ATTRIBUTES, "joint"):
         raise InputError(
             f"'{place}' names no kind of element", file=path, hint=suggestion(kind, [*ATTRIBUTES, "joint"])
         )
-    if key not in table or (kind == "joint" and key not in JOINT):
+    if key not in table or (kind == "joint" and key not in JOINT_ARRAYS):
         text = f"'{key}' of {place} cannot be a parameter"
-        raise InputError(text, file=path, hint=suggestion(key, [*(JOINT if kind == "joint" else table)]))
+        raise InputError(
+            text, file=path, hint=suggestion(key, [*(JOINT_ARRAYS if kind == "joint" else table)])
+        )
     if kind == "option":
         field, column, unit = ATTRIBUTES[kind][key]
-        return Attribute(place, (Place(field, (_component(column, part, place, path) or 0,)),), unit)
+        return Attribute(place, (ArrayEntries(field, (_component(column, part, place, path) or 0,)),), unit)
     number = find_element(compiled, kind, name, path)
     if kind == "joint":
         angular = compiled.jnt_type[number] != module.mjtJoint.mjJNT_SLIDE
         at: Any = number
-        if JOINT[key].startswith("dof"):
+        if JOINT_ARRAYS[key].startswith("dof"):
             begin = int(compiled.jnt_dofadr[number])
             wide = {0: 6, 1: 3}.get(int(compiled.jnt_type[number]), 1)
             at = slice(begin, begin + wide) if part is None and wide > 1 else begin + (part or 0)
         elif key == "springref":
             at = int(compiled.jnt_qposadr[number])
-        return Attribute(place, (Place(JOINT[key], (at,)),), UNITS[key][int(angular)])
+        return Attribute(place, (ArrayEntries(JOINT_ARRAYS[key], (at,)),), UNITS[key][int(angular)])
     if key == "kp":
         return Attribute(place, _servo(compiled, number, place, path), "1")
     if key == "kv":
-        return Attribute(place, (Place("actuator_biasprm", (number, 2), -1.0),), "1")
+        return Attribute(place, (ArrayEntries("actuator_biasprm", (number, 2), -1.0),), "1")
     field, column, unit = ATTRIBUTES[kind][key]
     entry = _component(column, part, place, path)
     index: tuple[Any, ...] = (number,) if entry is None else (number, entry)
     if key == "timeconst":
         index = (number, 0)
     inertia = number if (kind, key) == ("body", "mass") and scale_inertia else None
-    return Attribute(place, (Place(field, index),), unit, inertia)
+    return Attribute(place, (ArrayEntries(field, index),), unit, inertia)
 
 
 def _component(column: int | None, part: int | None, place: str, path: Path) -> int | None:
@@ -633,12 +635,12 @@ def _component(column: int | None, part: int | None, place: str, path: Path) -> 
     return column + part
 
 
-def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[Place, ...]:
+def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[ArrayEntries, ...]:
     """Return the entries of the gain of a position servo."""
     gain, bias = compiled.actuator_gainprm[number, 0], compiled.actuator_biasprm[number, 1]
     if not gain or bias != -gain:
         raise InputError(f"'{place}': the actuator is no position servo", file=path, hint="use gainprm[0]")
-    return Place("actuator_gainprm", (number, 0)), Place("actuator_biasprm", (number, 1), -1.0)
+    return ArrayEntries("actuator_gainprm", (number, 0)), ArrayEntries("actuator_biasprm", (number, 1), -1.0)
 
 
 def base_joints(compiled: Any) -> list[int]:
@@ -718,11 +720,11 @@ def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
     return own, component, component != "rate"
 
 
-def _output(compiled: Any, sensor: str, component: str, place: bool) -> Output:
+def _output(compiled: Any, sensor: str, component: str, place: bool) -> SensorOutput:
     """Return the output of a sensor of a compiled model."""
     module = mujoco()
     number = module.mj_name2id(compiled, module.mjtObj.mjOBJ_SENSOR, sensor)
     first, count = int(compiled.sensor_adr[number]), int(compiled.sensor_dim[number])
     if component.isdigit():
-        return Output(first + int(component), 1, "value", place)
-    return Output(first, count, component, place)
+        return SensorOutput(first + int(component), 1, "value", place)
+    return SensorOutput(first, count, component, place)

@@ -53,7 +53,9 @@ class SimulatorParameter(yamlio.Document):
             raise ValueError(f"the start {self.start:g} lies outside the bounds {list(self.bounds)}")
         return self
 
-    def made(self, name: str, *, start: float | None = None, unit: str = "1", source: str = "") -> Parameter:
+    def to_parameter(
+        self, name: str, *, start: float | None = None, unit: str = "1", source: str = ""
+    ) -> Parameter:
         """Return the parameter of a model.
 
         Parameters
@@ -187,11 +189,11 @@ class SimulatorTrials(Trials):
             if not measured:
                 hint = f"the model simulates: {', '.join(outputs)}"
                 raise InputError("has no column that the model simulates", file=log.path, hint=hint)
-            given = {name: _bridged(log, name) for name in inputs}
+            given = {name: _fill_gaps(log, name) for name in inputs}
             trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
         return trials, sources
 
-    def posed(
+    def make_experiment(
         self, path: Path, model: SimulatorModel, trials: list[Trial], sources: Sequence[Input]
     ) -> Experiment:
         """Return the experiment of the model with its trials."""
@@ -200,7 +202,7 @@ class SimulatorTrials(Trials):
         return Experiment(self.experiment, robot, model, trials, inputs, values_from=TRIALS_FILE)
 
 
-def _bridged(log: log_format.Log, name: str) -> Array:
+def _fill_gaps(log: log_format.Log, name: str) -> Array:
     """Return an input of a log, with short gaps filled by a line."""
     values = log[name]
     missing = np.isnan(values)

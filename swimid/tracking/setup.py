@@ -24,15 +24,15 @@ FORMAT = "swimid-setup/1"
 Box = tuple[float, float, float, float]
 
 
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+def _check_order(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] > value[1]:
         raise ValueError(f"[{value[0]:g}, {value[1]:g}] must be [smallest, largest]")
     return value
 
 
 _Fraction = Annotated[float, Field(ge=0, le=1)]
-_Span = Annotated[tuple[_Fraction, _Fraction], AfterValidator(_ordered)]
-_Area = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
+_Span = Annotated[tuple[_Fraction, _Fraction], AfterValidator(_check_order)]
+_Area = Annotated[tuple[Positive, Positive], AfterValidator(_check_order)]
 _Hue = Annotated[float, Field(ge=0, le=360)]
 
 
@@ -189,7 +189,7 @@ class Setup(Document):
         return (known[0], known[1]) if len(known) > 1 else None
 
 
-def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
+def read_setup(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
     """Return a checked setup from a setup file, a ``Setup``, or a dictionary with the keys of a setup file.
 
     Raises

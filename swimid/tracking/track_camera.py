@@ -163,7 +163,7 @@ def _files(given: Sequence[str | Path]) -> Iterator[Path]:
         if not path.exists():
             raise InputError("cannot be read: no such file", file=path, hint="check the path")
         inside = sorted(path.iterdir()) if path.is_dir() else [path]
-        yield from (one for one in inside if one.suffix.lower() in frames.ENDINGS or one == path)
+        yield from (one for one in inside if one.suffix.lower() in frames.PICTURE_EXTENSIONS or one == path)
 
 
 def _corners(

@@ -22,9 +22,9 @@ from swimid.tracking import frames, picking, proposals
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Video
 from swimid.tracking.options import TrackSetupOptions
-from swimid.tracking.proposals import Candidate, distance_change, marker_fault, setup_of
+from swimid.tracking.proposals import MarkerCandidate, distance_change, marker_fault, setup_of
 from swimid.tracking.setup import Marker, Setup
-from swimid.tracking.tracker import Run, follow
+from swimid.tracking.tracker import FilmTrack, follow
 
 #: Maximum number of candidate colours that are followed through the film.
 MAX_TRIALS = 4
@@ -68,7 +68,7 @@ class SetupDraft(Text):
     @property
     def setup(self) -> Setup:
         """Setup of the draft, which can be passed to ``track_video``."""
-        return setup_format.of(yamlio.parse_scalar(self.document))
+        return setup_format.read_setup(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
@@ -150,7 +150,7 @@ def track_setup(
     if options.picks or options.background:
         markers = [picking.BODY]
         if options.picks:
-            markers = _picked(video, options)
+            markers = _make_markers(video, options)
         return _draft(video, _follow_chosen(video, markers, common, progress), [], output)
     return _draft(video, *_from_film(video, common, progress), output)
 
@@ -165,10 +165,10 @@ def _free(video: str | Path, output: str | Path | None, force: bool) -> Path | N
     return output
 
 
-def _draft(video: Path, run: Run, rejected: list[Candidate], output: Path | None) -> SetupDraft:
+def _draft(video: Path, run: FilmTrack, rejected: list[MarkerCandidate], output: Path | None) -> SetupDraft:
     """Return the draft of a setup that was tried on the film, after it is written to ``output`` if given."""
     setup = run.setup
-    shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
+    shares = {name: float(run.track.is_whole[i].mean()) for i, name in enumerate(run.track.names)}
     for name in run.track.names:
         code, fault = marker_fault(run.track, name)
         if fault:
@@ -210,13 +210,15 @@ def _draft(video: Path, run: Run, rejected: list[Candidate], output: Path | None
     return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=_sheet(run)).saved(output)
 
 
-def _try(video: Path, setup: Setup, progress: Progress) -> Run:
+def _try(video: Path, setup: Setup, progress: Progress) -> FilmTrack:
     """Follow the markers of a setup through the film, and return the track in pixels."""
     with progress(f"trying {', '.join(marker.name for marker in setup.markers)}") as step:
         return follow(video, setup, step=step)
 
 
-def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
+def _from_film(
+    video: Path, common: dict[str, Any], progress: Progress
+) -> tuple[FilmTrack, list[MarkerCandidate]]:
     """Return the track of the most likely marker in a film and, if possible, of a second marker.
 
     The second returned value holds the rejected colours, each with the reason.
@@ -225,12 +227,12 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     highest scores is returned, or else the pair whose distance changes least.
     """
     with progress(f"looking at {video.name}") as step:
-        samples = proposals.sample(video, step=step)
+        samples = proposals.sample_frames(video, step=step)
     found, rejected = proposals.find_candidates(samples)
     shift = samples.factor * frames.scene_shifts(samples.frames)
     consequence = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
     frames.check_camera(shift, samples.video.width, consequence)
-    tried: dict[str, Candidate] = {}
+    tried: dict[str, MarkerCandidate] = {}
     for candidate in found[:MAX_TRIALS]:
         same = sum(other.name == candidate.name for other in tried.values())
         tried[candidate.name + same * "-b"] = candidate
@@ -239,13 +241,13 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     track, reasons = run.track, {}
     scene = proposals.interpolate_shifts(shift, samples.indices, len(track.times))
     for name, candidate in tried.items():
-        min_share = max(frames.MIN_SHARE, 0.3 * candidate.presence)
+        min_share = max(frames.MIN_FOUND_SHARE, 0.3 * candidate.presence)
         reasons[name] = marker_fault(track, name, min_share, scene)[1]
     good = [name for name, reason in reasons.items() if not reason]
     if not good:
         rejected = [replace(c, reason=reasons[name]) for name, c in tried.items()] + rejected
         raise NoTrustworthyResult(
-            f"no marker of {video.name} can be followed and moves. {proposals.listed(rejected)}"
+            f"no marker of {video.name} can be followed and moves. {proposals.describe_rejected(rejected)}"
             f"{frames.describe_colours(samples.frames[::6])}",
             hint="pick the markers by hand: --marker name@x,y with --frame",
         )
@@ -277,7 +279,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     return replace(run, track=track.select(names), setup=setup), rejected
 
 
-def _picked(video: Path, options: TrackSetupOptions) -> list[Marker]:
+def _make_markers(video: Path, options: TrackSetupOptions) -> list[Marker]:
     """Return setup entries of the markers that the user picked on the command line."""
     frame = next((frame for _, frame in islice(Video(video).frames(), options.frame, None)), None)
     if frame is None:
@@ -285,13 +287,15 @@ def _picked(video: Path, options: TrackSetupOptions) -> list[Marker]:
     return proposals.pick_markers(frame, proposals.kinds_of(options.picks), path=video, index=options.frame)
 
 
-def _follow_chosen(video: Path, markers: list[Marker], common: dict[str, Any], progress: Progress) -> Run:
+def _follow_chosen(
+    video: Path, markers: list[Marker], common: dict[str, Any], progress: Progress
+) -> FilmTrack:
     """Return the track of the markers that the user chose, or of the body that differs from the empty scene.
 
     Raises
     ------
     NoTrustworthyResult
-        The body is found in less than :data:`swimid.tracking.frames.MIN_SHARE` of the frames.
+        The body is found in less than :data:`swimid.tracking.frames.MIN_FOUND_SHARE` of the frames.
     """
     run = _try(video, setup_of(markers, common), progress)
     if markers[0].method == "background":
@@ -305,33 +309,33 @@ def _follow_chosen(video: Path, markers: list[Marker], common: dict[str, Any], p
     return run
 
 
-def _with_area(run: Run) -> Run:
+def _with_area(run: FilmTrack) -> FilmTrack:
     """Return the track of a silhouette, with limits of its area in the setup."""
-    if run.track.found[0].mean() < frames.MIN_SHARE:
+    if run.track.is_whole[0].mean() < frames.MIN_FOUND_SHARE:
         hint = "the scene is the film's median: the body must leave its place for more than half of it"
         raise NoTrustworthyResult(f"nothing in {run.video.path.name} differs from the empty scene", hint=hint)
-    low, high = np.percentile(run.track.area[0, run.track.found[0]], [2, 98])
+    low, high = np.percentile(run.track.area[0, run.track.is_whole[0]], [2, 98])
     area = (max(round(0.3 * low), 1), round(2.5 * high))
     marker = run.setup.markers[0].model_copy(update={"area_px": area})
     return replace(run, setup=run.setup.model_copy(update={"markers": [marker]}))
 
 
-def _sheet(run: Run) -> NDArray[np.uint8]:
+def _sheet(run: FilmTrack) -> NDArray[np.uint8]:
     """Return a contact sheet: some frames of the film with circled and named markers."""
     tiles, track = [], run.track
-    ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
+    ranked = sorted(run.kept, key=lambda k: (not track.is_whole[:, k].all(), k))
     for index in sorted(ranked[:N_TILES]):
         frame = run.kept[index]
         factor = TILE_WIDTH / frame.shape[1]
         down = factor / run.video.pixel_aspect
         tile = cv2.resize(frame, None, fx=factor, fy=down, interpolation=cv2.INTER_AREA)
-        for i in np.flatnonzero(track.found[:, index]):
+        for i in np.flatnonzero(track.is_whole[:, index]):
             x, y = round(factor * track.x[i, index]), round(down * track.y[i, index])
             radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
             cv2.circle(tile, (x, y), radius, frames.MEASURED, 2, cv2.LINE_AA)
             # Names of neighbours are above and below them in turn, so that none covers another marker.
             below = (-radius - 6, radius + 16)[i % 2]
-            frames.write_text(tile, track.names[i], (x - radius, y + below), 0.5)
-        frames.write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
+            frames.draw_text(tile, track.names[i], (x - radius, y + below), 0.5)
+        frames.draw_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
         tiles.append(tile)
     return np.asarray(cv2.cvtColor(np.vstack(tiles), cv2.COLOR_BGR2RGB), dtype=np.uint8)

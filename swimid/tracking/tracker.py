@@ -39,7 +39,7 @@ RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
 #: marker. Longer sequences are not tested for another colour or size.
 FALSE_SHARE = 0.2
 #: Maximum spacing of the picture pixels that are used for a coarse colour mask, px.
-MAX_STEP = 4
+MAX_MASK_STEP = 4
 #: Minimum area of a patch in a coarse colour mask, as a fraction of the minimum area of the marker.
 COARSE_AREA_SHARE = 0.4
 #: Maximum number of patches of a colour that are measured in one picture. It limits the computing time for a
@@ -117,7 +117,7 @@ class Target:
         self.x, self.y, self.time = blob.x, blob.y, time
         self.sights += 1
         self.missed = 0
-        self.moved = self.moved or blob.away(*self.detections[1:3]) > 2 * self.radius
+        self.moved = self.moved or blob.distance_to(*self.detections[1:3]) > 2 * self.radius
 
     def _row(self, blob: Blob) -> Row:
         """Return a detection as a row of values for the track. An unusual area reduces the confidence."""
@@ -165,7 +165,7 @@ class Target:
 
 
 @dataclass
-class Group:
+class MarkerGroup:
     """Targets for all markers of one colour, with the objects of this colour that are not markers."""
 
     marker: Marker
@@ -232,7 +232,9 @@ class Group:
             return []
         if self.marker.start_px is not None:
             starts = dict(zip(self.marker.names, self.marker.start_px, strict=True))
-            distances = np.array([[blob.away(*starts[target.name]) for blob in blobs] for target in new])
+            distances = np.array(
+                [[blob.distance_to(*starts[target.name]) for blob in blobs] for target in new]
+            )
             return [(new[i], blobs[j]) for i, j in zip(*linear_sum_assignment(distances), strict=True)]
         best = sorted(blobs, key=self.merit, reverse=True)[: len(new)]
         return list(zip(new, sorted(best, key=lambda blob: blob.x), strict=False))
@@ -262,9 +264,8 @@ class Group:
         self.next_look = frame + self.pause
         self.pause = min(2 * self.pause, 60)
 
-    @property
-    def moving_others(self) -> str:
-        """Sentence on other objects that look like the marker and move; empty if there are none.
+    def describe_moving_others(self) -> str:
+        """Return a sentence on other objects that look like the marker and move; empty if there are none.
 
         An object has moved if it is more than two radii away from all places of such objects in the other
         searches of the whole picture. Moved objects count if they are seen in half of the searches in which
@@ -292,18 +293,18 @@ class Group:
 
 def mask_step(length: float) -> int:
     """Return the pixel spacing of a mask that resolves a length: the length itself, from 1 to MAX_STEP px."""
-    return max(min(int(length), MAX_STEP), 1)
+    return max(min(int(length), MAX_MASK_STEP), 1)
 
 
 def is_among(blob: Blob, others: Sequence[Blob]) -> bool:
     """Return whether a blob has position and area of one of ``others``, which were seen in another frame."""
-    near = [other for other in others if blob.away(other.x, other.y) < 0.25 * other.radius + 1.5]
+    near = [other for other in others if blob.distance_to(other.x, other.y) < 0.25 * other.radius + 1.5]
     return any(0.4 < blob.area / other.area < 2.5 for other in near)
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
     """Return whether a blob is more than 2 px away from each of the blobs found before in the same frame."""
-    return all(blob.away(other.x, other.y) > 2 for other in others)
+    return all(blob.distance_to(other.x, other.y) > 2 for other in others)
 
 
 class Follower:
@@ -320,11 +321,11 @@ class Follower:
         self.setup = setup
         self._size = (width, height)
         # The default area of a marker is from 12 px to 5 % of the picture.
-        self.groups: list[Group] = []
+        self.groups: list[MarkerGroup] = []
         for marker in setup.markers:
             model, targets = ColourModel(marker.hsv or HsvRange()), [Target(name) for name in marker.names]
             area_px = marker.area_px or (12.0, 0.05 * width * height)
-            self.groups.append(Group(marker, model, area_px, targets))
+            self.groups.append(MarkerGroup(marker, model, area_px, targets))
         #: Statistics of the distance (px) between each two markers of different colours: number of distances,
         #: their sum, and the sum of their squares. They are computed only if several markers have the same
         #: colour.
@@ -373,7 +374,7 @@ class Follower:
             rows[detections[:, 0].astype(int)] = detections[:, 1:]
             drop_false_detections(rows)
         rivals = {g.marker.name: g.most_rivals for g in self.groups if g.most_rivals}
-        moving = {group.marker.name: group.moving_others for group in self.groups}
+        moving = {group.marker.name: group.describe_moving_others() for group in self.groups}
         others = {name: text for name, text in moving.items() if text}
         names = self.setup.marker_names
         return RawTrack.of_table(self._times, names, table, rivals, self._mistaken, others)
@@ -381,7 +382,7 @@ class Follower:
     # ------------------------------------------------------------ patches of a colour
 
     def _search_window(
-        self, group: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
+        self, group: MarkerGroup, frame: Frame, cx: float, cy: float, half: float, step: int = 1
     ) -> tuple[list[Blob], Box | None]:
         """Return the blobs inside a square window, and the box about the largest patch that the window cuts.
 
@@ -394,11 +395,11 @@ class Follower:
         if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
             return [], None
         window = frame[y0:y1, x0:x1]
-        mask = frames.marker_mask(frames.thinned(window, step), group.model)
+        mask = frames.marker_mask(frames.thin_window(window, step), group.model)
         inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
         found = frames.find_patches(mask, group.area_px, step=step, inside=inside)
         whole = [patch for patch in found if not patch.clipped]
-        measured = [frames.measure(window, patch, step, (x0, y0), self._size) for patch in whole]
+        measured = [frames.measure_blob(window, patch, step, (x0, y0), self._size) for patch in whole]
         seen = [blob for blob in measured if blob is not None and not self._is_ignored(blob.x, blob.y)]
         blobs = [blob for blob in seen if not is_among(blob, group.scenery)]
         if step > 1 and any(blob.at_edge for blob in blobs):
@@ -408,7 +409,7 @@ class Follower:
         cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
         return blobs, None if cut is None else cut.box((x0, y0), step)
 
-    def _search_picture(self, group: Group, frame: Frame, area: float) -> list[Blob]:
+    def _search_picture(self, group: MarkerGroup, frame: Frame, area: float) -> list[Blob]:
         """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
 
         ``area`` is the expected area of a blob in px, or 0 if unknown.
@@ -419,8 +420,8 @@ class Follower:
             blobs = self._search_coarse(group, frame, area, 1)
         return blobs
 
-    def _search_coarse(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
-        mask = frames.marker_mask(frames.thinned(frame, step), group.model)
+    def _search_coarse(self, group: MarkerGroup, frame: Frame, area: float, step: int) -> list[Blob]:
+        mask = frames.marker_mask(frames.thin_window(frame, step), group.model)
         coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
         expected = area or group.area_px[1] / COARSE_AREA_SHARE
         coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
@@ -439,11 +440,13 @@ class Follower:
 
     # ------------------------------------------------------------ one colour in one frame
 
-    def _follow(self, group: Group, time: float, frame: Frame) -> dict[str, Blob]:
+    def _follow(self, group: MarkerGroup, time: float, frame: Frame) -> dict[str, Blob]:
         """Find the targets of one colour in a frame; return the blob of each target, by its name."""
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
-        lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
+        lost = [
+            t for t in group.targets if t.name not in sights and not self._is_hidden(t, known, sights, time)
+        ]
         unsure = [t for t in known if t.name in sights and not t.whole]
         if lost or unsure:
             blobs = self._others(group, frame, lost, sights)
@@ -460,7 +463,7 @@ class Follower:
         return sights
 
     def _others(
-        self, group: Group, frame: Frame, targets: list[Target], sights: dict[str, Blob]
+        self, group: MarkerGroup, frame: Frame, targets: list[Target], sights: dict[str, Blob]
     ) -> list[Blob]:
         """Return the blobs of a colour in the whole picture that are not assigned to a target.
 
@@ -469,7 +472,9 @@ class Follower:
         area, taken = max((target.area for target in targets), default=0.0), list(sights.values())
         return [blob for blob in self._search_picture(group, frame, area) if is_new(blob, taken)]
 
-    def _in_windows(self, group: Group, known: list[Target], time: float, frame: Frame) -> dict[str, Blob]:
+    def _in_windows(
+        self, group: MarkerGroup, known: list[Target], time: float, frame: Frame
+    ) -> dict[str, Blob]:
         """Find the known targets in windows about predicted positions; return the blob of each, by name."""
         candidates: list[Blob] = []
         for target in known:
@@ -488,7 +493,7 @@ class Follower:
                 sights.pop(second.name, None)
         return sights
 
-    def _in_window(self, group: Group, target: Target, time: float, frame: Frame) -> list[Blob]:
+    def _in_window(self, group: MarkerGroup, target: Target, time: float, frame: Frame) -> list[Blob]:
         """Return the blobs in a window about the predicted position of a target.
 
         The window grows until one of its blobs resembles the target.
@@ -506,10 +511,10 @@ class Follower:
             half *= 2
         return []
 
-    def _cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
+    def _cost(self, group: MarkerGroup, target: Target, blob: Blob, time: float) -> float:
         """Return the cost of assigning a blob to a target, from prediction error and area."""
         allowed = target.radius + 2 * target.search_range(time - target.time)
-        away = blob.away(*target.predict(time))
+        away = blob.distance_to(*target.predict(time))
         if away > allowed + target.radius or not group.is_alike(target, blob):
             return IMPOSSIBLE
         cost = (away / allowed) ** 2
@@ -531,13 +536,13 @@ class Follower:
             mean = float(total / count)
             if (squares - total * mean) / (count - 1) >= (MAX_RIGID_SD * mean) ** 2:
                 continue
-            error = abs(blob.away(*partner.predict(time)) / mean - 1)
+            error = abs(blob.distance_to(*partner.predict(time)) / mean - 1)
             if error > MAX_RIGID_DEVIATION:
                 return IMPOSSIBLE
             worst = max(worst, (error / MAX_RIGID_DEVIATION) ** 2)
         return worst
 
-    def _hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
+    def _is_hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
         """Return whether a lost target touches another lost marker of the same colour.
 
         The two then look like one large blob, and the whole picture is not searched for the target.
@@ -548,7 +553,7 @@ class Follower:
         return any(_meet(target, other, sights, time) for other in others)
 
     def _find_lost(
-        self, group: Group, lost: list[Target], blobs: list[Blob], time: float
+        self, group: MarkerGroup, lost: list[Target], blobs: list[Blob], time: float
     ) -> list[tuple[Target, Blob]]:
         """Return the lost targets that are found in the whole picture, each with the blob assigned to it."""
         pairs = group.choose_first([target for target in lost if not target.sights], blobs)
@@ -561,7 +566,7 @@ class Follower:
             pairs += [(missing[i], blobs[j]) for i, j in assign(cost)]
         return pairs
 
-    def _return_cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
+    def _return_cost(self, group: MarkerGroup, target: Target, blob: Blob, time: float) -> float:
         """Return the cost of assigning a blob anywhere in the picture to a lost target."""
         gone_s = time - target.time
         if not group.is_alike(target, blob, gone_s):
@@ -569,7 +574,7 @@ class Follower:
         recent, place = gone_s <= self.setup.max_gap_s, (target.x, target.y)
         if recent:
             place = target.predict(time)
-        away = blob.away(*place)
+        away = blob.distance_to(*place)
         if recent and target.sights >= 3:
             near = 4 * target.radius + 10 + 0.2 * target.missed * target.radius
             near += 2 * max(math.hypot(target.vx, target.vy), target.pace) * gone_s
@@ -577,11 +582,11 @@ class Follower:
             if away > near or misfit >= IMPOSSIBLE:
                 return IMPOSSIBLE
             return min(away * (1 + misfit), IMPOSSIBLE)
-        if any(blob.away(rival.x, rival.y) < 0.7 * rival.radius for rival in group.rivals):
+        if any(blob.distance_to(rival.x, rival.y) < 0.7 * rival.radius for rival in group.rivals):
             return IMPOSSIBLE
         return 1e3 + away / (1e-3 + blob.confidence)
 
-    def _contest(self, group: Group, target: Target, blobs: list[Blob], time: float) -> Blob | None:
+    def _contest(self, group: MarkerGroup, target: Target, blobs: list[Blob], time: float) -> Blob | None:
         """Follow another object that may be the marker, if the target is missed or was never seen whole.
 
         The known appearance of the target may be that of a reflection, or of a half hidden marker. Another
@@ -683,7 +688,7 @@ def drop_false_detections(rows: NDArray[np.float64]) -> None:
 
 
 @dataclass(frozen=True)
-class Run:
+class FilmTrack:
     """Result of tracking a film: the track in pixels before smoothing, the setup, and some frames."""
 
     track: RawTrack
@@ -697,7 +702,7 @@ class Run:
 
 def follow(
     path: Path, setup: Setup, *, step: Step, file: str | None = None, within: slice = slice(None)
-) -> Run:
+) -> FilmTrack:
     """Follow the markers of a setup through a film, and return the track.
 
     A motionless object of the colour of a marker is not the marker if there are other objects of the same
@@ -724,7 +729,7 @@ def follow(
     return second
 
 
-def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within: slice) -> Run:
+def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within: slice) -> FilmTrack:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
         camera_matrix(setup.camera, video.width, video.height, file, video.pixel_aspect)
@@ -747,4 +752,4 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within:
         step()
     kept = list(keeper.kept.items())
     chosen = np.unique(np.linspace(0, len(kept) - 1, REPORT_FRAMES).round().astype(int))
-    return Run(follower.track(), video, setup, dict(kept[k] for k in chosen))
+    return FilmTrack(follower.track(), video, setup, dict(kept[k] for k in chosen))

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import Ran
-from tests.real_gaps.row import Sources
-from tests.real_gaps.rows import screw_drive
+from validation.real_gaps.row import Sources
+from validation.real_gaps.rows import screw_drive
 
 Run = Callable[..., Ran]
 Case = Callable[..., Path]

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tests.coverage.tracks import HEIGHT, METRES_PER_PIXEL, RATE_HZ, WIDTH, Camera, Swim
 from tests.generators import cruise, film_writer, rig
+from validation.coverage.tracks import HEIGHT, METRES_PER_PIXEL, RATE_HZ, WIDTH, Camera, Swim
 
 SETUP = f"""format: swimid-setup/1
 markers:

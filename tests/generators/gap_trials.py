@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.blind import swim_actuation, swim_files, swimmers
-from tests.blind.swim_case import Act, Trial
-from tests.blind.swim_sensing import UP
-from tests.blind.swimmers import Noise
 from tests.generators.marks import mark
+from validation.blind import swim_actuation, swim_files, swimmers
+from validation.blind.swim_case import Act, Trial
+from validation.blind.swim_sensing import UP
+from validation.blind.swimmers import Noise
 
 #: Tracking noise: a camera's position and angle, a gyroscope.
 PLACE_M, ANGLE_RAD, RATE_RAD_S = 0.0015, 0.008, 0.015

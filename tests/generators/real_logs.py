@@ -4,7 +4,7 @@ The tail-actuated fish of Michigan State University (DerivativeBasedKoopman, MIT
 and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence), and zig-zags of a model of the tanker
 KVLCC2 by MARIN (SIMMAN 2008; martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models). As a
 program it writes all of them: ``python -m tests.generators.real_logs DATA FOLDER``. Recordings with a known
-gap are in ``tests.real_gaps``.
+gap are in ``validation.real_gaps``.
 """
 
 from __future__ import annotations

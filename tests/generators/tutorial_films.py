@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from tests.blind import swim_actuation, swim_files, swimmers
 from tests.generators import film_writer, gap_trials
 from tests.generators.point_films import TFISH
+from validation.blind import swim_actuation, swim_files, swimmers
 
 Array = np.ndarray
 WIDTH, HEIGHT, RATE_HZ = 640, 360, 30.0
