@@ -90,7 +90,7 @@ def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
 
 def operations_in(kernel: Kernel, run: Any) -> float:
     """Traced operations that a run takes: four evaluations a step."""
-    return 4.0 * (len(run.drive.table) // 2) * len(kernel.traced.operations)
+    return 4.0 * (len(run.drive.table) // 2) * len(kernel.equations.operations)
 
 
 def bench_engine() -> None:
@@ -104,7 +104,7 @@ def bench_engine() -> None:
         given = np.array([model.stated().get(p.name, p.start) for p in model.parameters])
         runs = [model.request(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
         kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-        kernel.compiled()
+        kernel.compile_module()
         model.integrate(runs[0])
 
         scalar, one, eight = best(
@@ -114,7 +114,7 @@ def bench_engine() -> None:
         print(
             f"  {name:<38}{1e3 * scalar:>11.2f}{1e3 * one:>10.2f}{scalar / one:>7.1f}"
             f"{1e3 * eight / LANES:>10.2f}{LANES * scalar / eight:>7.1f}"
-            f"{len(kernel.traced.operations):>12}{1e9 * scalar / operations_in(kernel, runs[0]):>17.2f}"
+            f"{len(kernel.equations.operations):>12}{1e9 * scalar / operations_in(kernel, runs[0]):>17.2f}"
         )
 
 
@@ -178,7 +178,7 @@ def bench_compile() -> None:
         with tempfile.TemporaryDirectory() as cache:
             code = (
                 f"from benchmarks.bench_lanes import kernels_of\nk = kernels_of({name!r})\n"
-                f"{{}}k.kernels.{kind}.compiled()"
+                f"{{}}k.kernels.{kind}.compile_module()"
             )
             # the second of them: importing has compiled what it needs
             _, alone = (
@@ -189,7 +189,7 @@ def bench_compile() -> None:
                 child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
                 for _ in range(2)
             )
-        operations = len(getattr(kernels_of(name).kernels, kind).traced.operations)
+        operations = len(getattr(kernels_of(name).kernels, kind).equations.operations)
         words = f"{name}, with effects" if kind == "wide" else name
         print(f"  {words:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / operations:>12.1f}")
 
@@ -218,7 +218,7 @@ def bench_commands(count: int = 6) -> None:
         }  # fmt: skip
         print(f"{count} trials of {DURATION_S:g} s, s CPU (wall){'scalar':>22}{'lanes':>16}{'ratio':>8}")
         model, _ = model_of("tfish")
-        Kernel(model.engine, model.tree.tables, len(model.coefficients)).compiled()
+        Kernel(model.engine, model.tree.tables, len(model.coefficients)).compile_module()
         for what, words in commands.items():
             command = [*start, *words]
             scalar, lanes = (child(command, folder, SWIMID_LANES=mode) for mode in ("never", ""))

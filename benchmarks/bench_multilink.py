@@ -133,7 +133,7 @@ class Engine:
         half = 0.5 * step * np.arange(2 * cut * COMPARED + 1)
         gains = [a.joint.driven.gain for a in self.assembly.driven]
         motions = [BEAT.motion(half, gain=gain) for gain in gains]
-        return step, drive.table(len(half), motions, [0.0] * len(motions))
+        return step, drive.drive_table(len(half), motions, [0.0] * len(motions))
 
     def runner(self, cut: int) -> Callable[[], Pair]:
         """Tables of the coefficients, and the run."""

@@ -197,4 +197,4 @@ def built_in_robots() -> list[str]:
     """
     from swimid.robots import file
 
-    return file.built_in()
+    return file.list_built_in_robots()

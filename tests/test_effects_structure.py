@@ -351,10 +351,10 @@ def test_the_load_of_a_servo_is_that_of_the_links_behind_it() -> None:
     body = dry_fish().body
     masses, places = (0.081, 0.081, 0.081, 0.096), (0.016, 0.048, 0.080, 0.123)
     inertia = 2.3e-4 + 2.3e-4 + 2.1e-4 + 8.0e-5 + np.dot(masses, np.square(places))
-    assert body.carried(body.tables(), 0) == pytest.approx((inertia, 0.0))
+    assert body.compute_actuator_load(body.tables(), 0) == pytest.approx((inertia, 0.0))
     bodies = swimmer("tfish", c_d13=0.0, c_d4=2.0).body
     drag = 500.0 * 0.006853 * 2.0 * (3 * 0.032 + 0.05) ** 3
-    assert bodies.carried(bodies.tables(), 0)[1] == pytest.approx(drag, rel=1e-9)
+    assert bodies.compute_actuator_load(bodies.tables(), 0)[1] == pytest.approx(drag, rel=1e-9)
 
 
 def servo(effect: Effect, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -382,7 +382,7 @@ def test_a_servo_sticks_where_its_command_turns_round() -> None:
 def test_a_servo_under_load_is_held_back_by_its_torque() -> None:
     """At full speed the torque is that of drag, ``D q'^2``; before and after, inertia adds or reduces it."""
     share, body = 0.4, swimmer("tfish").body
-    _, drag = body.carried(body.tables(), 1)
+    _, drag = body.compute_actuator_load(body.tables(), 1)
     rate, back, top = servo(LoadFriction(), share)
     full = np.abs(rate) > 0.98 * rate.max()
     assert back[full].mean() == pytest.approx((share * drag * rate[full] ** 2).mean(), rel=0.05)

@@ -678,7 +678,7 @@ def test_planar_inertia_about_another_point() -> None:
 
 
 def test_built_in_multilink_robots_export(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
-    for name in robot.built_in():
+    for name in robot.list_built_in_robots():
         body = robot.read(name).multilink
         if body is None:
             continue

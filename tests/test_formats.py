@@ -255,7 +255,7 @@ class TestTrials:
         with pytest.raises(InputError, match="did you mean 'boxfish'"):
             robot.read("boxfsh")
 
-    @pytest.mark.parametrize("name", robot.built_in())
+    @pytest.mark.parametrize("name", robot.list_built_in_robots())
     def test_built_in_robots_are_valid(self, name: str) -> None:
         assert robot.read(name).name == name
 

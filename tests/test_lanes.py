@@ -444,7 +444,7 @@ def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.
         "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
     )
     assert not lanes.on_disk(text)
-    module = lanes.imported(text)
+    module = lanes.load_module(text)
     module.integrate.compile(module.SIGNATURE)
     assert lanes.on_disk(text)
     assert module.integrate(2.0) == 4.0
@@ -457,7 +457,7 @@ def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any)
         "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
         "text += '@numba.njit(cache=True)\\ndef integrate(x):\\n    return x\\n'\n"
         "before = lanes.on_disk(text)\n"
-        "lanes.imported(text).integrate(1.0)\n"
+        "lanes.load_module(text).integrate(1.0)\n"
         "print(before, lanes.on_disk(text))"
     )
     told = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

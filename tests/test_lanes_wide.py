@@ -83,7 +83,7 @@ def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], cou
     runs = [(values * (1.0 + 0.01 * k), own[k % 2]) for k in range(count)]
     assert model.kernels.wide is not None
     steps = (own[0].time_s[-1] - own[0].time_s[0]) / model.max_step
-    operations = 4 * len(model.kernels.wide.traced.operations) * steps
+    operations = 4 * len(model.kernels.wide.equations.operations) * steps
     model.forget(own)
     for (point, trial), simulated in zip(runs, many.run_many(runs), strict=True):
         for channel, series in one.run(point, trial).items():
@@ -172,9 +172,9 @@ def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
 
 def test_effects_do_not_change_the_robots_own_kernel() -> None:
     """The text of the robot's own kernel is the same with and without effects."""
-    text = lanes.source_of(opened("tfish").kernels.own.traced)
+    text = lanes.source_of(opened("tfish").kernels.own.equations)
     assert "exponent" not in text
-    assert text == lanes.source_of(MultilinkModel(robot_format.read("tfish")).kernels.own.traced)
+    assert text == lanes.source_of(MultilinkModel(robot_format.read("tfish")).kernels.own.equations)
 
 
 @pytest.mark.parametrize(

@@ -294,11 +294,11 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     n = planar.unknowns
     flat = np.zeros(2 * n)
     flat[n] = 0.1
-    told = drive.table(len(half), motions, mounts)
+    told = drive.drive_table(len(half), motions, mounts)
     expected, _ = planar_engine.integrate(flat, step, told, tuple(planar.tables(values).values()), None, 0.0)
     start = np.zeros(13 + 2 * len(lifted.passive))
     start[3], start[7 + len(lifted.passive)] = 1.0, 0.1
-    table = drive.table(len(half), motions, [0.0] * len(motions))
+    table = drive.drive_table(len(half), motions, [0.0] * len(motions))
     found, _ = engine.integrate(start, step, table, tuple(lifted.tables(values).values()), None, 0.0)
     second = 1 if body.plane == "horizontal" else 2
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-9)

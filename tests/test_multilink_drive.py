@@ -140,7 +140,7 @@ class TestMeasured:
         At 50 Hz; nor does it matter whether the beat is slow or the record long.
         """
         times, seen, angle, rate, bend = self.noisy(rng, math.radians(0.5))
-        motion = drive.spline_motion(drive.measured(times, seen))
+        motion = drive.spline_motion(drive.fit_spline(times, seen))
         found = motion(times)
         middle = slice(25, -25)
 
@@ -159,7 +159,7 @@ class TestMeasured:
         times = 1e3 + np.arange(0.0, 10.0, 1 / rate_hz)
         angle, noise = 0.3 * np.sin(2 * math.pi * beat_hz * times), 0.005
         seen = angle + noise * rng.standard_normal(len(times))
-        found = drive.spline_motion(drive.measured(times, seen))(times)[0]
+        found = drive.spline_motion(drive.fit_spline(times, seen))(times)[0]
         assert np.sqrt(np.mean((found - angle) ** 2)) < noise
 
     def test_smoothing_minimises_thecross_validation_score_score(self, rng: np.random.Generator) -> None:
@@ -176,7 +176,7 @@ class TestMeasured:
 
     def test_clean_samples_are_kept(self, rng: np.random.Generator) -> None:
         times, seen, angle, rate, _ = self.noisy(rng, 0.0)
-        found = drive.spline_motion(drive.measured(times, seen))(times)
+        found = drive.spline_motion(drive.fit_spline(times, seen))(times)
         np.testing.assert_allclose(found[0], angle, atol=1e-4)
         # differences of clean samples are wrong by (omega h)^2 / 6 of the rate
         assert (
@@ -186,7 +186,7 @@ class TestMeasured:
 
     def test_angle_rate_and_acceleration_agree(self, rng: np.random.Generator) -> None:
         times, seen, *_ = self.noisy(rng, 0.01)
-        motion = drive.spline_motion(drive.measured(times, seen))
+        motion = drive.spline_motion(drive.fit_spline(times, seen))
         fine = np.linspace(1.0, 10.0, 90_001)
         angle, rate, bend = motion(fine)
         np.testing.assert_allclose(np.gradient(angle, fine)[1:-1], rate[1:-1], atol=1e-5)
@@ -196,20 +196,20 @@ class TestMeasured:
         times, seen, angle, *_ = self.noisy(rng, 0.001)
         seen[100:104] = np.nan
         wrapped = np.angle(np.exp(1j * (seen + math.pi)))
-        found = drive.spline_motion(drive.measured(times, wrapped))(times)[0]
+        found = drive.spline_motion(drive.fit_spline(times, wrapped))(times)[0]
         offset = 2 * math.pi * np.round((found[0] - angle[0] - math.pi) / (2 * math.pi))
         np.testing.assert_allclose(found - math.pi - offset, angle, atol=0.02)
 
     def test_the_angle_is_held_beyond_its_ends(self, rng: np.random.Generator) -> None:
         times, seen, *_ = self.noisy(rng, 0.001)
-        motion = drive.spline_motion(drive.measured(times, seen))
+        motion = drive.spline_motion(drive.fit_spline(times, seen))
         outside, ends = motion(np.array([-1.0, 100.0])), motion(times[[0, -1]])
         np.testing.assert_allclose(outside[0], ends[0], atol=1e-14)
         np.testing.assert_array_equal(outside[1:], 0.0)
 
     def test_too_few_samples(self) -> None:
         with pytest.raises(ValueError, match="at least five"):
-            drive.measured(np.arange(6.0), np.array([0.0, 1.0, np.nan, 2.0, np.nan, 1.0]))
+            drive.fit_spline(np.arange(6.0), np.array([0.0, 1.0, np.nan, 2.0, np.nan, 1.0]))
 
 
 @pytest.mark.kernels
@@ -304,7 +304,7 @@ class TestInARobot:
         model = MultilinkModel(_two_links({}))
         beat = drives.Beat("sine", 1.0, 0.5)
         told = self.run(model, SwimInput(beat))
-        motion = drive.spline_motion(drive.measured(self.TIMES, told["joint1_rad"]))
+        motion = drive.spline_motion(drive.fit_spline(self.TIMES, told["joint1_rad"]))
         seen = self.run(MultilinkModel(_two_links({})), SwimInput(joints=[motion]))
         assert np.abs(told["yaw_rad"]).max() > 0.1
         for name in ("x_m", "y_m", "yaw_rad"):
@@ -316,6 +316,6 @@ class TestInARobot:
 
     def test_table(self) -> None:
         motions = [(np.array([0.1, 0.2]), np.array([1.0, 2.0]), np.array([3.0, 4.0]))]
-        (first, second) = drive.table(2, motions, [0.5])[:, 0]
+        (first, second) = drive.drive_table(2, motions, [0.5])[:, 0]
         np.testing.assert_allclose(first, [0.1, 1.0, 3.0, math.cos(0.6), math.sin(0.6)])
         np.testing.assert_allclose(second, [0.2, 2.0, 4.0, math.cos(0.7), math.sin(0.7)])

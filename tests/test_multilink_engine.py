@@ -298,7 +298,7 @@ class TestTendonFish:
         model = MultilinkModel(robot_format.read("tfish"))
         trial = Trial("run", "fit", GRID, {}, swim=SwimInput(drives.Beat("sine", 1.4, math.radians(30.0))))
         run = model.trajectory(values_of(model), trial)
-        found = engine.sampled(BETWEEN, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
+        found = engine.interpolate_states(BETWEEN, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
         grid_error = np.abs(run.states[:: round(0.02 / run.grid.step_s)] - reference[0]).max(axis=0)
         between_error = np.abs(found - reference[1]).max(axis=0)
         assert (between_error < np.r_[np.full(7, 1.1), 3.0] * grid_error).all()

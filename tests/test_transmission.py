@@ -287,7 +287,7 @@ def test_the_load_of_an_actuator_is_that_of_all_its_joints(tmp_path: Path) -> No
     speeds = fronts + turns * tail.com[behind]
     expected = mass @ speeds**2 + tail.inertia[behind] @ turns**2
     assert model.body is not None
-    inertia, drag = model.body.carried(model.body.tables(), 0)
+    inertia, drag = model.body.compute_actuator_load(model.body.tables(), 0)
     assert inertia == pytest.approx(expected, rel=1e-6)
     points = tail.water.across > 0
     link, place = tail.water.link[points] - 1, tail.water.behind[points]

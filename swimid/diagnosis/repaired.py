@@ -196,9 +196,9 @@ def _fit_block(search: HypothesisSearch, fit: Hypothesis, loaded: Loaded) -> par
     about: dict[str, Any] = {"method": "diagnosis"}
     about["samples_sha256"] = {t.id: t.digest for t in loaded.experiment.trials}
     if study.model.swimmer is not None:
-        from swimid.swimmer.trials import driven_range
+        from swimid.swimmer.trials import find_drive_range
 
-        drives = driven_range(study.trials)
+        drives = find_drive_range(study.trials)
         if drives:
             about["drives"] = {name: list(ends) for name, ends in drives.items()}
     trials = [t.id for t in loaded.experiment.trials if t.role == "fit"]

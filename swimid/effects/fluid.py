@@ -293,7 +293,7 @@ class ThrustLoss(Effect):
         """
         swimmer = model.swimmer
         _, inputs, forces = swimmer.thrusters(swimmer.tree.tables(swimmer.start_coefficients))
-        sizes = [np.abs(swimmer.acting_inputs(trial)[:, inputs]) * forces for trial in trials]
+        sizes = [np.abs(swimmer.compute_inputs(trial)[:, inputs]) * forces for trial in trials]
         typical_N = typical([float(np.median(size[size > 0.0])) for size in sizes if size.any()], 1.0)
         whole = math.sqrt(typical_N) / model.scales(trials).speed
         words = "loss of thrust per speed of advance and per square root of the thrust"

@@ -21,7 +21,7 @@ from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.tree import SYMMETRIC, Actuated, Axis, Polynomial
+from swimid.swimmer.tree import SYMMETRIC, Actuated, MovingJoint, Polynomial
 
 #: Names of the numerical values that describe a force element, for each kind of force element. Their order is
 #: that of the columns in the input arrays of the equations of motion (``engine``).
@@ -282,7 +282,7 @@ class ExportSource:
         """
         return [link.rigid + fold * (link.added - link.directional) for link in self.links]
 
-    def actuator(self, axis: Axis) -> Actuated:
+    def actuator(self, axis: MovingJoint) -> Actuated:
         """Return the actuator of a driven joint."""
         return self.assembly.actuators[self.assembly.actuator_of[self.assembly.driven.index(axis)]]
 

@@ -757,7 +757,7 @@ def robot_reference(experiment: Experiment, folder: Path) -> str:
     if experiment.robot_path is None:
         return name
     path = experiment.robot_path.resolve()
-    if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
+    if name in robot_format.list_built_in_robots() and path == robot_format.locate(name).resolve():
         return name
     return Path(os.path.relpath(path, folder.resolve())).as_posix()
 

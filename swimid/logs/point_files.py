@@ -56,7 +56,7 @@ class PointsFile(yamlio.Document):
 
     format: Literal["swimid-points/1"] = FORMAT
     #: Place of each point, by the name that the tracker uses. It replaces the points of the robot file.
-    points: dict[str, planar.Place] = {}
+    points: dict[str, planar.TrackedPoint] = {}
     #: Points from front to rear of a body without a robot file.
     chain: list[str] = []
     scale: PointScale | None = None
@@ -114,7 +114,7 @@ class View:
 # ---------------------------------------------------------------- linkage of a robot
 
 
-def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where: str) -> Linkage:
+def linkage_of(body: planar.Multilink, points: Mapping[str, planar.TrackedPoint], where: str) -> Linkage:
     """Return the linkage of a robot in a plane with tracked points.
 
     Links on rigid joints become a part of their parent. The coefficients have the values of the file.

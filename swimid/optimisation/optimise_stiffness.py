@@ -285,7 +285,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Gai
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
     """Return the name of the stiffness of the passive joint; raise an error if it is not unique."""
-    found = performance.model.yielding()
+    found = performance.model.list_joint_coefficients()
     name = options.coefficient or "".join(found[: len(found) == 1])
     if name not in found:
         text = f"{name} stands in no passive joint's law; " * bool(name)

@@ -28,7 +28,7 @@ from swimid.logs.mapping import guess_mapping
 from swimid.logs.point_files import tracked_points
 from swimid.notices import Progress, silent
 from swimid.projects.survey import Recording, several
-from swimid.robots.file import built_in
+from swimid.robots.file import list_built_in_robots
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup
 
@@ -473,7 +473,7 @@ def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Rec
         f"Answer every {ASK}, or delete its line. All keys: swimid schema trials",
         f"format: {TRIALS}",
         f"experiment: {experiment}" + f"   # {', '.join(fitting)}" * (experiment == ASK),
-        f"robot: {robot}" + f"   # {', '.join(built_in())}, or robot.yaml" * (robot == ASK),
+        f"robot: {robot}" + f"   # {', '.join(list_built_in_robots())}, or robot.yaml" * (robot == ASK),
     ]
     if kind is not None and group.first.is_alone:
         table = project.relative(group.first.path)

@@ -95,7 +95,7 @@ def init(
     robot = options.robot
     if robot is not None:
         place = robot_format.locate(robot)
-        if robot not in robot_format.built_in():
+        if robot not in robot_format.list_built_in_robots():
             robot = drafts.relative(place, target)
     own = find_own_experiments(options.experiment or "")
     kinds, experiment = find_experiments(own), options.experiment

@@ -341,7 +341,7 @@ def setting_text(key: str, value: float | str) -> str:
 def _recorded(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, SwimInput]:
     """Return the sample times of a simulation, and the input of the model from the columns of a log."""
     log = log_format.read(path, optional=tuple(swimmer.input_columns(model)))
-    swim = SwimInput(inputs=swimmer.logged_inputs(model, log), pose=rest_pose(model))
+    swim = SwimInput(inputs=swimmer.read_inputs(model, log), pose=rest_pose(model))
     swim = swimmer.with_logged_joints(swim, model, log)
     begin, end = float(log.time_s[0]), float(log.time_s[-1])
     if options.duration_s is not None:

@@ -136,7 +136,7 @@ def fit_graybox(
     if not trials.entries.robot_form:
         return _fit_simulator(trials, options, output, progress)
     with recorded(repeat=True) as notices:
-        posed = Posed.of(trials, options, output)
+        posed = FitSetup.of(trials, options, output)
         experiment, model, parameters = posed.experiment, posed.model, posed.parameters
         _require_steady_swimming(experiment, parameters)
         files = [parameters_format.origin(p) for p in (options.start_from, options.front) if p is not None]
@@ -209,7 +209,7 @@ def _fit_simulator(
 
 
 @dataclass(frozen=True)
-class Posed:
+class FitSetup:
     """Trials, model and parameters of a fit. A worker of a cluster builds its own."""
 
     experiment: Experiment
@@ -220,7 +220,7 @@ class Posed:
     @classmethod
     def of(
         cls, trials: str | Path | TrialSet, options: FitGrayboxOptions, output: Path | None = None
-    ) -> Posed:
+    ) -> FitSetup:
         """Read the trials, and prepare model and parameters as the options say."""
         experiment = fit_common.load_experiment(
             trials,
@@ -236,7 +236,7 @@ class Posed:
             groups |= groups_by_prefix(model.parameters, prefix)
         parameters = share(model.parameters, groups)
         if begin is not None:
-            parameters = _started_from(begin, parameters)
+            parameters = _start_from(begin, parameters)
         parameters = fit_common.prepare(
             experiment,
             output,
@@ -301,7 +301,7 @@ class _Search:
 
 
 def _search(
-    posed: Posed, output: Path | None, origin: dict[str, Any], rebuilt: Rebuilt | None, progress: Progress
+    posed: FitSetup, output: Path | None, origin: dict[str, Any], rebuilt: Rebuilt | None, progress: Progress
 ) -> _Search:
     """Estimate the parameters with the method that the options name. Workers of a cluster use ``rebuilt``."""
     options, model = posed.options, posed.model
@@ -321,7 +321,7 @@ def _search(
 
 
 def _least_squares(
-    posed: Posed, begins: Sequence[Array] | None, rebuilt: Rebuilt | None, progress: Progress
+    posed: FitSetup, begins: Sequence[Array] | None, rebuilt: Rebuilt | None, progress: Progress
 ) -> _Search:
     """Estimate the parameters by output error from one or several starting points.
 
@@ -457,9 +457,7 @@ def _explain(
         return mistakes.search(trials, known, before, simulate, refit)
 
 
-def _started_from(
-    source: parameters_format.Source, parameters: tuple[Parameter, ...]
-) -> tuple[Parameter, ...]:
+def _start_from(source: parameters_format.Source, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return the parameters with start values from a parameter file.
 
     The start value of a shared parameter is the mean over its members.
@@ -478,7 +476,9 @@ def _started_from(
     return tuple(found)
 
 
-def _parameter_file(posed: Posed, result: FitResult, origin: dict[str, Any], folder: Path) -> ParameterFile:
+def _parameter_file(
+    posed: FitSetup, result: FitResult, origin: dict[str, Any], folder: Path
+) -> ParameterFile:
     """Return the parameter file of a fit."""
     options, experiment = posed.options, posed.experiment
     settings: dict[str, Any] = {
@@ -499,7 +499,7 @@ def _parameter_file(posed: Posed, result: FitResult, origin: dict[str, Any], fol
         unfinished=True,
     )
     # store the range of the drives, so that users of the coefficients are warned of drives outside it
-    drives = swimmer.driven_range([t for t in experiment.trials if t.role == "fit"])
+    drives = swimmer.find_drive_range([t for t in experiment.trials if t.role == "fit"])
     if file.fit is not None and file.fit.model_extra is not None and drives:
         file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
     return file.model_copy(update={"parameters": expand(result.parameters, file.parameters)})
