@@ -193,7 +193,7 @@ def test_the_readme_shows_the_diagnosis_of_the_sample(sample: tuple[Path, Ran]) 
         said = re.search(rf"^ +{re.escape(label)} +([\d.]+) ", sample[1].out, re.M)
         assert shown is not None
         assert said is not None
-        # processors round differently, and a floor read off a hundred independent samples is good to 1/sqrt(200)
+        # A floor from a hundred independent samples has a standard error of 1/sqrt(200).
         assert float(shown.group(1)) == pytest.approx(float(said.group(1)), rel=2 / np.sqrt(200))
     size = re.search(r"a backlash of ([\d.]+) ± ([\d.]+) rad", text)
     assert size is not None

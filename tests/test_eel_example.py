@@ -87,7 +87,10 @@ def test_the_wrong_reading_is_told(walked: tuple[Path, dict[str, Ran]]) -> None:
 
 
 def test_speeds_in_the_text(walked: tuple[Path, dict[str, Ran]]) -> None:
-    for words, text in ((("--robot",), r"mean speed of ([\d.]+) m/s"), (("1.2",), r"gait gives ([\d.]+) m/s")):
+    for words, text in (
+        (("--robot",), r"mean speed of ([\d.]+) m/s"),
+        (("1.2",), r"gait gives ([\d.]+) m/s"),
+    ):
         shown, printed = (
             re.search(text, TEXT),
             re.search(r"mean speed\s+([\d.]+)", _said(walked[1], *words).out),

@@ -1,8 +1,8 @@
 """The tutorial as a user walks it: ``python -m tests.tutorial`` runs its commands and writes what they print.
 
-A page shows a command as ``$ swimid ...`` at the beginning of a block, and what it prints after it. The line
-``  ...`` stands for lines that the page leaves out. Blocks of the language ``diff`` are edits of the file that
-the page names last before them. The pictures show the results of the walk.
+A page shows a command as ``$ swimid ...`` at the beginning of a block, and what it prints after it. A line of
+dots stands for lines that the page leaves out. Blocks of the language ``diff`` are edits of the file that the
+page names last before them. The pictures show the results of the walk.
 """
 
 from __future__ import annotations
