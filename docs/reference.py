@@ -23,7 +23,7 @@ from swimid.effects.base import STAGES
 from swimid.effects.catalogue import list_effects
 from swimid.logs.experiments import find_experiments
 from swimid.notices import read_warnings
-from swimid.results.result import class_of, formats
+from swimid.results.result import class_of, list_result_formats
 
 #: Title of each generated part of a format. The classes of the entries with the keys, or of the elements with
 #: the kinds, that follow it stand in this part, and so do the classes of their own entries.
@@ -210,7 +210,7 @@ def formats_text(titles: Mapping[str, str]) -> str:
     """Return the Markdown text of several file formats."""
     lines: list[str] = []
     for name, title in titles.items():
-        kind = class_of(name).file_type if name in formats() else find_class(name)
+        kind = class_of(name).file_type if name in list_result_formats() else find_class(name)
         lines += format_text(title, kind, 3)
     return "\n".join(lines).rstrip("\n")
 

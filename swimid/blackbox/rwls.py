@@ -50,7 +50,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import uncertainty as rt
 from swimid.fitting.fit_common import VALIDATION_RATIO, Score, is_still, score
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers, parameters
@@ -162,7 +162,7 @@ def rwls(
     >>> fit["b1"].unit
     '(m/s)/rad'
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         data = read(logs, options)
         if output is not None:
             atomic.check_writable(output, inputs=data.files)
@@ -179,7 +179,7 @@ def rwls(
     evidence = Evidence(
         command="rwls",
         title=f"{m.kind} model, {columns.source} to {columns.output}",
-        verdict=ev.judged(answer, checks),
+        verdict=ev.make_verdict(answer, checks),
         facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
         checks=checks,
         tables=[_errors(m), _modes(m)],
@@ -191,7 +191,7 @@ def rwls(
     )
     made = Fitted.of(file, evidence)
     made.data["orders_tried"] = [{**asdict(orders), "bic": bic} for orders, bic in m.candidates]
-    return made.saved(output)
+    return made.write_output(output)
 
 
 # ---------------------------------------------------------------- checks and warnings
@@ -200,19 +200,21 @@ def rwls(
 def _checks(m: Identified) -> list[Check]:
     fitted, pole, count = m.estimate, m.critical_pole, m.estimate.orders.count
     checks = [
-        ev.check(
+        ev.make_check(
             "Held-out data", str(len(m.held_out)), bool(m.held_out), "some", reason="no data were held out"
         ),
-        ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
+        ev.make_check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
     ]
     otherwise: Literal["warn", "fail"] = "warn"
     if pole is not None:
-        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr_magnitude)}"
+        size = f"|z| = {numbers.format_estimate(pole.magnitude, pole.stderr_magnitude)}"
         reason, passed = f"the model integrates ({size}), so that a free run drifts", pole.state == "stable"
         if pole.state == "unstable":
             otherwise, reason = "fail", f"the model is unstable ({size}) and cannot be simulated"
         checks.append(
-            ev.check("Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason)
+            ev.make_check(
+                "Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason
+            )
         )
     runs, ratio = m.judged, f"{VALIDATION_RATIO:g} times that of the fit"
     if m.fit.diverged:
@@ -231,19 +233,21 @@ def _checks(m: Identified) -> list[Check]:
             passed = fit >= MIN_FIT_PERCENT
             reason = f"the free run reproduces less than half of {name} ({value})"
         limit = f"at least {MIN_FIT_PERCENT:g} %, and an error below {ratio}"
-        checks.append(ev.check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason))
+        checks.append(
+            ev.make_check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason)
+        )
     for name, test, reason in (
         ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
         ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
     ):
         p, passed = ev.p_text(test.p_value), test.passed or fitted.exact
         checks.append(
-            ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
+            ev.make_check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
         )
     lost = m.undetermined
     value, reason = f"{count - len(lost)} of {count}", f"the data do not determine {', '.join(lost)}"
     excited = f"the input excites {fitted.known.input_rank} of the {fitted.orders.nb} coefficients of B"
-    return [*checks, ev.check("Coefficients determined", value, not lost, "all", excited, reason=reason)]
+    return [*checks, ev.make_check("Coefficients determined", value, not lost, "all", excited, reason=reason)]
 
 
 def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
@@ -409,7 +413,7 @@ def _modes(m: Identified) -> Table:
     """
     rows: list[list[ev.Cell]] = []
     for p in m.poles:
-        size = numbers.measured(p.magnitude, p.stderr_magnitude)
+        size = numbers.format_estimate(p.magnitude, p.stderr_magnitude)
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.log(np.complex128(complex(p.real, p.imag))) / m.data.sample_time_s
             damping = -rate.real / abs(rate)
@@ -450,7 +454,7 @@ def _free_run(m: Identified) -> Figure:
         for record in parts[name].records:
             run = simulate(record, m.estimate.orders, m.estimate.theta)
             for group, (label, y) in enumerate({"measured": record.output, "free run": run}.items()):
-                x, shown = ev.thinned(record.time_s, y + level)
+                x, shown = ev.thin_curve(record.time_s, y + level)
                 traces.append(Trace(x=x, y=shown, label=label * (len(traces) < 2), group=group))
         y_label = numbers.column_title(m.data.columns.output)
         title = name.removesuffix(".csv") * (len(parts) > 1)

@@ -233,9 +233,8 @@ def describe(odd: OddTrial, differing: Sequence[RandomCandidate] = ()) -> str | 
             name = label.split("[")[0]
             unit = next(p.unit for p in one.problem.parameters if p.name == name)
             shown = name.removeprefix(BETWEEN).removesuffix("/deviation")
-            texts.append(
-                f"{shown} {numbers.measured(value, sd, unit)} in place of {numbers.number(before, 3)}"
-            )
+            changed = numbers.format_estimate(value, sd, unit)
+            texts.append(f"{shown} {changed} in place of {numbers.format_number(before, 3)}")
         return " and ".join(texts)
     return None
 

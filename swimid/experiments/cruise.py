@@ -85,7 +85,7 @@ class Cruise(Trials):
             )
         facts = {
             "drag": parameters_format.read(drag, model=RIGS),
-            "drag_path": parameters_format.place(drag),
+            "drag_path": parameters_format.source_path(drag),
         }
         source: Any = self._held
         if source is None:

@@ -146,7 +146,7 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
     if options.draws:
         rows = samples[: options.draws]
         files[out.with_name(f"{out.stem}_draws.csv")] = _table(source, rows, options.seed)
-    with atomic.together():
+    with atomic.write_together():
         for path, written in files.items():
             atomic.write_text(path, written)
         if not filters and beside.exists() and is_own(beside):
@@ -197,7 +197,7 @@ def load(params: parameters.Source) -> ExportSource:
     InputError
         A file is invalid, no robot is named, or the parameters are those of another robot.
     """
-    path = parameters.place(params)
+    path = parameters.source_path(params)
     file = parameters.read(params, model=("multilink", "multibody"))
     kind = ExportSource
     if file.model == "multibody":

@@ -20,7 +20,7 @@ from swimid.exporters.causes import FILTERS, ExportedCause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
 from swimid.fitting.model import TRACEABLE, Force
-from swimid.notices import recorded
+from swimid.notices import record_warnings
 from swimid.swimmer.tree import SYMMETRIC
 
 TITLE = "MuJoCo MJCF"
@@ -236,7 +236,7 @@ def compare_with_mujoco(source: ExportSource, params: Any, text: str) -> dict[st
     columns = [axis.column for axis in source.model.driven]
     if source.causes or not columns or not source.model.free_base:
         return None
-    with recorded():
+    with record_warnings():
         log = simulate(params=params, sample_rate_hz=1.0 / MJCF_STEP_S, **COMPARED).frame
     before = mujoco.get_mjcb_passive()
     mujoco.set_mjcb_passive(None)

@@ -11,7 +11,7 @@ from swimid.fitting.model import Model, Trial, chosen
 from swimid.fitting.options import FitOptions
 from swimid.logs.experiments import read_experiments
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, automatic, recorded, silent
+from swimid.notices import Progress, automatic, record_warnings, silent
 from swimid.options import takes
 from swimid.results.parameters import Fitted
 
@@ -142,7 +142,7 @@ def fit_model(
     -------
     Fitted
         ``.parameters`` has the value, standard error and 95 % interval of each parameter, in its unit.
-        ``.correlation``, ``.converged`` and ``.verdict`` show whether the parameters can be trusted.
+        ``.correlation``, ``.has_converged`` and ``.verdict`` show whether the parameters can be trusted.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def fit_model(
     if not any(trial.role == "fit" for trial in trials):
         raise UsageError("there is no trial to fit")
     target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)
         result = output_error.complete(result)

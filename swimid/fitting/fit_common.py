@@ -38,7 +38,7 @@ from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
+from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, parameter_text
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot, locate
 
@@ -543,7 +543,7 @@ def score_checks(
         check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
             text = "noise alone is left"
-            check = ev.check(check.name, check.value, None, text=text)
+            check = ev.make_check(check.name, check.value, None, text=text)
         found.append(check)
     for name in (name for name in fitted if name in scores):
         vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
@@ -554,7 +554,7 @@ def score_checks(
             if vaf < 0.0:
                 reason = f"the simulated {name} is farther from the measurement than a constant is"
             needed = f"≥ {100 * least:g} %"
-            found.append(ev.check(said, shown, False, needed, otherwise="fail", reason=reason))
+            found.append(ev.make_check(said, shown, False, needed, otherwise="fail", reason=reason))
     return found
 
 
@@ -568,7 +568,7 @@ def share_check(
     otherwise = VERDICTS[not value <= usable]
     limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
     reason = f"the {name} is {shown} of the {of}"
-    return ev.check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
+    return ev.make_check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
 
 
 # ---------------------------------------------------------------- document and checks
@@ -795,16 +795,16 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     """
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
-    value = numbers.number(done)
-    found = [ev.check("converged", value, done, "yes", message, otherwise="fail", reason=reason)]
+    value = numbers.format_number(done)
+    found = [ev.make_check("converged", value, done, "yes", message, otherwise="fail", reason=reason)]
     if result.restarts is not None:
-        value = numbers.number(result.settled)
+        value = numbers.format_number(result.settled)
         if result.restarts:
             value += f", after {result.restarts} restarts"
         name, text = "starts near the answer lead back to it", "points and short searches around it"
         reason = "starts near the answer still lead to better ones"
-        found.append(ev.check(name, value, result.settled, "yes", text, reason=reason))
-    names = {p.name: spoken(p.name, p.meaning) for p in result.parameters}
+        found.append(ev.make_check(name, value, result.settled, "yes", text, reason=reason))
+    names = {p.name: parameter_text(p.name, p.meaning) for p in result.parameters}
     unknown, at_bound, known = (
         [names[label] for label in result.shared if result.status[label] == status]
         for status in ("unidentifiable", "at-bound", "estimated")
@@ -815,11 +815,11 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     otherwise = VERDICTS[len(known) < len(unknown)]
     text = "standard errors are below half of the sizes of identifiable parameters"
     shown = ("identifiable", value, not unknown, "every estimated parameter", text)
-    found.append(ev.check(*shown, otherwise=otherwise, reason=reason))
+    found.append(ev.make_check(*shown, otherwise=otherwise, reason=reason))
     if at_bound:
         listed = ", ".join(at_bound)
         reason = f"at a bound: {listed}"
-        found.append(ev.check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
+        found.append(ev.make_check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
     found += [_whiteness(result, channel) for channel in result.noise]
     found += _agreement(result)
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
@@ -829,7 +829,7 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     if held_out:
         text = "trials with role: validate are predicted, not fitted"
         shown = ("held-out trials", str(number), number > 0, "1 or more", text)
-        found.append(ev.check(*shown, reason="no trial was held out (role: validate)"))
+        found.append(ev.make_check(*shown, reason="no trial was held out (role: validate)"))
     channels = [c for c in result.model.channels if result.series_of(c.name, "validate")]
     return found + [_validation(result, c) for c in channels if c.name in result.noise]
 
@@ -866,12 +866,13 @@ def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
     Parameters
     ----------
     *shown
-        Name, value, whether the check passes, limit, text and reason (:func:`swimid.results.evidence.check`).
+        Name, value, whether the check passes, limit, text and reason
+        (:func:`swimid.results.evidence.make_check`).
     """
     *_, passed, _, text, reason = shown
     if not passed:
         warn(code, f"{reason}; {text}".removesuffix("; "))
-    return ev.check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
+    return ev.make_check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
 
 
 def _agreement(result: FitResult) -> list[ev.Check]:
@@ -898,17 +899,17 @@ def _agreement(result: FitResult) -> list[ev.Check]:
     hidden = [name for name in differ.hidden if result.status.get(name) == "estimated"]
     name, limit = "differences between trials visible", "of every estimated parameter"
     if not hidden:
-        return [*found, ev.check(name, "yes", True, limit)]
+        return [*found, ev.make_check(name, "yes", True, limit)]
     value = f"not of {', '.join(hidden)}"
     named = hidden[:MAX_LISTED]
     if len(hidden) > MAX_LISTED:
         named.append(f"{len(hidden) - MAX_LISTED} more")
-    reason = f"differences of {numbers.listed(named)} between these trials would not show"
+    reason = f"differences of {numbers.join_names(named)} between these trials would not show"
     if differ.trials == 1:
         value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
     share = numbers.percent(ASSUMED_DIFFERENCE)
     worst = max(hidden, key=lambda n: differ.hidden[n] / (result.stderr(n) or math.inf))
-    error = numbers.number(NORMAL * differ.hidden[worst], 2, result.parameter(worst).unit)
+    error = numbers.format_number(NORMAL * differ.hidden[worst], 2, result.parameter(worst).unit)
     text = (
         f"intervals hold only for equal values in all trials; if {worst} differs by {share}, its interval is "
         f"± {error}. Fit repeats of one setting, or more settings"
@@ -921,7 +922,7 @@ def _relative(result: FitResult, name: str, sd: float) -> str:
     size = abs(result.value(name))
     if size > 0.1 * result.parameter(name).scale:
         return numbers.percent(sd / size, 2)
-    return numbers.number(sd, 2, result.parameter(name).unit)
+    return numbers.format_number(sd, 2, result.parameter(name).unit)
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:
@@ -963,17 +964,17 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
     The error is compared with that on fitted trials, and with that of a constant.
     """
     held_out = result.series_of(channel.name, "validate")
-    fitted = ev.rms(*(s.residual for s in result.series_of(channel.name, "fit")))
-    error = ev.rms(*(s.residual for s in held_out))
-    constant = ev.rms(*(s.measured - np.nanmean(s.measured) for s in held_out))
+    fitted = ev.compute_rms(*(s.residual for s in result.series_of(channel.name, "fit")))
+    error = ev.compute_rms(*(s.residual for s in held_out))
+    constant = ev.compute_rms(*(s.measured - np.nanmean(s.measured) for s in held_out))
     ratio = error / fitted if fitted else math.inf
-    worst = max(held_out, key=lambda s: ev.rms(s.residual))
+    worst = max(held_out, key=lambda s: ev.compute_rms(s.residual))
     return warned_check(
         "SWM015",
         f"validation, {channel.name}",
-        numbers.number(error, 3, channel.unit),
+        numbers.format_number(error, 3, channel.unit),
         ratio <= VALIDATION_RATIO,
-        f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
+        f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.format_number(fitted, 3, channel.unit)})",
         f"root-mean-square error on trials that were not fitted, largest in {worst.trial}",
         f"the held-out error of {channel.name} is {ratio:.1f} times that of fitted trials",
         # The check fails if, on a logarithmic scale, the held-out error is closer to the error of a constant
@@ -1011,7 +1012,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
         if abs(b["found_hz"] - b["stated_hz"]) > max(FREQUENCY_RTOL * b["stated_hz"], 3 * b["stderr_hz"]):
             wrong.append(name)
             shown = f"not in {len(wrong)} of {len(known)} trials"
-    return ev.check(
+    return ev.make_check(
         "beat frequency as stated",
         shown,
         not wrong,
@@ -1029,7 +1030,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
         name = channel.meaning or channel.name
         factor, unit = numbers.in_degrees(channel.unit)
         found += [
-            ev.measured_and_simulated(
+            ev.make_fit_figure(
                 f"overlay-{channel.name}",
                 f"{name[:1].upper()}{name[1:]}, measured and simulated",
                 "Points are measured, and thinned; lines are simulated with the estimated parameters. Trials "
@@ -1038,7 +1039,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 series,
                 factor,
             ),
-            ev.residuals(
+            ev.make_residual_figure(
                 f"residuals-{channel.name}",
                 f"Residuals of {name}",
                 "Measured minus simulated over the standard deviation of the noise.",
@@ -1070,19 +1071,19 @@ def finish(
     """
     evidence = ev.Evidence(
         command=command,
-        verdict=ev.judged(answer(file), checks),
+        verdict=ev.make_verdict(answer(file), checks),
         checks=checks,
         notices=ev.notices(warnings),
         provenance=file.provenance,
         **shown,
     )
-    return Fitted.of(file, evidence).saved(output)
+    return Fitted.of(file, evidence).write_output(output)
 
 
 def answer(file: ParameterFile) -> str:
     """Return the answer of a fit: a sentence with the first three estimated shared parameters."""
     parts = [
-        f"{spoken(name, e.meaning)} {numbers.measured(e.value, e.stderr, e.unit)}"
+        f"{parameter_text(name, e.meaning)} {numbers.format_estimate(e.value, e.stderr, e.unit)}"
         for name, e in file.parameters.items()
         if e.status == "estimated" and "[" not in name
     ]

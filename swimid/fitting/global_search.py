@@ -256,7 +256,7 @@ def nsga2(
         def objectives_of(points: Array = points) -> Array:
             return np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE).ravel()
 
-        found = keep.kept(f"{name}: generation {generation}", objectives_of).reshape(-1, objectives)
+        found = keep.get_or_compute(f"{name}: generation {generation}", objectives_of).reshape(-1, objectives)
         Evaluator().eval(StaticProblem(problem, F=found), asked)
         algorithm.tell(infills=asked)
         evaluations += len(points)

@@ -22,7 +22,7 @@ from swimid.fitting.drives import Motion
 from swimid.fitting.fit_common import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.output_error import FitResult, Series
-from swimid.notices import recorded
+from swimid.notices import record_warnings
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
@@ -311,7 +311,7 @@ def _correct(
     changed = replace(changed, id=f"{trial.id} ({mistake.says})")
     try:
         # Ignore a correction with which the trial cannot be simulated.
-        with recorded():
+        with record_warnings():
             found = [series_of(changed, simulated) for simulated in simulate(changed)]
     except (NoTrustworthyResult, np.linalg.LinAlgError):
         return None
@@ -369,10 +369,10 @@ def check(found: Explanation | None, count: int) -> ev.Check:
     The argument ``count`` is the number of mistakes that were tested.
     """
     if found is None:
-        return ev.check("usual mistakes", f"none of {count} found", None)
+        return ev.make_check("usual mistakes", f"none of {count} found", None)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"
     reason = f"a usual mistake explains the error: {found.says}"
-    return ev.check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
+    return ev.make_check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
 
 
 def is_suspect(checks: Iterable[ev.Check], before: TrialSeries) -> bool:

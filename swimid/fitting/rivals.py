@@ -32,7 +32,7 @@ from swimid.fitting.model import POSITIONS, Array, Parameter, Trial, chosen
 from swimid.fitting.noise import NoisePosterior, Rows, compute_posterior
 from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult, Series
 from swimid.fitting.problem import BROKEN, Problem
-from swimid.notices import recorded
+from swimid.notices import record_warnings
 
 #: Score above which a rival is better than a fit, and minus the score down to which it is as good: strong
 #: evidence (Kass and Raftery [2]_).
@@ -123,7 +123,7 @@ def refit(stated: FitResult, rival: Rival, **settings: Any) -> FitResult | None:
     for start in starts:
         begun = [replace(p, start=start.get(p.name, p.start)) if p.free else p for p in rival.parameters]
         # Ignore a search that fails, because a search from another start value may succeed.
-        with suppress(NoTrustworthyResult), recorded():
+        with suppress(NoTrustworthyResult), record_warnings():
             fits.append(
                 output_error.fit(stated.model, rival.trials, parameters=begun, tested=False, **settings)
             )

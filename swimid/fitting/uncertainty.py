@@ -681,7 +681,7 @@ class Combination:
             factor = f"{abs(weight):.2g} ".removeprefix("1 ")
             terms += f"{' - ' if weight < 0 else ' + '}{factor}{label}"
         terms = f"{terms[1]}{terms[3:]}".removeprefix("+")
-        return f"{terms} = {numbers.measured(self.value, self.stderr, self.unit)}"
+        return f"{terms} = {numbers.format_estimate(self.value, self.stderr, self.unit)}"
 
 
 def unidentifiable(result: FitResult) -> list[str]:
@@ -771,7 +771,7 @@ def sentences(result: FitResult) -> list[str]:
             named, rest = [label for label in group if "[" not in label], ""
             if len(named) < len(group):
                 named.append(f"{len(group) - len(named)} parameters of single trials")
-        said.append(f"{numbers.listed(named)} cannot be separated by these trials{rest}")
+        said.append(f"{numbers.join_names(named)} cannot be separated by these trials{rest}")
     alone = [label for label in unidentifiable(result) if label not in grouped]
     own = [label.partition("[") for label in alone if "[" in label]
     for name in dict.fromkeys(name for name, _, _ in own):

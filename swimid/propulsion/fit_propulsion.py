@@ -19,7 +19,7 @@ from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.propulsion import trials as propulsion_trials
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, strouhal, velocity_ratio
@@ -89,8 +89,8 @@ def fit_propulsion(
     -------
     Fitted
         For a cruise ``.parameters`` has ``recoil_efficiency`` (1), ``amplitude_offset_deg`` (deg), and
-        ``inertia_<fin>`` (kg m^2) for each fin of unknown inertia. ``.derived`` has ``velocity_ratio`` (1),
-        the minimum and the maximum propulsive force (N), and the free exponents (1). The standard errors
+        ``inertia_<fin>`` (kg m^2) for each fin of unknown inertia. ``.quantities`` has ``velocity_ratio``
+        (1), the minimum and the maximum propulsive force (N), and the free exponents (1). The standard errors
         include those of the drag file. ``.tables()`` has speeds, forces and Strouhal numbers of each run,
         with both levers of the wake width. For straight runs ``.parameters`` has ``thrust_acceleration``
         (m/s^2), ``surge_drag`` (1/m, drag per mass), and the exponents of amplitude and frequency (1).
@@ -119,7 +119,7 @@ def fit_propulsion(
     >>> fin.verdict, list(fin.warnings["code"])
     ('caution', ['SWM030'])
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         experiment = fit_common.load_experiment(trials, command="fit-propulsion", drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
@@ -296,14 +296,14 @@ def _held_out_fins(
             without = output_error.fit(model, roles, parameters=choices)
             errors += [s.residual / s.measured for s in without.series_of(SPEED, "validate")]
     fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
-    error, usual = (100 * ev.rms(*parts) if parts else math.nan for parts in (errors, fitted))
+    error, usual = (100 * ev.compute_rms(*parts) if parts else math.nan for parts in (errors, fitted))
     limit = fit_common.VALIDATION_RATIO * usual
     reason = f"the speeds of a fin that was not fitted are predicted with an error of {error:.2g} %"
     if not errors:
         reason = "no fin can be held out: two fins with known inertia are needed"
     text = "root-mean-square error of the speeds of each fin, predicted by a fit to the others"
     shown = ("fins held out in turn", f"{error:.2g} %", error <= limit, f"≤ {limit:.2g} %", text)
-    return ev.check(*shown, reason=reason)
+    return ev.make_check(*shown, reason=reason)
 
 
 # ------------------------------------------------------------ checks of the law
@@ -378,15 +378,16 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
             "are left out of the fit. Fins that flex at high frequency do this (source, section 4.2)",
         )
     off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
-    fitted = "; ".join(
-        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), everything.parameter(n).unit)}"
-        for n in everything.labels
-    )
+    values = []
+    for n in everything.labels:
+        unit = everything.parameter(n).unit
+        values.append(f"{n} {numbers.format_estimate(everything.value(n), everything.stderr(n), unit)}")
+    fitted = "; ".join(values)
     limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
     text = f"left out of the fit; with these frequencies {fitted}" * bool(departures)
     reason = f"runs depart from the law at {off}, and are left out"
     name = "every frequency follows the law"
-    return ev.check(name, off or "all", not departures, limit, text, reason=reason)
+    return ev.make_check(name, off or "all", not departures, limit, text, reason=reason)
 
 
 def _free_exponents(
@@ -426,12 +427,12 @@ def _free_exponents(
         )  # type: ignore[arg-type]
         words, shown, agrees = name.replace("_", " "), "not identifiable", None
         if status == "estimated" and stderr:
-            shown, agrees = numbers.measured(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
+            shown, agrees = numbers.format_estimate(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
         if agrees is False:
             warn("SWM031", f"set free, the {words} of {of} is {shown}, the law says {law:g}")
         reason = f"the {words} of {of} is {shown}, not {law:g}"
         text = f"exponent of the {of}, estimated together with the other parameters"
-        checks.append(ev.check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))
+        checks.append(ev.make_check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))
     return exponents, checks
 
 
@@ -537,7 +538,7 @@ def _run_table(points: list[dict[str, Any]]) -> ev.Table:
         "Force is drag at terminal speed. The lever of the wake width in the Strouhal number is the length "
         "of the fin (Eq 28), or the distance from the axle to the trailing edge."
     )
-    return ev.table("points", "Runs", runs, about)
+    return ev.make_table("points", "Runs", runs, about)
 
 
 def _speed_figure(
@@ -618,7 +619,7 @@ def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: i
     def speed(run: dict[str, Any]) -> float:
         return float((100 * run["mean_speed_m_s"]) ** power)
 
-    return [ev.points(own, lambda run: run[x], speed, label=fin, group=group)]
+    return [ev.make_point_trace(own, lambda run: run[x], speed, label=fin, group=group)]
 
 
 def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:

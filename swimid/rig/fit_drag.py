@@ -40,7 +40,7 @@ from swimid.fitting.output_error import FitResult
 from swimid.fitting.rivals import Judged, Rival
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -133,10 +133,10 @@ def fit_drag(
     >>> drag = fit_drag("sample_logs/rig/trials.yaml")
     >>> drag.parameters.loc[["drag_coefficient", "added_mass"], "value"].round(1).to_dict()
     {'drag_coefficient': 0.7, 'added_mass': 0.7}
-    >>> drag["added_mass"].unit, drag.converged, drag.verdict
+    >>> drag["added_mass"].unit, drag.has_converged, drag.verdict
     ('kg', True, 'good')
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         coordinate = options.coordinate
         experiment = fit_common.load_experiment(trials, command="fit-drag", coordinate=coordinate)
         if coordinate is not None and experiment.name != "free-decay":
@@ -248,12 +248,14 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
             continue
         e, two, bias = fitted[name], "", ""
         if pair is not None and name in pair.values:
-            two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
-            bias = numbers.number(pair.bias[name], 2, e.unit)
+            two = numbers.format_estimate(pair.values[name], pair.stderr[name], e.unit)
+            bias = numbers.format_number(pair.bias[name], 2, e.unit)
         known = "not identifiable"
         if e.status != "unidentifiable":
-            known = numbers.measured(e.value, e.stderr, e.unit)
-        quoted = [f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in theory if t.parameter == name]
+            known = numbers.format_estimate(e.value, e.stderr, e.unit)
+        quoted = [
+            f"{numbers.format_number(t.value, 3, t.unit)} ({t.basis})" for t in theory if t.parameter == name
+        ]
         rows.append([name, known, two, bias, "; ".join(quoted)])
     return ev.Table(
         id="methods",
@@ -400,7 +402,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
     limit = f"score ≤ {rivals.STRONG:g}, and no other law explains as much"
     if not omitted:
         held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
-        return ev.check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
+        return ev.make_check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
     failed = [
         o
         for o in omitted
@@ -416,7 +418,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
     elif not find_material(stated, best.fit):
         reason += ", which moves no estimate materially"
     text = f"score {best.score:.3g}; with it " + "; ".join(shifts)
-    check = ev.check(name, _describe(best), False, limit, text, reason=reason)
+    check = ev.make_check(name, _describe(best), False, limit, text, reason=reason)
     if failed:
         check.verdict = "fail"
     return check
@@ -474,7 +476,9 @@ def trial_checks(stated: FitResult, result: FitResult, judged: Sequence[Judged])
 
 def _measured(fit: FitResult, label: str) -> str:
     """Return the name, the estimate and the standard error of a fitted parameter as text."""
-    return f"{label} {numbers.measured(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
+    return (
+        f"{label} {numbers.format_estimate(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
+    )
 
 
 def _friction_check(own: FitResult) -> list[ev.Check]:
@@ -521,7 +525,7 @@ def sign_check(result: FitResult) -> ev.Check:
     judged = [Rival("sign of the force", result.parameters, trials)] if turned else []
     found = next((one for one in rivals.judge(result, judged) if one.is_better), None)
     if found is None:
-        return ev.check(name, "as stated", True, limit)
+        return ev.make_check(name, "as stated", True, limit)
     where = ", ".join(sorted(turned))
     if len(turned) == len(fitted):
         where = "all trials"
@@ -665,7 +669,10 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     checks = []
     for name, most, basis, inputs in _limits(experiment, result):
         value, error, unit = result.value(name), result.stderr(name), result.parameter(name).unit
-        size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
+        size, limit = (
+            numbers.format_estimate(value, error or None, unit),
+            numbers.format_number(most, 2, unit),
+        )
         words, text = name.replace("_", " "), f"look at {inputs} and their units, and at what the model lacks"
         reason = f"{words} {size} is more than {basis} can have ({limit})"
         check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
@@ -675,7 +682,7 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
         angles = {t.id: t.measured[coordinate] for t in experiment.trials}
         swings = {n: float(np.nanmax(np.abs(a - np.nanmedian(a)))) for n, a in angles.items()}
         name = max(swings, key=lambda trial: swings[trial])
-        size, limit = f"{numbers.number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
+        size, limit = f"{numbers.format_number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
         text = "a body that swings farther in roll or pitch turns over: are these degrees?"
         reason = f"the body swings by {size}, which no body does"
         check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
@@ -683,7 +690,10 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     forces = _force_ratios(experiment)
     if forces:
         _, force, most, name = max(forces)
-        size, limit = f"{numbers.number(force, 3, 'N')} in {name}", f"≤ {numbers.number(most, 3, 'N')}"
+        size, limit = (
+            f"{numbers.format_number(force, 3, 'N')} in {name}",
+            f"≤ {numbers.format_number(most, 3, 'N')}",
+        )
         text = "look at its unit and the mass; only a drive of another kind is stronger"
         reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
         check = ("SWM072", "driving force possible", size, force <= most, limit, text, reason)
@@ -720,7 +730,7 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
     reached = [reynolds(top, a, density) for top, (_, a) in zip(tops, sized, strict=True)]
     most = max_drag_coefficient(max(reached, default=math.nan))
     if math.isfinite(most):
-        basis = f"a body of any shape at a Reynolds number of {numbers.number(max(reached), 2)}"
+        basis = f"a body of any shape at a Reynolds number of {numbers.format_number(max(reached), 2)}"
         yield "drag_coefficient", most, basis, "forces, areas, lengths"
 
 
@@ -955,7 +965,7 @@ class TwoPointResult:
         """Estimates of the two-point method as a sentence."""
         if not self.is_valid:
             return f"The two-point method has no answer: {NO_ANSWER}."
-        parts = [f"{n} {numbers.measured(value, self.stderr[n])}" for n, value in self.values.items()]
+        parts = [f"{n} {numbers.format_estimate(value, self.stderr[n])}" for n, value in self.values.items()]
         return f"The two-point method gives {', '.join(parts)}."
 
 
@@ -1142,4 +1152,6 @@ def _speed_figure(pair: TwoPointResult) -> ev.Figure:
         traces.append(ev.Trace(x=1e3 * mass, y=line, group=i))
     title = "Squared speed against pulling mass"
     caption = "Squared speed at two displacements with 95 % intervals; the lines are fitted to these points."
-    return ev.figure("speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces)
+    return ev.make_figure(
+        "speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces
+    )

@@ -120,7 +120,7 @@ def sobol(
     parts = [points[k : k + BATCH] for k in range(0, len(points), BATCH)]
 
     def one(k: int) -> Array:
-        found = keep.kept(f"points {k}", lambda: evaluate(parts[k]).ravel())
+        found = keep.get_or_compute(f"points {k}", lambda: evaluate(parts[k]).ravel())
         return found.reshape(len(parts[k]), -1)
 
     done: list[Array] = []

@@ -23,7 +23,7 @@ from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.steps import choose_step
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -325,7 +325,7 @@ def sensitivity(
     'c_d4'
     """
     count, params = options.samples, options.params
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         if params is None and options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
         experiment, applied = catalogue.load(trials, options)
@@ -334,7 +334,7 @@ def sensitivity(
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        keep = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress)
         runs = [(applied.values(trial), trial) for trial in experiment.trials]
         chosen = choose_step(applied.model, runs, [applied.noise()] * len(runs))
@@ -362,7 +362,7 @@ def sensitivity(
             model=model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
-            params=parameters_format.place(params).name if params is not None else None,
+            params=parameters_format.source_path(params).name if params is not None else None,
             samples=count,
             trials=[t.id for t in experiment.trials],
             ranges=over,
@@ -376,7 +376,7 @@ def sensitivity(
     evidence = ev.Evidence(
         command="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
-        verdict=ev.judged(_answer(file), checks),
+        verdict=ev.make_verdict(_answer(file), checks),
         facts={
             "Robot": file.robot,
             "Parameters": file.params or f"those of {experiment.values_from}",
@@ -392,8 +392,8 @@ def sensitivity(
         provenance=origin,
     )
     file.verdict = evidence.verdict.level
-    saved = Sensitivity.of(file, evidence).saved(output)
-    keep.done()
+    saved = Sensitivity.of(file, evidence).write_output(output)
+    keep.finish()
     return saved
 
 
@@ -598,21 +598,23 @@ def _checks(
     width, where = max(widths, default=(0.0, ""))
     left_out = f"{runs.left_out} rows of the design left out" * bool(runs.broken)
     samples = f"{where}: take more --samples" * bool(width > MAX_WIDTH)
-    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.number(width, 2)} wide"
-    change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
+    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.format_number(width, 2)} wide"
+    change, steady = f"{numbers.format_number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
     halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
     none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
     checks = [
-        ev.check("simulations that broke down", broken, not runs.broken, none, left_out),
-        ev.check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
-        ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
+        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out),
+        ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
+        ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
     ]
     if strongest is not None:
         size, one, other = strongest
-        value = f"correlation up to {numbers.number(size, 2)} ({one}, {other})"
+        value = f"correlation up to {numbers.format_number(size, 2)} ({one}, {other})"
         sound = abs(size) <= MAX_CORRELATION
         text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
-        checks.append(ev.check("ranges independent", value, sound, f"≤ {MAX_CORRELATION:g} in size", text))
+        checks.append(
+            ev.make_check("ranges independent", value, sound, f"≤ {MAX_CORRELATION:g} in size", text)
+        )
     return checks
 
 
@@ -620,7 +622,7 @@ def _answer(file: SensitivityFile) -> str:
     """Return a sentence with the most influential coefficients of the first three outputs."""
     parts = []
     for o in _headline(file)[:3]:
-        named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
+        named = [f"{name} ({numbers.format_number(index.value, 2)})" for name, index in _ranked(o)[:2]]
         if named:
             parts.append(f"{o.quantity} is most sensitive to {', '.join(named)}")
     return "; ".join(parts) + "."
@@ -636,26 +638,26 @@ def _totals(file: SensitivityFile) -> ev.Table:
     for o in _headline(file):
         row: dict[str, ev.Cell] = {"output": o.quantity, **dict.fromkeys(ranks, "")}
         for rank, (name, index) in zip(ranks, _ranked(o), strict=False):
-            low, high = (numbers.number(end, 2) for end in index.ci95)
-            row[rank] = f"{name} {numbers.number(index.value, 2)} ({low} … {high})"
+            low, high = (numbers.format_number(end, 2) for end in index.ci95)
+            row[rank] = f"{name} {numbers.format_number(index.value, 2)} ({low} … {high})"
         rows.append(row)
-    return ev.table("totals", "Total indices, 95 %", rows)
+    return ev.make_table("totals", "Total indices, 95 %", rows)
 
 
 def _range_table(file: SensitivityFile) -> ev.Table:
     rows: list[dict[str, ev.Cell]] = [
         {
             "coefficient": name,
-            "given": numbers.number(r.value),
-            "from": numbers.number(r.low),
-            "to": numbers.number(r.high),
+            "given": numbers.format_number(r.value),
+            "from": numbers.format_number(r.low),
+            "to": numbers.format_number(r.high),
             "unit": numbers.unit_text(r.unit),
             "range": r.source,
         }
         for name, r in file.ranges.items()
     ]
     caption = "Uniform and independent of each other; a wider range of a coefficient raises its share."
-    return ev.table("ranges", "Ranges of the coefficients", rows, caption)
+    return ev.make_table("ranges", "Ranges of the coefficients", rows, caption)
 
 
 # ------------------------------------------------------------ figures

@@ -92,7 +92,7 @@ class Case:
 
 def place(options: SimulateOptions) -> Path | None:
     """Return the path of the parameter file for messages and logs; None if the options name none."""
-    return None if options.params is None else parameters_format.place(options.params)
+    return None if options.params is None else parameters_format.source_path(options.params)
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
@@ -275,7 +275,7 @@ def swim_input(
     """Return the input of a simulation from rest under a stroke or a beat with the given parameters."""
     if options.stroke is not None:
         # the default ramp is for beats only: a stroke has no ramp unless one is given
-        ramp = options.ramp_s * (options.ramp_s != options.declared()["ramp_s"].default)
+        ramp = options.ramp_s * (options.ramp_s != options.declarations()["ramp_s"].default)
         command = StrokeDrive(
             stroke=options.stroke,
             frequency_hz=drive.get("frequency_hz"),
@@ -334,7 +334,7 @@ def setting_text(key: str, value: float | str) -> str:
     """
     name, unit = numbers.split_unit(key)
     if not isinstance(value, str):
-        value = numbers.number(value, 4, unit)
+        value = numbers.format_number(value, 4, unit)
     return f"{name} {value}"
 
 
@@ -408,10 +408,10 @@ def value_text(value: float | None, unit: str, sd: float | None = None, *, digit
     """
     factor, shown = numbers.in_degrees(unit)
     if value is None:
-        return numbers.number(None)
+        return numbers.format_number(None)
     if sd:
-        return numbers.measured(factor * value, factor * sd, shown)
-    return numbers.number(factor * value, digits, shown)
+        return numbers.format_estimate(factor * value, factor * sd, shown)
+    return numbers.format_number(factor * value, digits, shown)
 
 
 def units_of(model: Swimmer) -> dict[str, str]:

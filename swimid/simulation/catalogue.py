@@ -393,7 +393,7 @@ def read_parameters(
         models = dict.fromkeys(model for kind in known.values() for model in kind.models)
         raise InputError(
             f"holds parameters of the model '{file.model}', not of {' or '.join(models)}",
-            file=parameters_format.place(source),
+            file=parameters_format.source_path(source),
             column="model",
             hint="give the Python file of an experiment of your own with --experiment",
         )
@@ -433,7 +433,7 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
     if parameters is None:
         experiment = load_experiment(trials, **given)
         return Loaded(experiment, Applied(experiment.model, chosen=chosen))
-    path = parameters_format.place(parameters)
+    path = parameters_format.source_path(parameters)
     file, described = read_parameters(parameters, [*own, type(trials.entries)])
     if trials.experiment not in described:
         raise InputError(
@@ -469,7 +469,7 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
     """
     path, folder, readings = None, None, dict(options.readings)
     if file is not None:
-        path = parameters_format.place(options.params)
+        path = parameters_format.source_path(options.params)
         name, folder = parameters_format.robot_of(file, path, options.robot)
         readings = {**file.settings.get("readings", {}), **readings}
     elif options.robot is None:

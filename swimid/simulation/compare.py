@@ -21,7 +21,7 @@ from swimid.logs import kinematics
 from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES
 from swimid.logs.sampling import slope
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -57,7 +57,7 @@ class Comparison(FileResult[ComparisonFile]):
         """Command that usually follows: a report of a good comparison, and a diagnosis of another one."""
         if self.verdict == "good":
             return FileResult.next_step
-        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repaired}"
+        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repair_option}"
 
     @property
     def scores(self) -> pd.DataFrame:
@@ -127,7 +127,7 @@ def compare(
     >>> bool((against.scores["nrmse"] < 0.002).all()), against.verdict
     (True, 'good')
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         experiment, applied = catalogue.load(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
@@ -149,7 +149,7 @@ def compare(
             model=experiment.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
-            params=parameters_format.place(options.params).name,
+            params=parameters_format.source_path(options.params).name,
             channels=compare_series.pool(done, experiment.model),
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
@@ -174,7 +174,7 @@ def compare(
     evidence = ev.Evidence(
         command="compare",
         title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
-        verdict=ev.judged(_answer(file), checks),
+        verdict=ev.make_verdict(_answer(file), checks),
         facts=_facts(file),
         checks=checks,
         tables=_tables(file),
@@ -185,7 +185,7 @@ def compare(
         provenance=file.provenance,
     )
     file.verdict = evidence.verdict.level
-    return Comparison.of(file, evidence).saved(output)
+    return Comparison.of(file, evidence).write_output(output)
 
 
 def _mistakes_check(trials: Sequence[Trial], applied: Applied, before: mistakes.TrialSeries) -> ev.Check:
@@ -341,7 +341,7 @@ def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> lis
     strokes: list[list[Any]] = []
     for p in profiles:
         ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
-        texts = [numbers.number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
+        texts = [numbers.format_number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
         rows.append([p.name, len(p.trials), *texts, value_text(p.orientation_rmse_rad, "rad")])
         for c in p.cycles:
             for side, known, sd in (("measured", c.measured, c.spread), ("simulated", c.simulated, {})):
@@ -432,7 +432,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         )
         reason = f"the model has no steady speed under the drive of {never}"
         limit = "a steady speed"
-        return [ev.check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
+        return [ev.make_check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
     rows = [
         (t.mean_speed.measured, cruise.settled)
         for t, cruise in begun
@@ -445,7 +445,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
     if not rows:
         reason = "no trial swims steadily, so the cruising speed of the model is not tested"
         limit = "steady swimming in a trial"
-        return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
+        return [ev.make_check("cruising speed", "not tested", False, limit, text, reason=reason)]
     measured, settles = np.array(rows, dtype=float).T
     return [_speed_check("cruising speed", _rms(measured - settles) / _rms(measured), text)]
 
@@ -551,7 +551,10 @@ def _scores(file: ComparisonFile) -> ev.Table:
     rows: list[list[Any]] = []
     for t in file.trials:
         for name, s in t.channels.items():
-            fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
+            fit, peak = (
+                numbers.format_number(s.fit_percent, 3, "percent"),
+                numbers.percent(s.peak_error_normalised),
+            )
             texts = [value_text(s.peak_error, s.unit), value_text(s.phase_error_rad, "rad")]
             rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
@@ -573,7 +576,7 @@ def _speeds(file: ComparisonFile) -> ev.Table:
         if t.cruise is not None:
             settles = "never"
             if t.cruise.settled is not None:
-                settles = numbers.number(t.cruise.settled, 3, "m/s")
+                settles = numbers.format_number(t.cruise.settled, 3, "m/s")
         if measured:
             share = (simulated - measured) / measured
         texts = [
@@ -582,7 +585,7 @@ def _speeds(file: ComparisonFile) -> ev.Table:
             numbers.percent(share, 2),
             settles,
         ]
-        rows.append([t.id, *texts, *(numbers.number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
+        rows.append([t.id, *texts, *(numbers.format_number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
     columns = ["trial", "measured", "simulated", "difference", "model settles at"]
     return ev.Table(
         id="speeds",
@@ -661,7 +664,7 @@ def _overlay(done: Sequence[Compared]) -> ev.Figure:
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]
             factor, unit = numbers.in_degrees(p.channel.unit)
-            curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
+            curves = [ev.thin_curve(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
             label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
             traces = ev.pair(*zip(*curves, strict=True))
             panels.append(ev.Panel(x_label="time (s)", y_label=label, traces=traces, title=title))

@@ -34,7 +34,7 @@ from swimid.fitting.output_error import FitResult, Series
 from swimid.fitting.rivals import Rival
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -86,7 +86,7 @@ def fit_graybox(
     Fitted
         ``.parameters`` has the coefficients in the units of the robot file (mostly 1), and the offset of the
         start pose of each trial, such as ``start_x[f10a20]`` (m) and ``start_yaw[f10a20]`` (rad).
-        ``.correlation``, ``.converged`` and ``.verdict`` show how far the estimates can be trusted.
+        ``.correlation``, ``.has_converged`` and ``.verdict`` show how far the estimates can be trusted.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def fit_graybox(
     ... ]
     >>> trials = swimid.load(runs, experiment="free-swim", robot="tfish")
     >>> fit = fit_graybox(trials, fixed={"c_f0": 0.014, "c_f13": 0.014, "c_f4": 0.014})
-    >>> fit.converged, fit["c_f4"].status, fit["c_ma"].unit
+    >>> fit.has_converged, fit["c_f4"].status, fit["c_ma"].unit
     (True, 'fixed', '1')
     >>> round(fit["c_ma"].value, 1)
     1.0
@@ -135,7 +135,7 @@ def fit_graybox(
         trials = TrialSet(trials_format.read(trials, "fit-graybox"), Path(trials))
     if not trials.entries.robot_form:
         return _fit_simulator(trials, options, output, progress)
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         posed = FitSetup.of(trials, options, output)
         experiment, model, parameters = posed.experiment, posed.model, posed.parameters
         _require_steady_swimming(experiment, parameters)
@@ -162,7 +162,7 @@ def fit_graybox(
     evidence = ev.Evidence(
         command="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
-        verdict=ev.judged(fit_common.answer(file), checks),
+        verdict=ev.make_verdict(fit_common.answer(file), checks),
         notes=[e.sentence for e in (explanation,) if e is not None],
         checks=checks,
         tables=_tables(experiment, result, search.ends),
@@ -172,14 +172,14 @@ def fit_graybox(
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    with atomic.together():
+    with atomic.write_together():
         if search.front is not None:
             search.front.add_evidence(evidence, result, options)
-        fitted = Fitted.of(file, evidence).saved(output)
+        fitted = Fitted.of(file, evidence).write_output(output)
         if search.front is not None and output is not None:
             points = search.front.save(output, options)
             fitted = replace(fitted, outputs=[*fitted.outputs, *points])
-            search.checkpoint.done()
+            search.checkpoint.finish()
     _require_result(result, file, search, trials, output, explanation)
     return fitted
 
@@ -202,7 +202,7 @@ def _fit_simulator(
         if name not in used | {"jobs"} and getattr(options, name) != getattr(defaults, name)
     ]
     if other:
-        flag = type(options).declared()[other[0]].flag
+        flag = type(options).declarations()[other[0]].flag
         raise UsageError(f"{flag} has no effect on the model of the experiment '{trials.experiment}'")
     given = {name: getattr(options, name) for name in used}
     return fit(trials, output=output, progress=progress, **given)
@@ -311,7 +311,7 @@ def _search(
     else:
         from swimid.swimmer import front
 
-        checkpoint = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        checkpoint = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
         found, chosen = front.fit(posed, checkpoint, rebuilt, progress)
         search = _Search(chosen)
         if options.method == "hybrid":
@@ -472,7 +472,9 @@ def _start_from(source: parameters_format.Source, parameters: tuple[Parameter, .
             parameter = replace(parameter, start=value)
         found.append(parameter)
     if not any(p.name in file.parameters for p in parameters):
-        raise InputError("holds none of this robot's coefficients", file=parameters_format.place(source))
+        raise InputError(
+            "holds none of this robot's coefficients", file=parameters_format.source_path(source)
+        )
     return tuple(found)
 
 
@@ -559,7 +561,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
         passed = agree == count
     reason = f"only {agree} of {count} starts end in the reported minimum"
     value = f"{agree} of {count} starts end in it"
-    return ev.check("one minimum", value, passed, "every start", text, reason=reason)
+    return ev.make_check("one minimum", value, passed, "every start", text, reason=reason)
 
 
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) -> list[ev.Table]:
@@ -608,7 +610,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
         warped = fit_common.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         peak = fit_common.peak_error(s.measured, s.simulated)[1]
         shares = numbers.percent(score.nrmse), numbers.percent(score.vaf, 4), numbers.percent(peak)
-        errors = [numbers.number(error, 3, unit) for error in (score.rmse, warped)]
+        errors = [numbers.format_number(error, 3, unit) for error in (score.rmse, warped)]
         rows.append([s.trial, role, s.channel, errors[0], *shares, errors[1]])
     return rows
 

@@ -485,7 +485,7 @@ def _stages_table(
         errors = {title: fit_common.scores(r, role) for title, r in known.items()}
         units = {c.name: c.unit for r in known.values() for c in r.model.channels}
         for channel in dict.fromkeys(c for own in errors.values() for c in own):
-            shown = {t: numbers.number(e[channel].rmse, 3, units[channel]) for t, e in errors.items()}
+            shown = {t: numbers.format_number(e[channel].rmse, 3, units[channel]) for t, e in errors.items()}
             rows.append([f"RMSE, {channel}", name, *(shown.get(title, "") for title in titles)])
     return ev.Table(
         id="stages",
