@@ -80,7 +80,7 @@ def fit(
     >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
     >>> log = pd.DataFrame({"t_s": t, "x_m": way})
     >>> trials = swimid.load([{"log": log}], experiment=Coasting, robot="boxfish")
-    >>> round(fit_output_error(trials)["drag_per_m"].value, 2)
+    >>> round(fit(trials)["drag_per_m"].value, 2)
     0.5
     """
     if not isinstance(trials, TrialSet):

@@ -27,7 +27,7 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.simulation import catalogue, compare_series, compare_wave
+from swimid.simulation import catalogue, compare_series
 from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
@@ -123,7 +123,7 @@ def compare(
     --------
     >>> import swimid
     >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
-    >>> against = compare_waves("sample_logs/rig/trials.yaml", params=drag)
+    >>> against = compare("sample_logs/rig/trials.yaml", params=drag)
     >>> bool((against.scores["nrmse"] < 0.002).all()), against.verdict
     (True, 'good')
     """
@@ -516,8 +516,6 @@ def _methods(file: ComparisonFile) -> list[str]:
             "If the parameter file had no start state of a trial, it was estimated from the whole trial with "
             "all shared parameters held."
         )
-    if file.waves:
-        sentences.append(compare_wave.method())
     return sentences
 
 
@@ -525,7 +523,7 @@ def _methods(file: ComparisonFile) -> list[str]:
 
 
 def _tables(file: ComparisonFile) -> list[ev.Table]:
-    """Return tables of errors by channel, motion profiles, mean speeds, body waves, and errors by trial."""
+    """Return tables of errors by channel, motion profiles, mean speeds, and errors by trial."""
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
@@ -533,8 +531,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    waves = compare_wave.tabulate_waves(file.waves)
-    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), waves, _scores(file)]
+    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), _scores(file)]
     return [table for table in tables if table.rows]
 
 
@@ -607,8 +604,7 @@ def _figures(
 ) -> list[ev.Figure]:
     """Return the figures of the evidence.
 
-    They show motion profiles, or else time series and mean speeds. Body waves and paths follow for a robot in
-    a plane.
+    They show motion profiles, or else time series and mean speeds. Paths follow for a robot in a plane.
     """
     if experiment.model.timed_runs:
         runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
@@ -623,10 +619,6 @@ def _figures(
                 if len(speeds):
                     groups[name] = speeds[:, 0], speeds[:, 1]
             drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
-    beating = [d for d in done if d.record.wave is not None]
-    if beating:
-        shown = {t: d.record.wave for t, d in _select_trials(beating).items() if d.record.wave is not None}
-        drawn.append(compare_wave.draw_waves(shown))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]

@@ -19,7 +19,6 @@ from swimid.fitting.output_error import Series
 from swimid.fitting.steps import StepChoice, choose_step
 from swimid.logs import kinematics
 from swimid.notices import warn
-from swimid.simulation import compare_wave
 from swimid.simulation.cases import beat_frequency, drive_block
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.planar.model import Body
@@ -86,8 +85,6 @@ class TrialComparison(yamlio.Document):
     channels: dict[str, ChannelScore]
     mean_speed: Speed | None = None
     cruise: CruiseSpeed | None = None
-    #: Body wave; null without measured joint angles or without a beat.
-    wave: compare_wave.BodyWave | None = None
 
 
 class CycleComparison(yamlio.Document):
@@ -144,15 +141,10 @@ class ComparisonFile(yamlio.ResultFile):
         """Trials with a mean speed, each with the measured and the simulated mean speed, m/s."""
         return [(t, t.mean_speed.measured, t.mean_speed.simulated) for t in self.trials if t.mean_speed]
 
-    @property
-    def waves(self) -> dict[str, compare_wave.BodyWave]:
-        """Body wave of each trial that has one, by trial."""
-        return {t.id: t.wave for t in self.trials if t.wave is not None}
-
 
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
-SIDES = compare_wave.WAVE_SIDES
+SIDES = ("measured", "simulated")
 #: Half-width of the window in which a derivative of the pose is computed: in cycles of the beat, and in s for
 #: a trial without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
@@ -277,7 +269,6 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
     )
     own = {n: replace(p, measured=along[0][n], simulated=along[1][n]) for n, p in pairs.items()}
-    geometry = _replace_values(model, values, trial.swim.coefficients or {})
     placed = fit_common.pose_channels(model)
     record = TrialComparison(
         id=trial.id,
@@ -289,7 +280,6 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         channels={name: _score([p], frequency, own_motion=name in placed) for name, p in own.items()},
         mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
-        wave=compare_wave.compare_waves(model, geometry, trial, simulated, pairs, frequency),
     )
     return Compared(trial, pairs, own, record, values)
 
