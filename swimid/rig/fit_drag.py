@@ -165,19 +165,14 @@ def fit_drag(
             settings=facts,
         )
         checks = [
-            *fit_common.checks(result),
-            *fit_common.error_checks(result),
+            *fit_common.assess(result),
             *possible_checks(experiment, result),
             *checks,
         ]
     hint = "use longer runs, more different forces, or fix what is known with --fix"
     fit_common.insist_identified(result, hint)
-    count = sum(t.role == "fit" for t in result.trials)
-    said = (
-        f"{', '.join(result.common_labels)} were estimated from {count} {experiment.name} trials "
-        f"({result.samples} samples) by output-error maximum likelihood with a single-degree-of-freedom rig "
-        "model."
-    )
+    law = "a single-degree-of-freedom rig model"
+    said = fit_common.describe_method(result, f"{experiment.name} trials", law)
     shown: dict[str, Any] = {
         "title": f"Rig identification of {experiment.robot.name}: {experiment.name}",
         "tables": [_methods_table(experiment, result, pair)],
