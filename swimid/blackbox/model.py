@@ -662,20 +662,22 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
         contents.append(log)
         repeats += found_repeats
     step_s = _common_step(names, contents)
-    fitted = [name for name, entry in zip(names, entries, strict=True) if entry.role == "fit"]
+    fitted = {
+        name: log for name, entry, log in zip(names, entries, contents, strict=True) if entry.role == "fit"
+    }
     fit: list[ArxRecord] = []
     held: dict[str, list[ArxRecord]] = {}
-    for name, entry, log in zip(names, entries, contents, strict=True):
-        cut = len(log) - round(share * len(log))
-        if entry.role == "validate":
+    for name, log in zip(names, contents, strict=True):
+        if name not in fitted:
             held[name] = _records(log, name, columns, step_s, slice(None))
             continue
+        cut = len(log) - round(share * len(log))
         fit += _records(log, name, columns, step_s, slice(0, cut))
         if share:
             label = "held-out part" + f" of {name}" * (len(fitted) > 1)
             held[label] = _records(log, name, columns, step_s, slice(cut, None))
     files += [Path(entry.log) if entry._held is None else entry._held.source for entry in entries]
-    return Data(columns, step_s, fit, held, fitted, files, getattr(listed, "robot", None), repeats)
+    return Data(columns, step_s, fit, held, list(fitted), files, getattr(listed, "robot", None), repeats)
 
 
 def _list_entries(

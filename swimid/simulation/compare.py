@@ -111,14 +111,6 @@ def compare(
     NoTrustworthyResult
         If a simulation breaks down, or no channel can be compared.
 
-    References
-    ----------
-    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
-       Eqs 13 and 14: errors of speed and turning rate.
-    .. [2] S. Kadapa, N. Marcouiller, A. Drago, J. L. Tangorra, H. G. Kwatny, "Tuning hydrodynamic
-       coefficients using a genetic algorithm for a numerical model of a bio-robotic sea lion".
-       Tables I and II: speeds and angles of each stroke.
-
     Examples
     --------
     >>> import swimid
@@ -144,30 +136,11 @@ def compare(
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
         profiles = _compare_profiles(experiment, done)
-        file = ComparisonFile(
-            verdict="caution",
-            model=experiment.model.name,
-            robot=experiment.robot.name,
-            experiment=experiment.name,
-            params=parameters_format.source_path(options.params).name,
-            channels=compare_series.pool(done, experiment.model),
-            trials=[d.record for d in done],
-            profiles=[p.record for p in profiles],
-            provenance=provenance.collect(experiment.inputs, settings=options.settings()),
-        )
-        if file.mean_speeds:
-            _, measured, simulated = zip(*file.mean_speeds, strict=True)
-            file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
-        fitted: Iterable[str] = file.channels
-        if applied.file is not None and applied.file.fit is not None:
-            fitted = applied.file.fit.channels
-        still = [
-            name
-            for name in file.channels
-            if fit_common.is_still(d.own[name].measured for d in done if name in d.own)
+        file = _make_file(experiment, done, profiles, options)
+        checks = [
+            *_channel_checks(file, applied, done),
+            *fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes),
         ]
-        checks = _checks(file, [name for name in fitted if name not in still], still)
-        checks += fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes)
         before = {d.trial.id: d.series for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             checks.append(_mistakes_check(experiment.trials, applied, before))
@@ -186,6 +159,37 @@ def compare(
     )
     file.verdict = evidence.verdict.level
     return Comparison.of(file, evidence).write_output(output)
+
+
+def _make_file(
+    experiment: Experiment, done: Sequence[Compared], profiles: Sequence[Profile], options: CompareOptions
+) -> ComparisonFile:
+    """Return the comparison file of compared trials."""
+    file = ComparisonFile(
+        verdict="caution",
+        model=experiment.model.name,
+        robot=experiment.robot.name,
+        experiment=experiment.name,
+        params=parameters_format.source_path(options.params).name,
+        channels=compare_series.pool(done, experiment.model),
+        trials=[d.record for d in done],
+        profiles=[p.record for p in profiles],
+        provenance=provenance.collect(experiment.inputs, settings=options.settings()),
+    )
+    if file.mean_speeds:
+        _, measured, simulated = zip(*file.mean_speeds, strict=True)
+        file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
+    return file
+
+
+def _channel_checks(file: ComparisonFile, applied: Applied, done: Sequence[Compared]) -> list[ev.Check]:
+    """Return the checks of the errors of channels. A channel in which nothing moves is not judged."""
+    fitted: Iterable[str] = file.channels
+    if applied.file is not None and applied.file.fit is not None:
+        fitted = applied.file.fit.channels
+    measured = {name: [d.own[name].measured for d in done if name in d.own] for name in file.channels}
+    still = [name for name, series in measured.items() if fit_common.is_still(series)]
+    return _checks(file, [name for name in fitted if name not in still], still)
 
 
 def _mistakes_check(trials: Sequence[Trial], applied: Applied, before: mistakes.TrialSeries) -> ev.Check:
@@ -613,12 +617,7 @@ def _figures(
     if not drawn:
         drawn.append(_overlay(done))
         if file.mean_speeds:
-            groups: dict[str, tuple[Any, Any]] = {}
-            for name, role in (("fitted", "fit"), ("held out", "validate")):
-                speeds = np.array([(m, s) for t, m, s in file.mean_speeds if t.role == role], dtype=float)
-                if len(speeds):
-                    groups[name] = speeds[:, 0], speeds[:, 1]
-            drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
+            drawn.append(_speeds_figure(file))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
@@ -626,6 +625,16 @@ def _figures(
         caption = "Path of the reference point."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
+
+
+def _speeds_figure(file: ComparisonFile) -> ev.Figure:
+    """Return the figure of simulated against measured mean speeds of fitted and of held-out trials."""
+    groups: dict[str, tuple[Any, Any]] = {}
+    for name, role in (("fitted", "fit"), ("held out", "validate")):
+        speeds = np.array([(m, s) for t, m, s in file.mean_speeds if t.role == role], dtype=float)
+        if len(speeds):
+            groups[name] = speeds[:, 0], speeds[:, 1]
+    return _agreement("speeds", "Mean speed of the last beats", groups)
 
 
 def _select_trials(done: Sequence[Compared]) -> dict[str, Compared]:
