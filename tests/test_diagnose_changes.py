@@ -85,7 +85,7 @@ def test_a_none_verdict_without_standard_errors_is_not_good(
     assert (file.verdict, list(file.moved)) == ("none", ["drag_coefficient"])
     said = " ".join(said.split())
     assert (
-        "Caution: the parameters as given are others than those refitted: drag_coefficient 0.7051 →" in said
+        "failed: the parameters as given are others than those refitted: drag_coefficient 0.7051 →" in said
     )
 
 
