@@ -20,7 +20,7 @@ from pydantic import BaseModel
 
 from swimid.cli import commands
 from swimid.effects.base import STAGES
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import list_effects
 from swimid.logs.experiments import find_experiments
 from swimid.notices import read_warnings
 from swimid.results.result import class_of, list_result_formats
@@ -250,7 +250,7 @@ def effects_text() -> str:
     rows, names = [], set()
     for stage in STAGES:
         first = stage
-        for effect in sorted(catalogue(), key=lambda effect: effect.name):
+        for effect in sorted(list_effects(), key=lambda effect: effect.name):
             if effect.stage == stage and effect.name not in names:
                 names.add(effect.name)
                 rows.append([first, f"`{effect.name}`", effect.meaning])

@@ -90,7 +90,7 @@ def build_gap_evidence(
 
     Parameters
     ----------
-    worst : sequence of Piece
+    worst : sequence of HeldOutSeries
         Channels of the held-out trial with the largest errors.
     sources : sequence of str
         References of the robot.
@@ -303,7 +303,7 @@ def _causes(file: GapFile) -> ev.Table:
         for name, size in ({n: format_value(v) for n, v in c.parameters.items()} or {"": ""}).items():
             rows.append([c.effect, name, size, *about])
             about = [""] * len(about)
-    columns = "effect | parameter | value ± sd | probability | equivalent | stage | what it is"
+    columns = "effect | parameter | value ± standard error | probability | equivalent | stage | what it is"
     caption = (
         "Probability: that it, or one of its equivalents, closes most of the gap; "
         f"{format_otherwise(file.facts)}. Several causes act together."
@@ -359,7 +359,7 @@ def _scores(file: GapFile) -> ev.Table:
         about = [names, ", ".join(stages), s.variant, probability_text(probability), gain]
         rows.append([*about, *_percents(s.absorbed)])
     rows += [[name, "", why, "", "", None] for name, why in file.left_out.items()]
-    columns = "effect | stage | form | probability | held-out gain ± sd | imitated (%)"
+    columns = "effect | stage | form | probability | held-out gain ± standard error | imitated (%)"
     caption = (
         "Probability: that it is among the causes. Gain: decrease of minus twice the log predictive density "
         "of held-out data by the effect alone. Imitated: share of its signature that the "

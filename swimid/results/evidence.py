@@ -280,6 +280,19 @@ def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
     return Verdict(level=level, text=f"{answer} {len(failed)} of {count} {noun} failed: {reasons}.")
 
 
+def count_checks(checks: Sequence[Check]) -> str:
+    """Return a sentence with the number of checks that pass, and the names of those that do not.
+
+    Checks that are for information only do not count. Without other checks the sentence is empty.
+    """
+    judged_checks = [check for check in checks if check.verdict != "info"]
+    others = [check.name for check in judged_checks if check.verdict != "pass"]
+    count = len(judged_checks)
+    if others:
+        return f"{count - len(others)} of {count} checks pass. Not passed: {', '.join(others)}."
+    return f"{count} {'check passes' if count == 1 else 'checks pass'}." * bool(count)
+
+
 def leaf_table(id: str, title: str, entries: dict[str, Any], caption: str = "") -> Table:
     """Return a folded table with a row for the name and value of each innermost entry of a nested mapping."""
     rows: list[list[Any]] = [list(leaf) for leaf in leaves(entries)]

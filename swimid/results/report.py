@@ -356,6 +356,7 @@ def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> 
         "more_figures": figures[n_main:],
         "more_tables": [table for table in content.tables if table not in tables],
         "checks": ", ".join(counts),
+        "check_count": ev.count_checks(content.checks),
     }
 
 

@@ -159,10 +159,7 @@ class Result:
         if shown.notes:
             parts += ["", *(_wrap(note) for note in shown.notes)]
         word = (shown.verdict.word or shown.verdict.level).upper()
-        verdict = f"{word}: {shown.verdict.text}"
-        tested = [check.verdict for check in shown.checks if check.verdict != "info"]
-        if tested and set(tested) == {"pass"}:
-            verdict += f" All {len(tested)} checks passed." if len(tested) > 1 else " The check passed."
+        verdict = f"{word}: {shown.verdict.text} {ev.count_checks(shown.checks)}".rstrip()
         return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH, break_on_hyphens=False)])
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
