@@ -431,19 +431,6 @@ def own_experiments() -> Any:
     return option((), flag="--experiment", metavar="FILE", help=help, recorded=False)
 
 
-def cluster() -> Any:
-    """Return the declaration of the option ``--cluster``, which moves the work to a cluster.
-
-    The cluster changes no result and is not recorded.
-    """
-    return option(
-        None,
-        metavar="ADDRESS|FILE",
-        recorded=False,
-        help="Address (tcp://host:8786) or scheduler file of a cluster of dask.distributed.",
-    )
-
-
 def jobs(help: str = "Threads; default one per processor.") -> Any:
     """Return the declaration of the option ``--jobs`` for the number of threads.
 

@@ -228,7 +228,7 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
     try:
         source.assembly.check(source.values)
     except InputError as error:
-        raise robot.located(error, Path(place)) from error
+        raise robot.add_location(error, Path(place)) from error
     known = {parameter.name for parameter in source.model.parameters}
     known |= set(source.parameters.settings.get("shared") or {})
     for name in source.parameters.parameters:

@@ -39,7 +39,6 @@ class MapOptions(
         help="Axis: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale of a stroke, or a "
         "coefficient (K_s). One or two.",
     )
-    cluster: str | None = fits.cluster()
 
 
 class OptimiseStiffnessOptions(

@@ -281,16 +281,14 @@ def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
 
 
 def count_checks(checks: Sequence[Check]) -> str:
-    """Return a sentence with the number of checks that pass, and the names of those that do not.
+    """Return a sentence with the number of checks if all pass; empty otherwise, and without checks.
 
-    Checks that are for information only do not count. Without other checks the sentence is empty.
+    The text of the verdict states the number of checks that fail (:func:`make_verdict`).
     """
-    judged_checks = [check for check in checks if check.verdict != "info"]
-    others = [check.name for check in judged_checks if check.verdict != "pass"]
-    count = len(judged_checks)
-    if others:
-        return f"{count - len(others)} of {count} checks pass. Not passed: {', '.join(others)}."
-    return f"{count} {'check passes' if count == 1 else 'checks pass'}." * bool(count)
+    tested = [check.verdict for check in checks if check.verdict != "info"]
+    if set(tested) != {"pass"}:
+        return ""
+    return f"{len(tested)} {'check passes' if len(tested) == 1 else 'checks pass'}."
 
 
 def leaf_table(id: str, title: str, entries: dict[str, Any], caption: str = "") -> Table:

@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from concurrent.futures import as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NotRequired
 
-from swimid import executors
 from swimid.errors import Interrupted, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import is_own
 from swimid.notices import Progress, show, silent
 from swimid.options import takes
-from swimid.results.result import Result, Text
-from swimid.runs import item, slurm, status, summary
+from swimid.results.result import Result
+from swimid.runs import item, status, summary
 from swimid.runs.options import BatchOptions
 from swimid.runs.plan import Item, Resolved, folder_of, resolve
 
@@ -41,8 +40,7 @@ class Batch(Result):
     next_step = "python -m webbrowser {file}"
     keys = {
         "items": NotRequired[int | list[dict[str, Any]]], "states": NotRequired[dict[str, int]],
-        "entries": NotRequired[list[dict[str, Any]]], "jobs": NotRequired[int],
-        "collected": NotRequired[bool],
+        "entries": NotRequired[list[dict[str, Any]]], "collected": NotRequired[bool],
     }  # fmt: skip
 
     @property
@@ -64,7 +62,7 @@ def batch(
     options: BatchOptions,
     force: bool = False,
     progress: Progress = silent,
-) -> Batch | Text:
+) -> Batch:
     """Take many films, logs or trials files through chains of commands.
 
     Each item is done in a process of its own and leaves its results and its state in
@@ -90,7 +88,7 @@ def batch(
     Raises
     ------
     InputError
-        If the plan is invalid, or if the cluster does not answer.
+        If the plan is invalid.
     UsageError
         If the folder is not empty and not that of a run.
     Interrupted
@@ -112,8 +110,6 @@ def batch(
     mine = resolved.items[first::step]
     if options.dry_run:
         return _list_items(resolved, mine, run, options)
-    if options.slurm is not None:
-        return slurm.write(options.slurm, path, Path(output), options, len(mine), force)
     run.mkdir(parents=True, exist_ok=True)
     atomic.write_text(run / "plan.json", resolved.model_dump_json(indent=1) + "\n")
     problems: dict[str, str] = {}
@@ -162,10 +158,7 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
     jobs = options.jobs or os.cpu_count() or 1
     counts: Counter[str] = Counter(before=total - len(todo))
     try:
-        with (
-            progress("items", total=len(todo)) as step,
-            executors.open_executor(jobs, options.cluster) as pool,
-        ):
+        with progress("items", total=len(todo)) as step, ThreadPoolExecutor(jobs) as pool:
             futures = {pool.submit(item.run_item, str(run), ident): ident for ident in todo}
             try:
                 for future in as_completed(futures):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import model_validator
 
 from swimid.errors import UsageError
-from swimid.options import Options, cluster, option
+from swimid.options import Options, option
 
 Retry = Literal["failed", "refused", "no result"]
 
@@ -35,24 +34,16 @@ class BatchOptions(
       swimid batch plan.yaml -o run --dry-run
       swimid batch plan.yaml -o run --jobs 8
       swimid batch plan.yaml -o run --retry failed
-      swimid batch plan.yaml -o run --slurm jobs --jobs 100
       swimid batch plan.yaml -o run --shard 3/100
     """
 
-    jobs: int | None = option(
-        None, ge=1, recorded=False,
-        help="Items at a time; default one per processor. With --slurm the number of jobs of the array.",
-    )  # fmt: skip
+    jobs: int | None = option(None, ge=1, recorded=False, help="Items at a time; default one per processor.")
     retry: tuple[Retry, ...] = option((), recorded=False, help="Also repeat items of this state. Repeatable.")
     shard: str | None = option(
         None, metavar="K/N", recorded=False, help="Do every N-th item only, from the K-th; no summary."
     )
     collect: bool = option(False, recorded=False, help="Do no item. Write the summary of what is there.")
     dry_run: bool = option(False, recorded=False, help="List the items and their states. Write nothing.")
-    cluster: str | None = cluster()
-    slurm: Path | None = option(
-        None, written=True, recorded=False, metavar="FOLDER", help="Write the scripts of a Slurm job array."
-    )
 
     @property
     def part(self) -> tuple[int, int]:
@@ -72,7 +63,6 @@ class BatchOptions(
             "--shard": self.shard,
             "--collect": self.collect,
             "--dry-run": self.dry_run,
-            "--slurm": self.slurm,
         }
         given = [flag for flag, value in modes.items() if value]
         if len(given) > 1 and given != ["--shard", "--dry-run"]:

@@ -131,7 +131,6 @@ class FitGrayboxOptions(
         "Default: 0.05 m, 0.05 m/s, 5 deg, 10 deg/s.",
     )
     jobs: int | None = fits.jobs()
-    cluster: str | None = fits.cluster()
 
     @model_validator(mode="after")
     def _belong_together(self) -> Self:
