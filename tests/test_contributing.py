@@ -26,7 +26,7 @@ TOUCHED = {
     "Add a model": ["swimid/rig/glide.py"],
     "Add an experiment": ["swimid/experiments/coasting_body.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
-    "Add a command": ["swimid/rig/fit_glide.py", "swimid/rig/options.py"],
+    "Add a command": ["swimid/commands.py", "swimid/rig/fit_glide.py", "swimid/rig/options.py"],
 }
 #: Runs the commands of the manual in the copy.
 RUNNER = """

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NotRequired, get_args
 from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
-from swimid.commands import find_commands
+from swimid.commands import COMMANDS
 from swimid.notices import Notice
 
 
@@ -48,9 +48,9 @@ class CommandAnswer(TypedDict):
 def answer_schema() -> dict[str, Any]:
     """Return the JSON Schema of the answer of any command to ``--json``."""
     document = TypeAdapter(CommandAnswer).json_schema()
-    document["properties"]["command"] = {"enum": list(find_commands())}
+    document["properties"]["command"] = {"enum": list(COMMANDS)}
     document["allOf"] = []
-    for command, spec in find_commands().items():
+    for command, spec in COMMANDS.items():
         kinds = spec.result_type()
         shown = []
         for kind in get_args(kinds) or (kinds,):

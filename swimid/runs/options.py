@@ -15,8 +15,6 @@ Retry = Literal["failed", "refused", "no result"]
 
 class BatchOptions(
     Options,
-    command="batch",
-    section="Many at once",
     argument="PLAN",
     output="Folder of the run. The same folder again does what is missing or changed.",
     required=True,
@@ -71,12 +69,7 @@ class BatchOptions(
 
 
 class CompareRunsOptions(
-    Options,
-    command="compare-runs",
-    section="Many at once",
-    argument="RUN...",
-    output="Comparison of runs to write (YAML).",
-    makes="run-comparison",
+    Options, argument="RUN...", output="Comparison of runs to write (YAML).", makes="run-comparison"
 ):
     """Compare runs, or results of one robot from several days.
 

@@ -52,13 +52,7 @@ def start_state() -> Any:
 FRONT = "front"
 
 
-class FitGrayboxOptions(
-    Options,
-    command="fit-graybox",
-    section="Identify",
-    beside=(".evidence.json", ".front.csv"),
-    makes="parameters",
-):
+class FitGrayboxOptions(Options, beside=(".evidence.json", ".front.csv"), makes="parameters"):
     """Identify the coefficients of a multi-link swimmer.
 
     TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
