@@ -6,7 +6,6 @@ The table has names of modules only, so that the list of commands is shown witho
 from __future__ import annotations
 
 import importlib
-import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -184,12 +183,6 @@ class CommandSpec:
         """Import the function that the command calls, and return this function."""
         module, name = self.place
         return getattr(importlib.import_module(module), name)
-
-    def result_type(self) -> Any:
-        """Import the function that the command calls, and return the type of its result."""
-        function = inspect.unwrap(self.run())
-        kind = function.__annotations__["return"]
-        return eval(kind, function.__globals__) if isinstance(kind, str) else kind
 
 
 #: All commands by name.

@@ -42,11 +42,6 @@ from swimid.results.evidence import (
 class Integrated(Logged):
     """Result of ``track_imu``: log with velocity, position and attitude."""
 
-    keys = {
-        "method": str, "attitude_from": str, "still_periods": list[dict[str, Any]],
-        "faults": list[dict[str, Any]], "stroke": dict[str, Any] | None,
-    }  # fmt: skip
-
 
 @takes(TrackImuOptions)
 def track_imu(

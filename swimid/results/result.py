@@ -8,7 +8,7 @@ import os
 import re
 import shlex
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -136,8 +136,6 @@ class Result:
     ending: ClassVar[str] = ".yaml"
     #: Whether a report of several results begins with the verdict of this result.
     leads_page: ClassVar[bool] = False
-    #: Type of each key of :attr:`data`, for ``swimid schema answer``, if the result is no YAML file.
-    keys: ClassVar[Mapping[str, Any]] = {}
     #: Command that a user may run next. ``{file}`` stands for the result file, ``{trials}`` and ``{params}``
     #: for two of its inputs, ``{data[key]}`` for a name in :attr:`data`, ``{free[gap.yaml]}`` for an output.
     next_step: ClassVar[Any] = ""

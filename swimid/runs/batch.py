@@ -7,7 +7,7 @@ import os
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any, NotRequired
+from typing import Any
 
 from swimid.errors import Interrupted, UsageError
 from swimid.files import atomic
@@ -38,10 +38,6 @@ class Batch(Result):
     """
 
     next_step = "python -m webbrowser {file}"
-    keys = {
-        "items": NotRequired[int | list[dict[str, Any]]], "states": NotRequired[dict[str, int]],
-        "entries": NotRequired[list[dict[str, Any]]], "collected": NotRequired[bool],
-    }  # fmt: skip
 
     @property
     def exit_status(self) -> int:

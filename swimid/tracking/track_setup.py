@@ -60,10 +60,6 @@ class SetupDraft(Text):
     sheet: NDArray[np.uint8] | None = None
 
     next_step = "swimid track video {data[video]} --setup {file} -o {free[run.csv]}"
-    keys = {
-        "video": str, "markers": list[dict[str, Any]], "head": str, "tail": str | None,
-        "found_share": dict[str, float],
-    }  # fmt: skip
 
     @property
     def setup(self) -> Setup:

@@ -83,11 +83,6 @@ class Track(Logged):
     pose: Pose | None = None
     setup: Setup | None = None
 
-    keys = {
-        "frames": int, "found": int, "found_share": float, "duration_s": float, "interpolated": int,
-        "gaps": int, "longest_gap_s": float, "unit": str, "swimming": dict[str, Any],
-    }  # fmt: skip
-
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
         if self.evidence is None or atomic.is_device(path):
