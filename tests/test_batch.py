@@ -193,7 +193,7 @@ def test_a_dry_run_writes_nothing(lab: Path, swimid: Run) -> None:
 # ---------------------------------------------------------------- items that end badly
 
 SPOILT = """format: swimid-plan/1
-limits: {{time_s: {time_s}, memory_mb: {memory_mb}}}
+limits: {{time_s: {time_s}}}
 items:
   - files: rig/trials.yaml
     steps: [{{diagnose: {{params: params.yaml, effect: [effect.py]}}}}]
@@ -204,12 +204,12 @@ items:
 def spoilt(tmp_path: Path, swimid: Run) -> Callable[..., dict[str, Any]]:
     """Run one item whose own effect file does something; return its status."""
 
-    def run(code: str, *, time_s: float = 100, memory_mb: float = 4000) -> dict[str, Any]:
+    def run(code: str, *, time_s: float = 100) -> dict[str, Any]:
         shutil.copytree(SAMPLES / "rig", tmp_path / "rig")
         fit = package.fit_drag(SAMPLES / "rig/trials.yaml")
         fit.save(tmp_path / "params.yaml")
         (tmp_path / "effect.py").write_text(f"import os, signal, sys, time\n{code}\n")
-        plan = written(tmp_path, SPOILT.format(time_s=time_s, memory_mb=memory_mb))
+        plan = written(tmp_path, SPOILT.format(time_s=time_s))
         ran = swimid("batch", plan, "-o", tmp_path / "run", "--json")
         assert ran.status == 4
         found: dict[str, Any] = json.loads((tmp_path / "run/items/rig_trials.yaml/status.json").read_text())
@@ -219,13 +219,10 @@ def spoilt(tmp_path: Path, swimid: Run) -> Callable[..., dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_a_crash_is_tried_twice_more(spoilt: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
-    place = tmp_path / "attempts"
+def test_an_item_that_crashes_fails(spoilt: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     status = spoilt(
-        f"open({str(place)!r}, 'a').write('x')\nprint('the last words', file=sys.stderr, flush=True)\n"
-        "os.kill(os.getpid(), signal.SIGSEGV)"
+        "print('the last words', file=sys.stderr, flush=True)\nos.kill(os.getpid(), signal.SIGSEGV)"
     )
-    assert place.read_text() == "xxx"
     assert status["state"] == "failed"
     assert not [*(tmp_path / "run").rglob("*.lock")]
     assert str(ROOT) not in status["error"]["log"]
@@ -242,20 +239,6 @@ def test_an_item_beyond_its_time_fails_once(spoilt: Callable[..., dict[str, Any]
     assert status["state"] == "failed"
     assert "limit of 6 s" in status["error"]["message"]
     assert not [*(tmp_path / "run").rglob("*.lock")]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits private memory")
-def test_an_item_beyond_its_memory_fails(lab: Path, swimid: Run) -> None:
-    (lab / "logs/log0.csv").write_text(
-        "t_s,cmd1_rad,u_m_s\n" + "0.000000001,1.000000001,2.000000001\n" * 10_000_000
-    )
-    plan = written(lab, PLAN.replace("items:", "limits: {memory_mb: 500}\nitems:"))
-    swimid("batch", plan, "-o", lab / "run")
-    status = json.loads((lab / "run/items/logs_log0.csv/status.json").read_text())
-    assert status["state"] == "failed"
-    assert "not enough memory" in status["error"]["message"]
-    assert "500 MB" in status["error"]["message"]
 
 
 # ---------------------------------------------------------------- chains

@@ -1,7 +1,7 @@
 """Runs of one plan in several ways, which must leave the same folder: ``python -m validation.batch_runs``.
 
 The run is undisturbed, killed several times, and in shards. Every file but
-those with times and memory, and the logs of libraries, must have the same content.
+the times of inputs and the logs must have the same content.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.conftest import ROOT
 from tests.generators import archive
 
 #: Files with times, memory and hosts, and what libraries print, with addresses in memory.
-COSTS = ("usage.csv", "usage.json", "log.txt")
+COSTS = ("stamps.json", "log.txt")
 #: Time of results, and the engine: the batched kernel agrees with the scalar one to fourteen digits only.
 FIXED = {"SOURCE_DATE_EPOCH": "1700000000", "SWIMID_LANES": "never", "PYTHONPATH": str(ROOT)}
 ENVIRONMENT = {**os.environ, **FIXED}

@@ -70,11 +70,10 @@ def _steps(value: Any) -> Any:
 
 
 class ItemLimits(yamlio.Document):
-    """Maximum time and memory of one item."""
+    """Limit of one item."""
 
+    #: Maximum time of an item, s.
     time_s: float = Field(default=14400.0, gt=0, le=1e8)
-    #: Memory of the process of an item, MB. Only Linux enforces it.
-    memory_mb: float = Field(default=4000.0, gt=0, le=1e9)
 
 
 class ItemGroup(yamlio.Document):

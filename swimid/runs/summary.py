@@ -1,8 +1,7 @@
-"""Summary of a run: ``summary.csv``, ``metrics.csv`` and ``usage.csv``, and the page ``index.html``.
+"""Summary of a run: ``summary.csv``, ``metrics.csv``, and the page ``index.html``.
 
 The summary depends on the statuses of the items only, so that it is the same however the run was done.
-``usage.csv`` is the exception: it has times, memory, attempts and hosts. Estimates of items that are not done
-with the present plan and version are left out.
+Estimates of items that are not done with the present plan and version are left out.
 """
 
 from __future__ import annotations
@@ -56,7 +55,6 @@ class Entry:
     warnings: list[str] = field(default_factory=list)
     sketch: Sketch | None = None
     outputs: list[str] = field(default_factory=list)
-    usage: dict[str, Any] = field(default_factory=dict)
     log: str = ""
     hint: str = ""
     #: Robust z score of each estimate that is an outlier in its group.
@@ -80,8 +78,8 @@ class Entry:
         return self.state not in ("done", "missing") or self.level == "bad" or bool(self.outliers)
 
     def plain(self) -> dict[str, Any]:
-        """Return the entry as plain data, without sketch and costs."""
-        kept = {k: v for k, v in vars(self).items() if k not in ("metrics", "sketch", "usage", "log")}
+        """Return the entry as plain data, without sketch."""
+        kept = {k: v for k, v in vars(self).items() if k not in ("metrics", "sketch", "log")}
         return kept | {"metrics": {name: one.model_dump() for name, one in self.metrics.items()}}
 
 
@@ -123,7 +121,6 @@ def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None)
             entry.reason = status.reason.replace(f"{item.root}/", "")
             entry.warnings = sorted({code for step in status.steps for code in step.warnings})
             entry.sketch, entry.outputs = status.sketch, sorted(status.outputs)
-            entry.usage = states.usage(folder)
             entry.log, entry.hint = status.error.get("log", ""), status.error.get("hint") or ""
         elif state == "outdated" and entry.version != swimid.__version__:
             entry.reason = f"done by swimid {entry.version}; its results are not used"
@@ -191,16 +188,11 @@ def write(found: Summary, run: Path) -> list[Path]:
         for e in found.entries
         for name, m in e.metrics.items()
     ]
-    costs = [
-        {"item": e.id, **{key: e.usage.get(key) for key in ("seconds", "memory_mb", "attempts", "host")}}
-        for e in found.entries
-    ]
     columns = ["item", "group", "quantity", "value", "low", "high", "unit"]
     texts = {
         "index.html": page(found),
         "summary.csv": _csv(pd.DataFrame(rows)),
         "metrics.csv": _csv(pd.DataFrame(values, columns=columns)),
-        "usage.csv": _csv(pd.DataFrame(costs)),
     }
     with atomic.write_together():
         for name, text in texts.items():
