@@ -74,7 +74,6 @@ def batch(
     force : bool
         Whether the folder may have files that are not of a run.
     progress : Progress
-        Progress over the items.
 
     Returns
     -------
@@ -96,29 +95,30 @@ def batch(
     >>> [item["id"] for item in planned.data["items"]]
     ['pool_pool.mp4', 'rig_trials.yaml', 'tfish_trials.yaml']
     """
-    path, run = Path(plan), Path(output).resolve()
+    run = Path(output).resolve()
     if not force:
         _insist_own(Path(output))
-    resolved = resolve(path, run)
+    resolved = resolve(Path(plan), run)
     if not force:
         _insist_same(run, resolved)
-    first, step = options.part
-    mine = resolved.items[first::step]
+    mine = resolved.items[options.part]
     if options.dry_run:
-        return _list_items(resolved, mine, run, options)
+        return _list_items(mine, run, options)
     run.mkdir(parents=True, exist_ok=True)
     atomic.write_text(run / "plan.json", resolved.model_dump_json(indent=1) + "\n")
     problems: dict[str, str] = {}
     if not options.collect:
-        wanted = {*UNFINISHED, *options.retry}
-        todo = [one.id for one in mine if status.state_of(one, folder_of(run, one.id))[0] in wanted]
-        problems = _do(run, todo, len(mine), options, progress)
+        problems = _do(run, mine, options, progress)
         _insist_same(run, resolved)
-    found = summary.of_run(resolved, run, problems)
-    outputs: list[Path] = []
-    if options.shard is None:
-        outputs = [Path(output) / path.name for path in summary.write(found, run)]
-    return _answer(found, mine, outputs, collected=options.collect)
+    whole = summary.of_run(resolved, run, problems)
+    names = summary.write(whole, run) if options.shard is None else []
+    outputs = [Path(output) / name for name in names]
+    return _answer(whole, mine, outputs, collected=options.collect)
+
+
+def _states_of(items: list[Item], run: Path) -> dict[str, str]:
+    """Return the states of items by name."""
+    return {one.id: status.state_of(one, folder_of(run, one.id))[0] for one in items}
 
 
 def _insist_own(run: Path) -> None:
@@ -145,14 +145,16 @@ def _insist_same(run: Path, resolved: Resolved) -> None:
         )
 
 
-def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress: Progress) -> dict[str, str]:
-    """Do the items with the given names. Return the errors of those whose status cannot be written."""
+def _do(run: Path, mine: list[Item], options: BatchOptions, progress: Progress) -> dict[str, str]:
+    """Do the items that are not done. Return the errors of those whose status cannot be written."""
     problems: dict[str, str] = {}
+    wanted = {*UNFINISHED, *options.retry}
+    todo = [name for name, state in _states_of(mine, run).items() if state in wanted]
     if not todo:
         return problems
     item.stopping.clear()
     jobs = options.jobs or os.cpu_count() or 1
-    counts: Counter[str] = Counter(before=total - len(todo))
+    counts: Counter[str] = Counter(before=len(mine) - len(todo))
     try:
         with progress("items", total=len(todo)) as step, ThreadPoolExecutor(jobs) as pool:
             futures = {pool.submit(item.run_item, str(run), ident): ident for ident in todo}
@@ -179,24 +181,23 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
     return problems
 
 
-def _list_items(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptions) -> Batch:
+def _list_items(mine: list[Item], run: Path, options: BatchOptions) -> Batch:
     """Return the list of items with their states and commands, for a dry run."""
     lines: list[str] = []
     items: list[dict[str, Any]] = []
     shown: set[str] = set()
-    wanted = {*UNFINISHED, *options.retry}
+    states, wanted = _states_of(mine, run), {*UNFINISHED, *options.retry}
     for one in mine:
-        state = status.state_of(one, folder_of(run, one.id))[0]
+        state = states[one.id]
         verb = "run" if state in wanted else "keep"
         lines.append(f"{verb:5s} {state:9s} {one.id}")
-        items.append({"id": one.id, "state": state, "run": verb == "run", "files": one.files})
+        items.append({"id": one.id, "state": state, "run": state in wanted, "files": one.files})
         if one.group not in shown:
             shown.add(one.group)
             lines += [f"      $ swimid {' '.join(argv)}" for step in one.steps for argv in step.argv[:1]]
     count = sum(entry["run"] for entry in items)
-    lines.append(
-        f"{count} of {len(items)} items would be run. Commands are shown for the first item of each group."
-    )
+    text = f"{count} of {len(items)} items would be run."
+    lines.append(f"{text} Commands are shown for the first item of each group.")
     return Batch("batch", "\n".join(lines), {"items": items})
 
 

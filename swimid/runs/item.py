@@ -54,8 +54,8 @@ def stop() -> None:
 def run_item(run: str, ident: str) -> str:
     """Do one item of a run, and return its state.
 
-    An item that crashes or exceeds its time limit is ``failed``, and its status has the end of its log. An item
-    whose folder is a symbolic link is left alone.
+    An item that crashes or exceeds its time limit is ``failed``, and its status has the end of its log. An
+    item whose folder is a symbolic link is left alone.
 
     Parameters
     ----------

@@ -44,18 +44,18 @@ class BatchOptions(
     dry_run: bool = option(False, recorded=False, help="List the items and their states. Write nothing.")
 
     @property
-    def part(self) -> tuple[int, int]:
-        """Number of the shard, counted from 0, and number of shards."""
+    def part(self) -> slice:
+        """Items of the shard."""
         if self.shard is None:
-            return 0, 1
+            return slice(None)
         number, _, count = self.shard.partition("/")
-        return int(number) - 1, int(count)
+        return slice(int(number) - 1, None, int(count))
 
     @model_validator(mode="after")
     def _can_be_meant(self) -> Self:
         if self.shard is not None:
             form = re.fullmatch(r"\d{1,9}/\d{1,9}", self.shard)
-            if form is None or not 0 <= self.part[0] < self.part[1]:
+            if form is None or not 0 <= self.part.start < self.part.step:
                 raise UsageError(f"--shard {self.shard} must be K/N with 1 <= K <= N, such as 3/100")
         modes = {
             "--shard": self.shard,

@@ -630,22 +630,19 @@ class _Chain:
 def _words(entry: Declared, key: str, value: Any) -> list[str]:
     """Return the words of a command line for an option and its value in a plan."""
     on, _, off = entry.flags.partition("/")
-    if entry.kind is bool:
-        if key in off:
-            value = not value
-        flag = on if value else off
-        return [flag] if flag else []
     if value is None:
         return []
+    if entry.kind is bool:
+        return list(filter(None, [on if value is not (key in off) else off]))
+    is_pair = get_origin(entry.kind) is tuple and get_args(entry.kind)[-1] is not Ellipsis
+    values = value
     if isinstance(value, Mapping):
-        return [word for name, one in value.items() for word in (entry.flag, f"{name}={_word(one)}")]
-    if isinstance(value, list) and not entry.separated:
-        if get_origin(entry.kind) is tuple and get_args(entry.kind)[-1] is not Ellipsis:
-            if "," in (entry.metavar or ""):
-                return [entry.flag, _word(value)]
-            return [entry.flag, *map(_word, value)]
-        return [word for one in value for word in (entry.flag, _word(one))]
-    return [entry.flag, _word(value)]
+        values = [f"{name}={_word(one)}" for name, one in value.items()]
+    elif not isinstance(value, list) or entry.separated or (is_pair and "," in (entry.metavar or "")):
+        values = [value]
+    elif is_pair:
+        return [entry.flag, *map(_word, value)]
+    return [word for one in values for word in (entry.flag, _word(one))]
 
 
 def _word(value: Any) -> str:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 import swimid
@@ -23,7 +24,7 @@ from swimid.files import atomic, tabular
 from swimid.files.templates import environment
 from swimid.results import numbers
 from swimid.runs import status as states
-from swimid.runs.plan import Resolved, folder_of
+from swimid.runs.plan import Item, Resolved, folder_of
 from swimid.runs.status import Metric, Sketch
 
 #: Robust z score beyond which an estimate is an outlier (Iglewicz and Hoaglin, How to Detect and Handle
@@ -109,37 +110,40 @@ def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None)
 
     ``problems`` has errors of items that just failed without a status.
     """
-    entries = []
-    for item in plan.items:
-        folder = folder_of(run, item.id)
-        state, status = states.state_of(item, folder)
-        entry = Entry(item.id, item.group, item.files, state)
-        if status is not None:
-            entry.version = status.version
-        if status is not None and state not in ("outdated", "missing"):
-            entry.level, entry.metrics = status.level, status.metrics
-            entry.reason = status.reason.replace(f"{item.root}/", "")
-            entry.warnings = sorted({code for step in status.steps for code in step.warnings})
-            entry.sketch, entry.outputs = status.sketch, sorted(status.outputs)
-            entry.log, entry.hint = status.error.get("log", ""), status.error.get("hint") or ""
-        elif state == "outdated" and entry.version != swimid.__version__:
-            entry.reason = f"done by swimid {entry.version}; its results are not used"
-        elif state == "outdated":
-            entry.reason = "its steps or inputs have changed; its results are not used"
-        lock = folder / f"{states.STATUS_FILE}.lock"
-        if state in ("missing", "outdated") and (holder := atomic.holder_of(lock)):
-            entry.state = "busy"
-            name = f"items/{item.id}/{lock.name}"
-            entry.reason = f"is done by {holder}; if there is no such process, delete {name}"
-        if state in ("missing", "outdated") and item.id in (problems or {}):
-            entry.state, entry.reason = "failed", (problems or {})[item.id]
-        for name in ("reason", "hint", "log"):
-            setattr(entry, name, _UNPRINTABLE.sub("\ufffd", getattr(entry, name)))
-        entries.append(entry)
+    entries = [_entry_of(item, folder_of(run, item.id), (problems or {}).get(item.id)) for item in plan.items]
     found = Summary(plan.plan, entries)
     for members in found.groups.values():
         _find_outliers(members)
     return found
+
+
+def _entry_of(item: Item, folder: Path, problem: str | None) -> Entry:
+    """Return the entry of an item. ``problem`` is its error, if it just failed without a status."""
+    state, status = states.state_of(item, folder)
+    entry = Entry(item.id, item.group, item.files, state)
+    if status is not None:
+        entry.version = status.version
+    if state == "outdated":
+        entry.reason = "its steps or inputs have changed; its results are not used"
+        if entry.version != swimid.__version__:
+            entry.reason = f"done by swimid {entry.version}; its results are not used"
+    elif status is not None and state != "missing":
+        entry.level, entry.metrics = status.level, status.metrics
+        entry.reason = status.reason.replace(f"{item.root}/", "")
+        entry.warnings = sorted({code for step in status.steps for code in step.warnings})
+        entry.sketch, entry.outputs = status.sketch, sorted(status.outputs)
+        entry.log, entry.hint = status.error.get("log", ""), status.error.get("hint") or ""
+    lock = folder / f"{states.STATUS_FILE}.lock"
+    if state in ("missing", "outdated"):
+        if holder := atomic.holder_of(lock):
+            entry.state = "busy"
+            name = f"items/{item.id}/{lock.name}"
+            entry.reason = f"is done by {holder}; if there is no such process, delete {name}"
+        if problem is not None:
+            entry.state, entry.reason = "failed", problem
+    for name in ("reason", "hint", "log"):
+        setattr(entry, name, _UNPRINTABLE.sub("\ufffd", getattr(entry, name)))
+    return entry
 
 
 def _find_outliers(members: Sequence[Entry]) -> None:
@@ -150,17 +154,15 @@ def _find_outliers(members: Sequence[Entry]) -> None:
     """
     for name in metric_names(members):
         having = [entry for entry in members if name in entry.metrics]
-        values = [entry.metrics[name].value for entry in having]
+        values = np.array([entry.metrics[name].value for entry in having])
         if len(values) < MIN_ITEMS:
             continue
-        middle = statistics.median(values)
-        spread = SD_OF_MAD * statistics.median(abs(v - middle) for v in values)
-        for entry in having:
-            one = entry.metrics[name]
-            own = one.stderr if math.isfinite(one.stderr) else 0.0
-            scale = math.hypot(spread, own)
-            if scale > 0 and abs(one.value - middle) > MAX_Z * scale:
-                entry.outliers[name] = (one.value - middle) / scale
+        deviations = values - np.median(values)
+        spread = SD_OF_MAD * np.median(np.abs(deviations))
+        scales = np.hypot(spread, np.nan_to_num([entry.metrics[name].stderr for entry in having], posinf=0.0))
+        for entry, deviation, scale in zip(having, deviations, scales, strict=True):
+            if scale > 0 and abs(deviation) > MAX_Z * scale:
+                entry.outliers[name] = float(deviation / scale)
 
 
 def metric_names(members: Sequence[Entry]) -> list[str]:
@@ -173,8 +175,8 @@ def metric_names(members: Sequence[Entry]) -> list[str]:
 # ---------------------------------------------------------------- tables
 
 
-def write(found: Summary, run: Path) -> list[Path]:
-    """Write page and tables of a summary into the folder of the run, and return their paths."""
+def write(found: Summary, run: Path) -> list[str]:
+    """Write page and tables of a summary into the folder of the run, and return their names."""
     rows = [
         {
             "item": e.id, "group": e.group, "state": e.state, "verdict": e.level, "reason": e.reason,
@@ -197,7 +199,7 @@ def write(found: Summary, run: Path) -> list[Path]:
     with atomic.write_together():
         for name, text in texts.items():
             atomic.write_text(run / name, text)
-    return [run / name for name in texts]
+    return list(texts)
 
 
 def _csv(table: pd.DataFrame) -> str:
@@ -329,23 +331,20 @@ def _sketch(entry: Entry) -> dict[str, Any]:
     """Return the lines of the sketch of an item, scaled to the size of the drawing."""
     sketch = entry.sketch
     assert sketch is not None
-    x = [v for xs, _ in sketch.traces for v in xs if v is not None]
-    y = [v for _, ys in sketch.traces for v in ys if v is not None]
-    if not x or not y:
+    traces = [np.array(trace, dtype=float) for trace in sketch.traces]
+    points = np.hstack(traces) if traces else np.empty((2, 0))
+    if not np.isfinite(points).any(axis=1).all():
         return {"entry": entry, "lines": []}
-    wide, high = SMALL_WIDE / (max(x) - min(x) or 1.0), SMALL_HIGH / (max(y) - min(y) or 1.0)
+    low = np.nanmin(points, axis=1)
+    span = np.nanmax(points, axis=1) - low
+    scale = np.array([SMALL_WIDE, SMALL_HIGH]) / np.where(span > 0, span, 1.0)
     if sketch.equal_aspect:
-        wide = high = min(wide, high)
+        scale[:] = scale.min()
     lines = []
-    for (xs, ys), style in zip(sketch.traces, sketch.styles, strict=True):
-        parts: list[str] = []
-        drawing = False
-        for a, b in zip(xs, ys, strict=True):
-            if a is None or b is None:
-                drawing = False
-                continue
-            word = "L" if drawing else "M"
-            parts.append(f"{word}{(a - min(x)) * wide:.0f} {SMALL_HIGH - (b - min(y)) * high:.0f}")
-            drawing = True
+    for trace, style in zip(traces, sketch.styles, strict=True):
+        x, y = (trace - low[:, None]) * scale[:, None]
+        known = np.isfinite(x) & np.isfinite(y)
+        words = np.where(np.r_[False, known[:-1]], "L", "M")
+        parts = [f"{words[k]}{x[k]:.0f} {SMALL_HIGH - y[k]:.0f}" for k in np.flatnonzero(known)]
         lines.append({"path": "".join(parts), "dots": style in ("points", "stems", "arrows")})
     return {"entry": entry, "lines": lines}
