@@ -106,14 +106,14 @@ def batch(
         return _list_items(mine, run, options)
     run.mkdir(parents=True, exist_ok=True)
     atomic.write_text(run / "plan.json", resolved.model_dump_json(indent=1) + "\n")
-    problems: dict[str, str] = {}
+    problems = {}
     if not options.collect:
         problems = _do(run, mine, options, progress)
         _insist_same(run, resolved)
     whole = summary.of_run(resolved, run, problems)
-    names = summary.write(whole, run) if options.shard is None else []
-    outputs = [Path(output) / name for name in names]
-    return _answer(whole, mine, outputs, collected=options.collect)
+    if options.shard is None:
+        summary.write(whole, run)
+    return _answer(whole, mine, Path(output), options)
 
 
 def _states_of(items: list[Item], run: Path) -> dict[str, str]:
@@ -165,7 +165,7 @@ def _do(run: Path, mine: list[Item], options: BatchOptions, progress: Progress) 
                     except OSError as error:
                         problems[futures[future]] = f"{error}".replace(f"{run}/", "")
                         counts["failed"] += 1
-                    show(step, ", ".join(f"{count} {state}" for state, count in counts.items()))
+                    show(step, _count_text(counts))
                     step()
             finally:
                 if not all(future.done() for future in futures):
@@ -179,6 +179,10 @@ def _do(run: Path, mine: list[Item], options: BatchOptions, progress: Progress) 
         )
         raise Interrupted(text) from None
     return problems
+
+
+def _count_text(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {state}" for state, count in counts.items())
 
 
 def _list_items(mine: list[Item], run: Path, options: BatchOptions) -> Batch:
@@ -201,15 +205,16 @@ def _list_items(mine: list[Item], run: Path, options: BatchOptions) -> Batch:
     return Batch("batch", "\n".join(lines), {"items": items})
 
 
-def _answer(found: summary.Summary, mine: list[Item], outputs: list[Path], *, collected: bool) -> Batch:
+def _answer(found: summary.Summary, mine: list[Item], output: Path, options: BatchOptions) -> Batch:
     """Return the result of a run for the terminal."""
+    outputs = [output / name for name in summary.NAMES] if options.shard is None else []
     names = {one.id for one in mine}
     entries = [entry for entry in found.entries if entry.id in names]
     counts = Counter(entry.state for entry in entries)
     data: dict[str, Any] = {
         "items": len(entries),
         "states": dict(counts),
-        "collected": collected,
+        "collected": options.collect,
         "entries": [entry.plain() for entry in entries],
     }
     return Batch("batch", summary.text(entries), data, outputs, document=found)

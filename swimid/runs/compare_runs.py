@@ -71,7 +71,7 @@ class _Found:
 
     metrics: Mapping[str, Metric]
     state: str
-    version: str
+    version: str = "unknown"
     inputs: Mapping[str, str] = field(default_factory=dict)
     steps: str = ""
 
@@ -148,12 +148,12 @@ def _read(path: Path) -> dict[str, _Found]:
         data = result.data or {}
         origin = getattr(result.document, "provenance", {})
         metrics = status.metrics_of(data, ["channels.*.nrmse"])
-        return {"": _Found(metrics, "done", str(origin.get("version", "")))}
+        return {"": _Found(metrics, "done", str(origin.get("version", "unknown")))}
     items = {}
     for item in Resolved.of_run(path).items:
         shown = status.read(folder_of(path, item.id))
         if shown is None:
-            items[item.id] = _Found({}, "missing", "")
+            items[item.id] = _Found({}, "missing")
         else:
             items[item.id] = _Found(
                 shown.metrics, shown.state, shown.version, shown.inputs, shown.steps_sha256
@@ -229,9 +229,9 @@ def _item_differences(entries: Mapping[str, _Found]) -> list[str]:
     """Return what is not the same in the runs that have an item, by the name of the run."""
     texts = []
     for what in ("state", "version"):
-        values = [getattr(entry, what) or "unknown" for entry in entries.values()]
+        values = [getattr(entry, what) for entry in entries.values()]
         if len(set(values)) > 1:
-            stated = (f"{value} in {name}" for name, value in zip(entries, values, strict=True))
+            stated = map("{1} in {0}".format, entries, values)
             texts.append(f"{what}: {', '.join(stated)}")
     if len({entry.steps for entry in entries.values()}) > 1:
         texts.append("other steps, options or version")

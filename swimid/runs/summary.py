@@ -37,6 +37,8 @@ MAX_STRIPS, MAX_LISTED = 8, 10
 MAX_TABLE_ROWS, MAX_SKETCHES, MAX_STRIP_POINTS = 2000, 500, 1000
 #: Pattern of characters that no table and no page can hold.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+#: Names of the files of a summary.
+NAMES = ("index.html", "summary.csv", "metrics.csv")
 #: First line of the tables, by which swimid recognises them as its own.
 MADE_BY_LINE = "# made_by: swimid batch\n"
 
@@ -175,8 +177,8 @@ def metric_names(members: Sequence[Entry]) -> list[str]:
 # ---------------------------------------------------------------- tables
 
 
-def write(found: Summary, run: Path) -> list[str]:
-    """Write page and tables of a summary into the folder of the run, and return their names."""
+def write(found: Summary, run: Path) -> None:
+    """Write page and tables of a summary into the folder of the run."""
     rows = [
         {
             "item": e.id, "group": e.group, "state": e.state, "verdict": e.level, "reason": e.reason,
@@ -191,15 +193,10 @@ def write(found: Summary, run: Path) -> list[str]:
         for name, m in e.metrics.items()
     ]
     columns = ["item", "group", "quantity", "value", "low", "high", "unit"]
-    texts = {
-        "index.html": page(found),
-        "summary.csv": _csv(pd.DataFrame(rows)),
-        "metrics.csv": _csv(pd.DataFrame(values, columns=columns)),
-    }
+    texts = page(found), _csv(pd.DataFrame(rows)), _csv(pd.DataFrame(values, columns=columns))
     with atomic.write_together():
-        for name, text in texts.items():
+        for name, text in zip(NAMES, texts, strict=True):
             atomic.write_text(run / name, text)
-    return list(texts)
 
 
 def _csv(table: pd.DataFrame) -> str:
