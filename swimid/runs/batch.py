@@ -61,9 +61,8 @@ def batch(
 ) -> Batch:
     """Take many films, logs or trials files through chains of commands.
 
-    Each item is done in a process of its own and leaves its results and its state in
-    ``output/items/<name>``. Items that are done with these inputs, options and version are not repeated. A
-    killed run loses the items in progress only.
+    Each item is done in a process of its own, and leaves results and state in ``output/items/<name>``. Items
+    that are done with these inputs, options and version are not repeated.
 
     Parameters
     ----------
@@ -96,10 +95,9 @@ def batch(
     ['pool_pool.mp4', 'rig_trials.yaml', 'tfish_trials.yaml']
     """
     run = Path(output).resolve()
-    if not force:
-        _insist_own(Path(output))
     resolved = resolve(Path(plan), run)
     if not force:
+        _insist_own(Path(output))
         _insist_same(run, resolved)
     mine = resolved.items[options.part]
     if options.dry_run:
