@@ -12,10 +12,10 @@ from scipy.special import chdtri
 
 import swimid
 from swimid.diagnosis import proposals
-from swimid.diagnosis.candidates import is_sound
 from swimid.diagnosis.crossval import solve_normal
 from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.proposals import Proposal, Segment, TrialLimits
+from swimid.diagnosis.screening import is_sound
 from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem, map_in_processes

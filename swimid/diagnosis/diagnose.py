@@ -254,7 +254,7 @@ def diagnose(
         if options.power:
             with threadpool_limits(limits=1, user_api="blas"):
                 rows, without = power.compute_power(study, applicable, asked, seed=options.seed)
-            keep.done()
+            keep.finish()
             could = power.PowerFile(**about, effects=rows, left_out=without)
             shown = power.build_power_evidence(could, ev.notices(notices))
             return DetectionPower.of(could, shown).write_output(output)
@@ -310,5 +310,5 @@ def diagnose(
     )
     made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file, simulator=simulator)
     made = _write_outputs(made, output, place, options.next)
-    keep.done()
+    keep.finish()
     return made

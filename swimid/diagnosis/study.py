@@ -22,7 +22,7 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem, Watch, map_in_processes
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.candidates import Screening
+    from swimid.diagnosis.screening import Screening
 
 #: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0
