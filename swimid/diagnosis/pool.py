@@ -8,7 +8,6 @@ predicted benefit.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -80,10 +79,7 @@ class HypothesisPool:
     _returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
 
     def prepare(self, acting: Iterable[Sequence[Effect]]) -> None:
-        """Compile the models of all interpretations of the robot among sets of effects.
-
-        Worker processes would compile them several times.
-        """
+        """Compile the models of sets of effects once, because each worker process would compile them."""
         for effects in acting:
             self.study.build_model(effects).prepare(effects=True)
 
@@ -122,20 +118,6 @@ class HypothesisPool:
             if not self.first_screen:
                 self.first_screen, self.left_out = found, left_out
         return self.screens[parent.key]
-
-    def find_screening(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Screening:
-        """Return the screening result of an effect of hypothesis ``h`` that is added to hypothesis
-        ``base``.
-        """
-        if h.tried is not None and h.tried.effect is effect:
-            return h.tried
-        found = next((t for t in self.screen(base) if t.effect is effect), None)
-        if found is None:
-            parameters = effect.parameters(self.study.model, self.study.trials)
-            null = np.array([p.start for p in parameters])
-            signature = [np.zeros(count) for count in base.problem.counts]
-            found = Screening(effect, parameters, null, np.zeros(self.study.folds.count), 1.0, signature)
-        return found
 
     def add_effects(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
         """Fit each hypothesis of ``parents`` with one more effect, and add the results to the pool.
@@ -208,8 +190,7 @@ class HypothesisPool:
     def _name(self, effects: Sequence[Effect]) -> str:
         """Return the name under which the next fit of a set of effects is stored.
 
-        It states the form of each effect, the number of trials and of random effects, and how often the set
-        was fitted before. The search is deterministic, so that a resumed search gives each fit the same name.
+        The search is deterministic, so that a resumed search gives each fit the same name.
         """
         model, trials = self.study.model, self.study.trials
         own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
@@ -361,17 +342,4 @@ class HypothesisPool:
             if pair not in self._cosines:
                 self._cosines[pair] = screening.compute_cosine(self.study, self.null, first, second)
             found[one], found[other] = (max(found[n], self._cosines[pair] ** 2) for n in (one, other))
-        return found
-
-    def rank(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return copies of hypotheses sorted by deviance, best first, with their gains over ``base``.
-
-        Each hypothesis has one effect more than the hypothesis ``base``.
-        """
-        found = []
-        for h in sorted(hypotheses, key=lambda h: h.deviance):
-            (last,) = [e for e in h.effects if id(e) not in base.key]
-            one = copy.copy(h)
-            one.tried, one.gains = self.find_screening(base, h, last), base.deviances - h.deviances
-            found.append(one)
         return found

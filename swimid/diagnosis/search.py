@@ -9,6 +9,7 @@ search begins again without this trial.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -427,6 +428,33 @@ class HypothesisSearch(HypothesisPool):
         self.first_screen = [t for t in self.first_screen if t.effect.name in names]
         self.left_out = {name: why for name, why in self.left_out.items() if name in names}
         self.finish()
+
+    def find_screening(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Screening:
+        """Return the screening result of an effect of hypothesis ``h`` that is added to hypothesis
+        ``base``.
+        """
+        if h.tried is not None and h.tried.effect is effect:
+            return h.tried
+        found = next((t for t in self.screen(base) if t.effect is effect), None)
+        if found is None:
+            parameters = effect.parameters(self.study.model, self.study.trials)
+            null = np.array([p.start for p in parameters])
+            signature = [np.zeros(count) for count in base.problem.counts]
+            found = Screening(effect, parameters, null, np.zeros(self.study.folds.count), 1.0, signature)
+        return found
+
+    def rank(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return copies of hypotheses sorted by deviance, best first, with their gains over ``base``.
+
+        Each hypothesis has one effect more than the hypothesis ``base``.
+        """
+        found = []
+        for h in sorted(hypotheses, key=lambda h: h.deviance):
+            (last,) = [e for e in h.effects if id(e) not in base.key]
+            one = copy.copy(h)
+            one.tried, one.gains = self.find_screening(base, h, last), base.deviances - h.deviances
+            found.append(one)
+        return found
 
 
 def search_causes(
