@@ -113,7 +113,7 @@ def _undo_mistakes(fit: Hypothesis) -> list[tuple[OddTrial, Array, float]]:
     trial, found = study.trials[owners.index(f)], []
     shared = {fit.labels[j]: float(fit.theta[j]) for j in study.select_shared(fit)}
     before = _fit_trials(study, fit, [trial], shared, iterations=MAX_FOLD_ITERATIONS)
-    for mistake in mistakes.catalogue(study.model, [trial]):
+    for mistake in mistakes.list_mistakes(study.model, [trial]):
         undone = mistake.undo(trial)
         if undone is None:
             continue
