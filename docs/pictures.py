@@ -3,7 +3,7 @@
 The results are those of ``make demo`` in ``demo_out``, and of short runs on the sample logs. The quick ones
 are drawn anew for each site (``docs/make_site.py``). The drawings ``home``, ``rig``, ``markers`` and ``imu``
 are written by hand. ``python docs/pictures.py FOLDER`` draws ``real-fish`` from the files that the commands
-of ``docs/learn/11-real-fish.md`` have written to a folder.
+of ``docs/real-fish.md`` have written to a folder.
 """
 
 from __future__ import annotations

@@ -228,7 +228,7 @@ def test_the_plan_finds_the_robot_beside_itself(tmp_path: Path, swimid: Callable
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::swimid.notices.SwimidWarning")
 def test_speeds_of_the_fish(fish: Path, swimid: Callable[..., Ran]) -> None:
-    """The commands of docs/learn/11-real-fish.md, on the films that are there."""
+    """The commands of docs/real-fish.md, on the films that are there."""
     assert swimid("batch", fish / "plan.yaml", "-o", fish / "run").status == 0
     fitted = swimid(
         "fit-graybox", fish / "trials.yaml", "--free", "camera_rotation", "-o", fish / "fish.yaml"

@@ -448,7 +448,7 @@ MIN_SAMPLES_PER_STROKE = 6.0
 #: Maximum fraction of the rows of a log that are left out because of a missing or repeated time, and of its
 #: duration in which a channel is frozen. With a larger fraction the log is not usable. Frozen samples stay in
 #: the log: a fraction of them changes an amplitude or a mean speed by at most as much, and one per cent is
-#: the accuracy of both in a track (docs/tracking-method.md).
+#: the accuracy of both in a track (docs/tracking.md).
 MAX_DROPPED, MAX_FROZEN = 0.1, 0.01
 #: Pattern of the columns whose values are compared with the limits of a swimmer
 #: (:func:`swimid.logs.log.doubts`).

@@ -1,4 +1,4 @@
-"""Mapping of a foreign log to the log format (``swimid-mapping/1``, ``docs/mapping.md``).
+"""Mapping of a foreign log to the log format (``swimid-mapping/1``, ``docs/import.md``).
 
 A mapping assigns a source column of the file to each target column of the log, with the unit of the source.
 :func:`apply` returns the target columns in SI units, in the row order of the file. The times may still

@@ -337,7 +337,7 @@ def _of_table(project: Project, group: RecordingGroup, progress: Progress) -> No
             open_table(group.first.path)
         except InputError as error:
             if several(error):
-                text += f"# join: may add columns of another topic (docs/mapping.md). {error.hint}\n"
+                text += f"# join: may add columns of another topic (docs/import.md). {error.hint}\n"
     project.files[name] = text
     group.columns = tuple(re.findall(r"(?m)^ *- .*target: (\w+)", text))
     if not group.columns:

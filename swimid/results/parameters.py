@@ -434,7 +434,7 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
             band = numbers.interval(*ends, e.stderr)
         status = STATUS_TEXT.get(e.status, e.status)
         rows.append([name, estimate_text(e), band, status, e.meaning, numbers.bounds_text(e.bounds)])
-    columns = ["parameter", "value ± sd", "95 % interval", "status", "meaning", "allowed"]
+    columns = ["parameter", "value ± se", "95 % interval", "status", "meaning", "allowed"]
     if not any(e.meaning for e in estimates.values()):
         columns.remove("meaning")
         rows = [[*row[:4], *row[5:]] for row in rows]
