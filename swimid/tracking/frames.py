@@ -555,7 +555,8 @@ class Blob:
     #: Coordinates of the centre of the patch, with sub-pixel resolution.
     x: float
     y: float
-    #: Area of the patch in pixels of the picture.
+    #: Area of the marker: sum of the weights of all pixels, px. Unlike the number of pixels in the mask, it does
+    #: not change if motion or the codec blurs the rim.
     area: float
     #: Left, top, right and bottom side of the patch's bounding box, px. Right and bottom are exclusive.
     box: tuple[int, int, int, int]
@@ -720,7 +721,7 @@ def measure_blob(
     if at_edge:
         confidence *= 0.6
     x, y = origin[0] + step * x0 + column, origin[1] + step * y0 + row
-    return Blob(x, y, patch.area, box, contrast, confidence, mean_hsv(colour), at_edge)
+    return Blob(x, y, m["m00"], box, contrast, confidence, mean_hsv(colour), at_edge)
 
 
 #: Type of the values of one detection: x, y, area, confidence, status, whether the edge of the picture cuts

@@ -195,11 +195,11 @@ def _evaluate(
     faults = [notice.text for notice in notices if notice.code in ("SWM043", "SWM044")]
     plane = pose.orient_plane(track, rules, plane)
     made = pose.build(track, rules, plane)
-    checks = checks_of(track, made, rules, run.kept)
+    swum = _swimming(made, (options.from_s, options.to_s))
+    checks = checks_of(track, made, rules, run.kept, swum)
     if faults:
         reason = "; ".join(faults)
         checks.insert(0, ev.check("Frames of the film", "not all", False, "all", reason=reason))
-    swum = _swimming(made, (options.from_s, options.to_s))
     if swum.stroke is not None:
         if swum.doubt:
             warn("SWM033", swum.doubt)
@@ -439,12 +439,19 @@ def _grade(
 
 
 def checks_of(
-    track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None
+    track: RawTrack,
+    pose: Pose,
+    setup: Setup,
+    kept: dict[int, Frame] | None = None,
+    swum: Swimming | None = None,
 ) -> list[ev.Check]:
-    """Return all checks of a track in order of importance. ``kept`` are some frames of the film."""
+    """Return all checks of a track in order of importance.
+
+    ``kept`` are some frames of the film, and ``swum`` are the speeds and the stroke of the track.
+    """
     return [
         *_presence(track, pose, setup),
-        _motion(track, setup),
+        _motion(track, setup, swum),
         *_camera(kept or {}),
         *_looks(track),
         *_others(track, setup),
@@ -495,8 +502,12 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     yield _judge("SWM047", "Longest gap", f"{longest:.3f} s", limit, segments == 1, reason)
 
 
-def _motion(track: RawTrack, setup: Setup) -> ev.Check:
-    """Check that at least one marker moves, because a motionless object passes all other checks."""
+def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
+    """Check that at least one marker moves, because a motionless object passes all other checks.
+
+    A robot that hardly leaves its place passes if it has a stroke. The stroke of a robot keeps its phase
+    (:func:`swimid.logs.beat.find_beats`), and ripples or passing objects that shift a centre do not.
+    """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
     # Compute the distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh
@@ -509,7 +520,10 @@ def _motion(track: RawTrack, setup: Setup) -> ev.Check:
         reason += ", which is its noise"
     reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
-    passed = radii >= frames.MIN_RADII and not still
+    strokes = swum is not None and swum.stroke is not None and not swum.doubt
+    if strokes:
+        limit = f">= {noise:.2g} px of noise, with a stroke"
+    passed = (radii >= frames.MIN_RADII or strokes) and not still
     return _judge("SWM067", "Motion", value, limit, passed, reason, fails=still)
 
 
