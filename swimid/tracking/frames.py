@@ -555,8 +555,8 @@ class Blob:
     #: Coordinates of the centre of the patch, with sub-pixel resolution.
     x: float
     y: float
-    #: Area of the marker: sum of the weights of all pixels, px. Unlike the number of pixels in the mask, it does
-    #: not change if motion or the codec blurs the rim.
+    #: Area of the marker: sum of the weights of all pixels, px. Unlike the number of pixels in the mask, it
+    #: does not change if motion or the codec blurs the rim.
     area: float
     #: Left, top, right and bottom side of the patch's bounding box, px. Right and bottom are exclusive.
     box: tuple[int, int, int, int]
