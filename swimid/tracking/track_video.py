@@ -214,40 +214,40 @@ def _evaluate(
         facts["Pixels"] = f"{video.pixel_aspect:.4g} times as wide as high; px count those of the file"
     if joints is not None:
         checks += point_evidence.checks(joints)
-    verdict = ev.judged(_answer(made, swum), checks)
     rows = _rows(swum, rules, plane.unit)
-    tables, figures = [_table(rows, swum.steady)], _figures(made, rules, swum)
-    methods, references, findings = _methods(rules, made), [*REFERENCES], {}
-    if joints is not None:
-        stroke_hz = None if swum.stroke is None else swum.stroke.frequency_hz
-        beat = point_evidence.wave_of(joints, stroke_hz)
-        facts["Joints"] = point_evidence.facts(joints)["Points"]
-        tables += point_evidence.tables(joints, beat)
-        figures += point_evidence.figures(joints, beat)
-        methods += point_evidence.METHODS
-        references += point_evidence.REFERENCES
-        findings["points"] = joints.data
+    settings = options.settings(setup=rules.model_dump(mode="json", exclude_none=True))
     evidence = ev.Evidence(
         command="track video",
         title=f"Track of {video.path.name}",
-        verdict=verdict,
+        verdict=ev.judged(_answer(made, swum), checks),
         facts=facts,
         checks=checks,
-        tables=tables,
-        figures=figures,
+        tables=[_table(rows, swum.steady)],
+        figures=_figures(made, rules, swum),
         images=painter.images(),
         notices=ev.notices(notices),
-        methods=methods,
-        references=references,
-        provenance=provenance.collect(
-            [video.path, source],
-            settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
-        ),
+        methods=_methods(rules, made),
+        references=[*REFERENCES],
+        provenance=provenance.collect([video.path, source], settings=settings),
     )
-    data = _data(made, rows, swum) | findings | {"verdict": verdict.model_dump()}
+    data = _data(made, rows, swum)
+    if joints is not None:
+        _add_joints(evidence, joints, swum)
+        data["points"] = joints.data
+    data["verdict"] = evidence.verdict.model_dump()
     data["checks"] = [check.model_dump() for check in checks]
     document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
     return Track("track video", "", data, (), evidence, document, columns, made, rules), painter
+
+
+def _add_joints(evidence: ev.Evidence, joints: Posed, swum: Swimming) -> None:
+    """Add facts, tables, figures and methods on the joint angles to the evidence, in place."""
+    beat = point_evidence.wave_of(joints, None if swum.stroke is None else swum.stroke.frequency_hz)
+    evidence.facts["Joints"] = point_evidence.facts(joints)["Points"]
+    evidence.tables += point_evidence.tables(joints, beat)
+    evidence.figures += point_evidence.figures(joints, beat)
+    evidence.methods += point_evidence.METHODS
+    evidence.references += point_evidence.REFERENCES
 
 
 def _metadata(run: FilmTrack, plane: Plane, times: Array) -> dict[str, Any]:
@@ -757,7 +757,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     up, turn, side = setup.axes
     spans = [ev.Span(start=start, end=end, label="gap") for start, end in pose.gaps][:MAX_GAPS]
     every = slice(None, None, max(len(t) // MAX_POINTS, 1))
-    (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
+    raw_x, raw_y = pose.raw[:, every]
 
     def over_time(label: str, traces: Sequence[ev.Trace], marks: Sequence[ev.Mark] = ()) -> ev.Panel:
         return ev.panel("time (s)", label, traces, spans=spans, marks=list(marks))
@@ -786,21 +786,12 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         speeds[f"{turn} rate (°/s)"] = degrees * pose.angle.velocity[0]
     begin = ev.Mark(at=found.begin_s, axis="x", label="averaging window")
     window = [begin, ev.Mark(at=found.end_s, axis="x")]
-    first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
-    path = [
-        ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
-        ev.Trace(x=x, y=y, label="smoothed", group=0),
-        ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
-    ]
-    about = "Path of the reference point."
-    if pose.gaps:
-        about += " The line without points is a gap."
     seen = np.ones(len(t), dtype=bool)
     for start, end in pose.gaps:
         seen &= (t <= start) | (t >= end)
     curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
-        ev.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
+        _path_figure(pose, f"x ({unit})", f"{up} ({unit})", every),
         ev.panels(
             "pose",
             "Pose over time",
@@ -814,6 +805,21 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
             [over_time(label, [curve], window) for label, curve in curves.items()],
         ),
     ]
+
+
+def _path_figure(pose: Pose, x_title: str, y_title: str, every: slice) -> ev.Figure:
+    """Return the figure of the measured and the smoothed path, thinned to some frames."""
+    (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
+    first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
+    path = [
+        ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
+        ev.Trace(x=x, y=y, label="smoothed", group=0),
+        ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
+    ]
+    about = "Path of the reference point."
+    if pose.gaps:
+        about += " The line without points is a gap."
+    return ev.figure("path", "Path", about, x_title, y_title, path, equal_aspect=True)
 
 
 # ---------------------------------------------------------------- frames with the track drawn in
