@@ -16,7 +16,7 @@ import pytest
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import verdict
 from swimid.diagnosis.evidence import Diagnosis
-from swimid.diagnosis.gap_file import Closed, GapFile, HeldOut, HypothesisRow, Score, Value
+from swimid.diagnosis.gap_file import Closed, EffectRow, GapFile, HeldOut, HypothesisRow, Value
 from swimid.effects import catalogue
 from swimid.fitting.model import Hooks, Model, Trial
 from swimid.results import evidence as ev
@@ -344,7 +344,7 @@ def test_every_check_that_does_not_pass_gives_a_reason(name: str) -> None:
 
 def test_logs_that_contradict_their_metadata_give_no_good_answer() -> None:
     against = ev.NoticeRecord(code="SWM063", text="the courses follow the headings mirrored")
-    known = [diagnose_evidence.evidence(cases.EXPLAINED, notices=n) for n in ([], [against])]
+    known = [diagnose_evidence.build_gap_evidence(cases.EXPLAINED, notices=n) for n in ([], [against])]
     assert [e.verdict.level for e in known] == ["good", "caution"]
     assert known[1].checks[0].verdict == "warn"
     assert "headings mirrored" in known[1].verdict.text
@@ -365,7 +365,7 @@ def test_effects_with_equal_residuals_share_a_row() -> None:
     alone = {"current": [5.0, 6.0], "camera-scale": [5.0, 6.0], "wall": [5.0, 7.0]}
     gap = replace(
         cases.NONE,
-        scores=[Score(effect=name, probability=0.3) for name in alone],
+        scores=[EffectRow(effect=name, probability=0.3) for name in alone],
         hypotheses=[
             HypothesisRow(effects=[], deviances=[9.0, 9.0]),
             *(HypothesisRow(effects=[name], deviances=own) for name, own in alone.items()),
@@ -457,7 +457,7 @@ def test_the_manual_lists_the_catalogue() -> None:
     for row in re.findall(r"^\| *(\w*) *\| `([a-z-]+)` \|", table, flags=re.M):
         stage = row[0] or stage
         listed[row[1]] = stage
-    assert listed == {effect.name: effect.stage for effect in catalogue.catalogue()}
+    assert listed == {effect.name: effect.stage for effect in catalogue.list_effects()}
 
 
 class Steady(Model):
@@ -468,9 +468,9 @@ class Steady(Model):
     channels = ()
     offers = frozenset({"command"})
 
-    def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
+    def simulate_hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
         angle = np.sin(trial.time_s)
-        return {"angle_rad": hooks.actuated(trial.time_s, angle)}
+        return {"angle_rad": hooks.actuate(trial.time_s, angle)}
 
 
 def test_the_example_of_the_manual_works() -> None:

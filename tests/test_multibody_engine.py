@@ -288,17 +288,17 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     values = np.array([c.value for c in body.coefficients.values()])
     step, steps = 0.005, 4000
     half = 0.5 * step * np.arange(2 * steps + 1)
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4, 0.1))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4, 0.1))
     motions = [joint_motion(axis, k, swim, half, 0.0) for k, axis in enumerate(planar.driven)]
     mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
     n = planar.unknowns
     flat = np.zeros(2 * n)
     flat[n] = 0.1
-    told = drive.table(len(half), motions, mounts)
+    told = drive.drive_table(len(half), motions, mounts)
     expected, _ = planar_engine.integrate(flat, step, told, tuple(planar.tables(values).values()), None, 0.0)
     start = np.zeros(13 + 2 * len(lifted.passive))
     start[3], start[7 + len(lifted.passive)] = 1.0, 0.1
-    table = drive.table(len(half), motions, [0.0] * len(motions))
+    table = drive.drive_table(len(half), motions, [0.0] * len(motions))
     found, _ = engine.integrate(start, step, table, tuple(lifted.tables(values).values()), None, 0.0)
     second = 1 if body.plane == "horizontal" else 2
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-9)
@@ -475,7 +475,7 @@ def armed(base: str, at: list[float]) -> MultibodyModel:
 
 
 def beaten(model: MultibodyModel, time: np.ndarray, **values: float) -> dict[str, np.ndarray]:
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
     known = np.array([values.get(p.name, p.start) for p in model.parameters])
     return model.simulate(known, Trial("t", "fit", time, {}, swim=swim))
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import proposals
-from swimid.diagnosis.proposals import Limits, Proposal, Segment, Swim, protocol_of
+from swimid.diagnosis.proposals import Proposal, Segment, Swim, TrialLimits, protocol_of
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Model, RigInput, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
@@ -27,10 +27,10 @@ USUAL, FASTER, SLOWER, LARGER = (
 )  # fmt: skip
 
 
-def limits(**stated: Any) -> Limits:
+def limits(**stated: Any) -> TrialLimits:
     """Return limits of an experiment with the boxfish."""
     experiment: Any = SimpleNamespace(facts={"waveform": "sine"}, robot=robots.read("boxfish"))
-    return Limits(experiment, **stated)
+    return TrialLimits(experiment, **stated)
 
 
 def proposed(
@@ -186,7 +186,7 @@ def fish() -> MultilinkModel:
 
 
 def beating(hz: float, deg: float, duration_s: float, **more: Any) -> Trial:
-    beat = drives.Beat("sine", hz, math.radians(deg), **more)
+    beat = drives.TailBeat("sine", hz, math.radians(deg), **more)
     swim = SwimInput(beat, pose=(0.3, -0.2, 0.5), coefficients={"c_f": 1.1})
     return Trial(f"{hz} Hz", "fit", 2.0 + np.arange(0.0, duration_s + 0.01, 0.04), {}, swim=swim)
 

@@ -129,7 +129,7 @@ class Closed(yamlio.Document):
     by_causes: Number = None
 
 
-class Step(yamlio.Document):
+class WaterfallStep(yamlio.Document):
     """Errors on held-out data of one model: as given, refitted, with the first causes, or the noise alone."""
 
     label: str
@@ -257,7 +257,7 @@ class Advice(yamlio.Document):
         return self._command
 
 
-class Score(yamlio.Document):
+class EffectRow(yamlio.Document):
     """Results for one effect of the catalogue that is the only effect in the model."""
 
     effect: str
@@ -318,7 +318,7 @@ class GapFile(yamlio.ResultFile):
     as_given: dict[str, ChannelScore] = {}
     where: Where
     #: Errors on held-out data: as given, refitted, after each cause in turn, and of the noise alone.
-    waterfall: list[Step] = []
+    waterfall: list[WaterfallStep] = []
     #: Closed share of the squared gap over all channels; None without a cause.
     closed: Closed | None = None
     #: Causes of the gap, the most important first. Several causes act together.
@@ -349,7 +349,7 @@ class GapFile(yamlio.ResultFile):
     #: Number of different settings among the fitted and validation trials.
     setting_count: int | None = None
     #: Scores of all effects, best first.
-    scores: list[Score] = []
+    scores: list[EffectRow] = []
     #: Parameters whose refitted values differ significantly from those of the parameter file. Their change is
     #: not a hypothesis, because the file states no standard error or the model is a black box.
     moved: dict[str, ChangedValue] = {}
@@ -380,12 +380,12 @@ class GapFile(yamlio.ResultFile):
         return self
 
     @property
-    def changed(self) -> bool:
+    def has_changed_parameter(self) -> bool:
         """Return whether a changed parameter is among the causes."""
         return any(isinstance(v, ChangedValue) for c in self.causes for v in c.parameters.values())
 
     @property
-    def closing(self) -> list[Shrinkage]:
+    def channel_errors(self) -> list[Shrinkage]:
         """Return the held-out errors of each channel without and with all causes, largest gap first."""
         return self.causes[0].shrinkage if self.causes else []
 

@@ -12,15 +12,15 @@ import numpy as np
 
 from swimid.blackbox import model as arx
 from swimid.effects.base import Effect
-from swimid.files import tabular
 from swimid.files.provenance import digests_of
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.results.parameters import Estimate
+from swimid.results.result import LOG_ENDINGS
 from swimid.simulation.catalogue import Loaded
 
 #: Per-trial parameters of a model that may be random effects. The value names a shared parameter, and the
 #: fraction of it that is the typical scale of the random effect. None stands for the parameter's own scale.
-OWN: dict[str, tuple[str, float] | None] = {
+RANDOM_PARAMETERS: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
     "relative_drag_deviation": None,
     "start_offset": None,
@@ -28,11 +28,9 @@ OWN: dict[str, tuple[str, float] | None] = {
 }
 #: Those of them that are random effects only if settings are repeated. Between single trials of different
 #: settings, they would absorb any drag that the model lacks.
-OF_REPEATS = {"relative_drag_deviation"}
+RANDOM_IN_REPEATS = {"relative_drag_deviation"}
 #: Minimum number of trials from which random effects are estimated.
-MIN_TRIALS = 3
-#: File name endings by which logs are recognised among the input files.
-LOGS = (".csv", *tabular.PARQUET)
+MIN_RANDOM_TRIALS = 3
 
 #: Prior standard deviation of a coefficient that was not estimated from other trials, as a fraction of its
 #: value.
@@ -47,7 +45,7 @@ OTHER_PRIOR = 0.03
 OTHER_DAY = 0.01
 #: Correlation between the noise of a logged rate and that of the differentiated pose above which the rate
 #: counts as computed from the pose.
-DERIVED = 0.3
+MAX_RATE_CORRELATION = 0.3
 #: Prefix of the names of hypotheses that a parameter has changed. The rest of such a name is the parameter.
 PREFIX = "parameter:"
 #: Typical scale of a parameter's change since the parameter file was written, as a fraction of its value.
@@ -99,7 +97,7 @@ class ParameterChange(Effect):
 
 
 @dataclass(frozen=True)
-class Begun:
+class Preparation:
     """Trials, and priors of the coefficients, at the start of a diagnosis.
 
     Attributes
@@ -127,7 +125,7 @@ class Begun:
     correlation: tuple[list[str], Array]
 
 
-def begun(loaded: Loaded) -> Begun:
+def prepare_diagnosis(loaded: Loaded) -> Preparation:
     """Return trials and priors at the start of a diagnosis, and give the model its refitted parameters."""
     experiment, applied = loaded.experiment, loaded.applied
     model, file = experiment.model, applied.file
@@ -136,14 +134,14 @@ def begun(loaded: Loaded) -> Begun:
     if file is not None:
         given = {name: e for name, e in file.parameters.items() if "[" not in name}
         known_logs = set((file.provenance.get("inputs") or {}).values())
-        logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
+        logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOG_ENDINGS]
         own_data = any(digest in known_logs for digest in digests_of(logs).values())
-    own = applied.fitted_per_trial()
-    if len(experiment.trials) >= MIN_TRIALS:
-        # Do not free the per-trial parameters of OWN. They are random effects in a diagnosis, and without a
-        # prior they would absorb any gap.
-        own -= OWN.keys()
-    model.parameters = refitted(model.parameters, given, applied.values(), own=own)
+    own = applied.list_per_trial()
+    if len(experiment.trials) >= MIN_RANDOM_TRIALS:
+        # Do not free the per-trial parameters of RANDOM_PARAMETERS. They are random effects in a diagnosis,
+        # and without a prior they would absorb any gap.
+        own -= RANDOM_PARAMETERS.keys()
+    model.parameters = select_refitted(model.parameters, given, applied.values(), own=own)
     runs = experiment.trials
     if model.timed_runs:
         runs = [run for trial in runs for run in trial.split_rows()]
@@ -160,17 +158,17 @@ def begun(loaded: Loaded) -> Begun:
     sd = np.sqrt(np.diag(covariance))[mine]
     correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
     unweighed = {} if own_data else {n: e for n, e in given.items() if n not in known}
-    return Begun(
-        [widened(t, model.channels) for t in runs],
+    return Preparation(
+        [add_channels(t, model.channels) for t in runs],
         given,
         unweighed,
-        prior(model.parameters, given, own_data=own_data, exact=known),
+        select_priors(model.parameters, given, own_data=own_data, exact=known),
         changes,
         ([names[i] for i in mine], correlation),
     )
 
 
-def refitted(
+def select_refitted(
     parameters: Sequence[Parameter], given: Mapping[str, Estimate], values: Array, own: Collection[str] = ()
 ) -> tuple[Parameter, ...]:
     """Return the model's parameters as the diagnosis refits them.
@@ -196,7 +194,7 @@ def refitted(
     return tuple(found)
 
 
-def prior(
+def select_priors(
     parameters: Sequence[Parameter],
     given: Mapping[str, Estimate],
     *,
@@ -233,7 +231,7 @@ def prior(
     return found
 
 
-def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
+def add_channels(trial: Trial, channels: Sequence[Channel]) -> Trial:
     """Return a copy of the trial in which all logged channels count as measured.
 
     Channels that were computed from other channels are left out.
@@ -247,13 +245,13 @@ def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
             continue
         if name.startswith("joint") and joints_drive:
             continue
-        if not name.startswith("joint") and _computed(name, values, trial):
+        if not name.startswith("joint") and _is_computed(name, values, trial):
             continue
         measured[name] = values
     return replace(trial, measured=measured)
 
 
-def _computed(name: str, values: Array, trial: Trial) -> bool:
+def _is_computed(name: str, values: Array, trial: Trial) -> bool:
     """Return whether a logged velocity or rate was computed by differentiation of the logged pose."""
     source = {"yaw_rate_rad_s": "yaw_rad", "pitch_rate_rad_s": "pitch_rad"}.get(name)
     heading = next((c for c in ("yaw_rad", "pitch_rad") if c in trial.measured), None)
@@ -276,4 +274,4 @@ def _computed(name: str, values: Array, trial: Trial) -> bool:
     there = np.isfinite(rough) & np.isfinite(own)
     if there.sum() < 20 or np.std(own[there]) == 0:
         return True
-    return float(abs(np.corrcoef(rough[there], own[there])[0, 1])) > DERIVED
+    return float(abs(np.corrcoef(rough[there], own[there])[0, 1])) > MAX_RATE_CORRELATION

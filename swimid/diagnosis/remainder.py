@@ -16,12 +16,21 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.candidates import within
-from swimid.diagnosis.crossval import solved
-from swimid.diagnosis.study import Hypothesis, Study
+from swimid.diagnosis.crossval import solve_normal
+from swimid.diagnosis.screening import is_sound
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import Effect
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
+from swimid.fitting.model import (
+    FORCE_SIGNATURE,
+    Array,
+    ExternalForce,
+    Hooks,
+    Model,
+    Parameter,
+    Trial,
+    traceable,
+)
 from swimid.fitting.problem import map_in_processes
 
 #: Candidates for the prior standard deviation of the terms that describe residuals without physics, in units
@@ -53,7 +62,7 @@ def least_gain(samples: float) -> float:
 
 
 @dataclass(frozen=True)
-class Left:
+class Structure:
     """Structure that a generic description finds in the residuals of a fit.
 
     Attributes
@@ -72,7 +81,7 @@ class Left:
     places: dict[str, float]
 
     @property
-    def found(self) -> bool:
+    def is_present(self) -> bool:
         """Return whether the generic description decreases the residuals by more than noise alone allows."""
         return self.gain > self.threshold
 
@@ -84,7 +93,7 @@ class Term(NamedTuple):
     changes: list[Array]
 
 
-def generic_terms(study: Study, base: Hypothesis) -> list[Term]:
+def simulate_terms(study: GapStudy, base: Hypothesis) -> list[Term]:
     """Return the changes of the trials by generic terms, linearised about a fit.
 
     Terms that change nothing, or with which the simulation diverges, are left out.
@@ -95,23 +104,25 @@ def generic_terms(study: Study, base: Hypothesis) -> list[Term]:
         return [
             Term(description.place, changed)
             for changed in study.changes(base, description, description.tries(parameters))
-            if all(within(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
+            if all(is_sound(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
         ]
 
-    found = map_in_processes(of, descriptions(study.model, study.trials), study.jobs)
+    found = map_in_processes(of, list_descriptions(study.model, study.trials), study.jobs)
     return [term for of_each in found for term in of_each]
 
 
-def find(study: Study, base: Hypothesis, terms: Sequence[Term], *, rng: np.random.Generator) -> Left:
+def find_structure(
+    study: GapStudy, base: Hypothesis, terms: Sequence[Term], *, rng: np.random.Generator
+) -> Structure:
     """Fit a generic description without physics to the residuals of a fit.
 
     The width of the prior of its terms is chosen on held-out folds.
     """
     columns = [term.changes for term in terms]
-    inner = crossval.normal_equations(study, base, columns)
-    plain = crossval.held_out(inner)
-    draws = crossval.noise_draws(inner, rng, DRAWS)
-    plain_drawn = crossval.held_out(inner, draws=draws)
+    inner = crossval.form_normal_equations(study, base, columns)
+    plain = crossval.compute_held_out(inner)
+    draws = crossval.draw_noise(inner, rng, DRAWS)
+    plain_drawn = crossval.compute_held_out(inner, draws=draws)
     every = list(range(len(columns)))
     samples = float(inner.samples.sum())
     gain, largest = 0.0, np.zeros(DRAWS)
@@ -119,23 +130,23 @@ def find(study: Study, base: Hypothesis, terms: Sequence[Term], *, rng: np.rando
         tried = [width**-2] * len(columns)
         if _freedom(inner, tried) > MOST_USED * samples:
             break
-        gain = max(gain, float((plain - crossval.held_out(inner, every, tried)).sum()))
-        drawn = (plain_drawn - crossval.held_out(inner, every, tried, draws)).sum(axis=0)
+        gain = max(gain, float((plain - crossval.compute_held_out(inner, every, tried)).sum()))
+        drawn = (plain_drawn - crossval.compute_held_out(inner, every, tried, draws)).sum(axis=0)
         largest = np.maximum(largest, drawn)
     places = {}
     for place in dict.fromkeys(term.place for term in terms):
         mine = [i for i, term in enumerate(terms) if term.place == place]
-        alone = (plain - crossval.held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
+        alone = (plain - crossval.compute_held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
         places[place] = max(float(gains.sum()) for gains in alone)
     least = max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples))
-    return Left(max([gain, *places.values()]), least, places)
+    return Structure(max([gain, *places.values()]), least, places)
 
 
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:
     """Return the effective number of parameters of the generic terms: the trace of their hat matrix."""
     normal = inner.whole[:-1, :-1]
     ridge = block_diag(inner.prior, np.diag(prior))
-    return float(np.trace(solved(normal + ridge, normal)[inner.shared :, inner.shared :]))
+    return float(np.trace(solve_normal(normal + ridge, normal)[inner.n_shared :, inner.n_shared :]))
 
 
 #: Terms of the residual force on a robot, in the order of their factors.
@@ -146,7 +157,7 @@ TERMS = (
 #: Levels of the frequency or amplitude in a table of steady swimming: minimum number of rows that share a
 #: level, relative tolerance within a level, and maximum number of levels. If there are more, none is used.
 SHARED, LEVEL, LEVELS = 3, 1e-3, 12
-AXES = {"surge": 0, "sway": 1, "yaw": 2}
+FORCE_AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
 
 @traceable(on="base", constants=17)
@@ -230,8 +241,8 @@ class ResidualForce(Description):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return the hook that adds the smooth force to the simulation of one trial."""
-        known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
-        return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
+        known = [FORCE_AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
+        return Hooks(force=(ExternalForce(smooth_force, np.concatenate((known, values))),))
 
 
 class ResidualPush(Description):
@@ -248,7 +259,7 @@ class ResidualPush(Description):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [*_window(trial), self.speed, self.span]
-        return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
+        return Hooks(force=(ExternalForce(smooth_push, np.concatenate((known, values))),))
 
 
 class StrokeDeviation(Description):
@@ -387,7 +398,7 @@ def beat_hz(trial: Trial) -> float:
     return 1.0 / length
 
 
-def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
+def list_descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
     """Return all generic descriptions of residuals for which the model has hooks and the trials have data."""
     found: list[Description] = []
     dynamic = any(len(t.time_s) > 1 for t in trials)
@@ -414,7 +425,7 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
             distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
             speed = max(distance / length, 1e-3)
             push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
-            for axis in AXES:
+            for axis in FORCE_AXES:
                 found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed))
     if "command" in model.offers and dynamic:
         found.append(StrokeDeviation())

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from swimid.effects import base
 from swimid.effects.base import SIZES, Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Parameter, traceable, typical
+from swimid.fitting.model import FORCE_SIGNATURE, ExternalForce, Hooks, Parameter, traceable, typical
 
 
 @traceable(on="hull", constants=2)
@@ -105,7 +105,7 @@ class Current(Effect):
 
 
 #: Height above the water level over which the loss of buoyancy increases smoothly from zero, m.
-ROUND = 0.002
+SURFACE_ROUNDING_M = 0.002
 
 
 @traceable(on="hull", constants=5)
@@ -119,7 +119,11 @@ def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     middle = pose[1] + constants[2] * s + constants[3] * c - constants[1]
     for side in (-1.0, 1.0):
         above = middle + side * constants[4] * s
-        down = -0.25 * constants[0] * (above + math.sqrt(above * above + ROUND * ROUND))
+        down = (
+            -0.25
+            * constants[0]
+            * (above + math.sqrt(above * above + SURFACE_ROUNDING_M * SURFACE_ROUNDING_M))
+        )
         wrench[0] += down * s
         wrench[1] += down * c
         wrench[2] += side * constants[4] * down * c
@@ -185,7 +189,7 @@ def _heights(trial: Trial) -> Trial:
 
 #: Minimum distance from the anchor of a tether, m, in the direction of its pull. It avoids a division by
 #: zero.
-TINY = 1e-30
+MIN_DISTANCE_M = 1e-30
 
 
 @traceable(on="base", constants=5)
@@ -201,7 +205,7 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
     wrench[0] -= drag * u
     wrench[1] -= drag * v
     # The pull is zero at the anchor itself.
-    pull = constants[0] * max(distance - constants[1], 0.0) / max(distance, TINY)
+    pull = constants[0] * max(distance - constants[1], 0.0) / max(distance, MIN_DISTANCE_M)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] -= pull * (c * dx + s * dy)
     wrench[1] -= pull * (c * dy - s * dx)
@@ -267,10 +271,10 @@ class Tether(Effect):
         line, anchor, (x, y) = list(values), (trial.rig.x0, 0.0), (0.0, 0.0)
         if model.body is not None:
             *line, behind = values
-            start_x, start_y, heading = trial.swim.posed()
+            start_x, start_y, heading = trial.swim.get_pose()
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
             x, y = model.body.reference_m
-        return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
+        return Hooks(force=(ExternalForce(pull_back, np.array([*line, *anchor]), x=x, y=y),))
 
 
 def _reach(model: Model, trials: Trials) -> float:
@@ -418,7 +422,7 @@ TRAVELLED = 1
 #: Water depth of a shallow pool for which wavenumbers are computed, m.
 DEPTH = 0.5
 #: Fraction of a track's variance at one frequency above which the track counts as an oscillation.
-MOST = 0.5
+MIN_OSCILLATION_SHARE = 0.5
 
 
 #: Minimum density of a fluid with a free surface, kg/m^3. Liquids in which robots swim have at least half the
@@ -470,7 +474,7 @@ class Waves(Effect):
             np.isfinite(t.measured.get(f"{model.axes[0]}_m", math.nan)).sum() > ORDER for t in trials
         )
         for axis in model.axes:
-            strongest = lines(model, trials, axis)
+            strongest = find_lines(model, trials, axis)
             found += [Waves(axis, line) for line in strongest]
             found += [_Travelling(axis, line) for line in strongest[: TRAVELLED * tracked]]
         return found
@@ -610,7 +614,7 @@ def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
     return np.asarray(np.interp(time_s, trial.time_s[there], series[there]))
 
 
-def _simulated(model: Model, trial: Trial, channel: str) -> Array:
+def _simulate_channel(model: Model, trial: Trial, channel: str) -> Array:
     """Return a simulated channel with the parameters at their start values; zeros if the simulation fails."""
     own = [p.name for p in model.parameters if p.per_trial]
     starts = {name: trial.starts[name] for name in own if name in trial.starts}
@@ -621,7 +625,7 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     return series
 
 
-def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
+def find_lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     """Return the frequencies, Hz, of the strongest spectral lines of the tracks along an axis.
 
     Lines that the model or the beat explains are excluded. A polynomial in time and the beat are removed by
@@ -642,8 +646,8 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         time = trial.time_s[there] - trial.time_s[0]
         width = 1.0 / max(float(time[-1]), 1e-9)
         beat = trial.swim.beat
-        simulated = _simulated(model, trial, name)[there]
-        beating = oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
+        simulated = _simulate_channel(model, trial, name)[there]
+        beating = find_oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
         harmonics = [k * beating for k in (1, 2, 3) if beating > 0.0]
         slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
         waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
@@ -666,7 +670,7 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     return tuple(strongest[:LINES])
 
 
-def oscillation(time_s: Array, series: Array) -> float:
+def find_oscillation(time_s: Array, series: Array) -> float:
     """Return the dominant frequency of a series, Hz.
 
     Return 0 if less than half of the variance is at one frequency.
@@ -682,6 +686,6 @@ def oscillation(time_s: Array, series: Array) -> float:
     grid = np.arange(2.0, max(lasting * min(2.0 * HIGHEST, highest), 2.5), 0.25) / lasting
     share = lombscargle(time_s, centred, 2.0 * np.pi * grid, normalize=True)
     best = int(np.argmax(share))
-    if share[best] <= MOST:
+    if share[best] <= MIN_OSCILLATION_SHARE:
         return 0.0
     return float(grid[best])

@@ -22,12 +22,12 @@ KIND = "mjcf"
 #: Typical motion of a joint, m and rad, if the commands do not show it.
 USUAL = {SLIDE: 0.05, HINGE: base.USUAL_ANGLE}
 #: Damping and friction that a diagnosis tries first, as a fraction of the typical torque of the joint.
-SMALL = 0.05
+SMALL_TORQUE_SHARE = 0.05
 #: Maximum change of the drag coefficients, as a fraction of their values.
 MAX_DRAG_CHANGE = 4.0
 
 
-class Joint(NamedTuple):
+class MjcfJoint(NamedTuple):
     """Joint of a compiled model with one coordinate, and its typical motion."""
 
     name: str
@@ -44,14 +44,16 @@ class Joint(NamedTuple):
         return ("N m", "N m s/rad", "kg m^2") if self.kind == HINGE else ("N", "N s/m", "kg")
 
 
-def joints(model: Any, trials: Trials) -> list[Joint]:
+def joints(model: Any, trials: Trials) -> list[MjcfJoint]:
     """Return the joints between the links of a robot."""
     compiled, omega = model.compiled, 2.0 * math.pi / base.typical_period(model, trials)
     found = []
     for k in sorted({*range(compiled.njnt)} - {*base_joints(compiled)}):
         dof, kind = int(compiled.jnt_dofadr[k]), int(compiled.jnt_type[k])
         stiffness = max(float(compiled.jnt_stiffness[k]), float(compiled.dof_M0[dof]) * omega**2)
-        found.append(Joint(model.joint_names[k], k, dof, kind, stiffness * USUAL[kind], omega * USUAL[kind]))
+        found.append(
+            MjcfJoint(model.joint_names[k], k, dof, kind, stiffness * USUAL[kind], omega * USUAL[kind])
+        )
     return found
 
 
@@ -138,7 +140,7 @@ class OfJoint(Effect):
         return (parameter(name, unit, size, f"{self.word} of {self.joint} beyond the model's", lower=least),)
 
     @abstractmethod
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the parameter."""
 
     def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
@@ -156,9 +158,9 @@ class MjcfJointDamping(OfJoint, structure.JointDamping):
 
     field, word = "dof_damping", "damping"
 
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the damping."""
-        return joint.units[1], SMALL * joint.torque / joint.rate
+        return joint.units[1], SMALL_TORQUE_SHARE * joint.torque / joint.rate
 
 
 class MjcfJointFriction(OfJoint, structure.JointFriction):
@@ -166,9 +168,9 @@ class MjcfJointFriction(OfJoint, structure.JointFriction):
 
     field, word = "dof_frictionloss", "friction"
 
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the friction."""
-        return joint.units[0], SMALL * joint.torque
+        return joint.units[0], SMALL_TORQUE_SHARE * joint.torque
 
 
 class JointArmature(OfJoint):
@@ -180,7 +182,7 @@ class JointArmature(OfJoint):
     sources = ("MuJoCo documentation, XML reference, joint/armature",)
     field, word = "dof_armature", "armature"
 
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the inertia."""
         return joint.units[2], 0.1 * float(model.compiled.dof_M0[joint.dof])
 
@@ -310,7 +312,7 @@ class MjcfComOffset(structure.ComOffset):
         return Hooks(tables=(change,))
 
 
-class MjcfAddedMass(fluid.AddedMass):
+class MjcfAddedMass(fluid.AddedMassFactor):
     """Added mass in acceleration, which the fluid forces of MuJoCo do not have.
 
     Each body gains a share of the mean added mass and added inertia that MuJoCo computes for its ellipsoids

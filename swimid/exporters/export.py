@@ -27,7 +27,7 @@ from swimid.results.parameters import Estimate
 from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import drawn
+from swimid.simulation.draws import draw_parameters
 
 FORMAT = "swimid-export/1"
 #: Key of the list of force elements in the JSON document, for each kind of force element.
@@ -178,7 +178,7 @@ def _write_files(
     if options.draws:
         table = _table(source, samples[: options.draws], options.seed)
         files[out.with_name(f"{out.stem}_draws.csv")] = table
-    with atomic.together():
+    with atomic.write_together():
         for path, written in files.items():
             atomic.write_text(path, written)
         if not filters and beside.exists() and is_own(beside):
@@ -224,7 +224,7 @@ def load(params: parameters.Source) -> ExportSource:
     InputError
         A file is invalid, no robot is named, or the parameters are those of another robot.
     """
-    path = parameters.place(params)
+    path = parameters.source_path(params)
     file = parameters.read(params, model=("multilink", "multibody"))
     kind = ExportSource
     if file.model == "multibody":
@@ -255,7 +255,7 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
     try:
         source.assembly.check(source.values)
     except InputError as error:
-        raise robot.located(error, Path(place)) from error
+        raise robot.add_location(error, Path(place)) from error
     known = {parameter.name for parameter in source.model.parameters}
     known |= set(source.parameters.settings.get("shared") or {})
     for name in source.parameters.parameters:
@@ -309,7 +309,7 @@ def _samples(source: ExportSource, count: int, seed: int) -> list[dict[str, floa
     if not applied.uncertain()[0]:
         raise UsageError("no parameter of the file has a standard error to draw from")
     applied.warn_without_error("the random samples")
-    vectors, inside = drawn(applied, count, seed)
+    vectors, inside = draw_parameters(applied, count, seed)
     if inside < 1.0 - NOTABLE:
         share = numbers.percent(1.0 - inside)
         warn("SWM069", f"{share} of the random samples lay outside the bounds, and were drawn again")

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import list_effects
 from swimid.exporters.causes import FILTERS, ExportedCause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
-from swimid.fitting.model import TRACEABLE, Force
-from swimid.notices import recorded
+from swimid.fitting.model import TRACEABLE, ExternalForce
+from swimid.notices import record_warnings
 from swimid.swimmer.tree import SYMMETRIC
 
 TITLE = "MuJoCo MJCF"
@@ -118,7 +118,7 @@ def _limits(source: ExportSource) -> list[str]:
     ]
 
 
-def _site(force: Force) -> str:
+def _site(force: ExternalForce) -> str:
     """Return the name of the MuJoCo site at which the force of an effect acts."""
     return CAUSE + next(name for name, known in TRACEABLE.items() if known.function is force.function)
 
@@ -242,7 +242,7 @@ def compare_with_mujoco(source: ExportSource, params: Any, text: str) -> dict[st
     columns = [axis.column for axis in source.model.driven]
     if source.causes or not columns or not source.model.free_base:
         return None
-    with recorded():
+    with record_warnings():
         log = simulate(params=params, sample_rate_hz=1.0 / MJCF_STEP_S, **COMPARED).frame
     before = mujoco.get_mjcb_passive()
     mujoco.set_mjcb_passive(None)
@@ -374,7 +374,7 @@ def _law(name: str, row: Any) -> Law:
     if not name.startswith(CAUSE):
         return lambda time_s, pose, u, v, r: _force(row, u, v, r)
     # Call the catalogue to import the modules of all effects, which register the functions of their forces.
-    catalogue()
+    list_effects()
     known = TRACEABLE[name.removeprefix(CAUSE)]
     constants = row[: known.constants]
 

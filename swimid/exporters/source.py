@@ -15,13 +15,13 @@ import numpy as np
 from swimid.exporters.causes import ExportedCause, limits_of, read_causes
 from swimid.exporters.options import ExportOptions
 from swimid.files.templates import environment
-from swimid.fitting.model import Array, Force
+from swimid.fitting.model import Array, ExternalForce
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.tree import SYMMETRIC, Actuated, Axis, Polynomial
+from swimid.swimmer.tree import SYMMETRIC, Actuated, MovingJoint, Polynomial
 
 #: Names of the numerical values that describe a force element, for each kind of force element. Their order is
 #: that of the columns in the input arrays of the equations of motion (``engine``).
@@ -213,7 +213,7 @@ class ExportSource:
         return np.asarray(_change_tables(dry.tables(self.values), causes)["inertia"])
 
     @cached_property
-    def forces(self) -> list[tuple[str, Force]]:
+    def forces(self) -> list[tuple[str, ExternalForce]]:
         """Forces that the effects exert on the links, each with the name of its effect."""
         # Compute the tables first, because some forces get their constants when their effect changes the
         # tables.
@@ -282,7 +282,7 @@ class ExportSource:
         """
         return [link.rigid + fold * (link.added - link.directional) for link in self.links]
 
-    def actuator(self, axis: Axis) -> Actuated:
+    def actuator(self, axis: MovingJoint) -> Actuated:
         """Return the actuator of a driven joint."""
         return self.assembly.actuators[self.assembly.actuator_of[self.assembly.driven.index(axis)]]
 
@@ -332,7 +332,7 @@ def _change_tables(tables: Mapping[str, Any], causes: Sequence[ExportedCause]) -
     """Return a copy of the input arrays of the equations of motion with the changes by effects."""
     found = {name: np.copy(table) for name, table in tables.items()}
     for cause in causes:
-        cause.hooks.changed(found, "tables")
+        cause.hooks.change_values(found, "tables")
     return found
 
 

@@ -19,7 +19,7 @@ from pydantic import model_validator
 
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import yamlio
-from swimid.files.tabular import repeated
+from swimid.files.tabular import find_repeated
 from swimid.logs.foreign import safe
 from swimid.logs.linkage import Array, Complex, Flags, Linkage
 from swimid.logs.log import TIME
@@ -56,7 +56,7 @@ class PointsFile(yamlio.Document):
 
     format: Literal["swimid-points/1"] = FORMAT
     #: Place of each point, by the name that the tracker uses. It replaces the points of the robot file.
-    points: dict[str, planar.Place] = {}
+    points: dict[str, planar.TrackedPoint] = {}
     #: Points from front to rear of a body without a robot file.
     chain: list[str] = []
     scale: PointScale | None = None
@@ -75,7 +75,7 @@ class PointsFile(yamlio.Document):
     @model_validator(mode="after")
     def _consistent(self) -> PointsFile:
         names = [safe(name) for name in (self.chain or self.points)]
-        twice = repeated(names)
+        twice = find_repeated(names)
         if twice is not None:
             raise ValueError(f"the point '{twice}' stands twice")
         if self.chain and self.points:
@@ -98,7 +98,7 @@ def of(given: str | Path | PointsFile | Mapping[str, Any]) -> PointsFile:
     if isinstance(given, PointsFile):
         return given
     if isinstance(given, str | Path):
-        return yamlio.validated(given, PointsFile)
+        return yamlio.read_document(given, PointsFile)
     return yamlio.validate(dict(given), PointsFile, "points")
 
 
@@ -114,7 +114,7 @@ class View:
 # ---------------------------------------------------------------- linkage of a robot
 
 
-def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where: str) -> Linkage:
+def linkage_of(body: planar.Multilink, points: Mapping[str, planar.TrackedPoint], where: str) -> Linkage:
     """Return the linkage of a robot in a plane with tracked points.
 
     Links on rigid joints become a part of their parent. The coefficients have the values of the file.

@@ -273,13 +273,13 @@ def pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> Po
     except InputError as error:
         file = Path(error.file or "")
         if error.line is None and error.column and file.suffix.lower() in (".yaml", ".yml"):
-            raise robot_format.located(error, file) from error
+            raise robot_format.add_location(error, file) from error
         raise
 
 
 def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> Posed:
     spec, body, robot, where = request.read()
-    placed: Mapping[str, planar.Place] = spec.points
+    placed: Mapping[str, planar.TrackedPoint] = spec.points
     if body is not None and not spec.points:
         placed = body.points
     place = (where, "points.{}")
@@ -339,7 +339,7 @@ def _linkage(
     film: Film,
     body: planar.Multilink | None,
     names: list[str],
-    placed: Mapping[str, planar.Place],
+    placed: Mapping[str, planar.TrackedPoint],
     where: str,
     unit: str,
     calibrate: bool,

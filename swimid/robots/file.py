@@ -51,7 +51,7 @@ class Body(yamlio.Document):
     yaw_inertia_kg_m2: PositiveFloat | None = None
 
 
-class Rig(yamlio.Document):
+class TestRig(yamlio.Document):
     """Properties of the test rig that pulls the robot or holds it by a spring."""
 
     pulley_inertia_kg: NonNegative = 0.0
@@ -111,7 +111,7 @@ class Reading(yamlio.Document):
     options: dict[str, ReadingOption]
 
     @model_validator(mode="after")
-    def _known(self) -> Reading:
+    def _check_choice(self) -> Reading:
         if self.chosen not in self.options:
             raise ValueError(f"'{self.chosen}' is none of its options: {', '.join(self.options)}")
         return self
@@ -155,7 +155,7 @@ class Robot(yamlio.Document):
     sources: list[str] = []
     fluid: Fluid = Fluid()
     body: Body = Body()
-    rig: Rig = Rig()
+    rig: TestRig = TestRig()
     fins: dict[str, Fin] = {}
     theory: list[Theory] = []
     #: Links, joints and hydrodynamic elements of a robot that moves in a plane.
@@ -211,12 +211,12 @@ def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> 
     return create_model("Robot", __base__=Robot, __doc__=Robot.__doc__, **fields)
 
 
-def _validated(data: Mapping[str, Any], path: Path) -> Robot:
+def _validate(data: Mapping[str, Any], path: Path) -> Robot:
     """Validate the content of a robot file, and return it as a robot."""
     return yamlio.validate(data, schema_of(frozenset(data) & {"multilink", "multibody"}), path)
 
 
-def built_in() -> list[str]:
+def list_built_in_robots() -> list[str]:
     """Return the names of the built-in robots."""
     folder = resources.files("swimid") / "robots"
     return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
@@ -232,17 +232,17 @@ def locate(name: str, relative_to: Path | None = None, said: Mapping[str, Any] |
     InputError
         If no such robot exists.
     """
-    if name in built_in():
+    if name in list_built_in_robots():
         return Path(str(resources.files("swimid") / "robots" / f"{name}.yaml"))
     path = Path(name) if relative_to is None or Path(name).is_absolute() else relative_to / name
     if path.is_file() or path.is_dir():
         return path
-    close = nearest(name, built_in())
+    close = nearest(name, list_built_in_robots())
     hint = f"did you mean '{close}'? " if close else ""
     raise InputError(
         f"there is no robot '{name}'",
         **(said or {"file": path if path.suffix in (".yaml", ".yml") else None}),
-        hint=f"{hint}built-in robots: {', '.join(built_in())}; or give the path of a robot file",
+        hint=f"{hint}built-in robots: {', '.join(list_built_in_robots())}; or give the path of a robot file",
     )
 
 
@@ -277,7 +277,7 @@ class RobotFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._data = yamlio.load(path)
-        self._written = _validated(self._data, path)
+        self._written = _validate(self._data, path)
 
     def read(self, readings: Mapping[str, str]) -> Robot:
         """Return the robot, with some interpretations of the sources replaced (see :func:`read`)."""
@@ -301,7 +301,7 @@ class RobotFile:
             for place, value in written[key].options[option].set.items():
                 _put(patched, place, value, f"readings.{key}.options.{option}", path)
             patched["readings"][key]["chosen"] = option
-        return _validated(patched, path)
+        return _validate(patched, path)
 
 
 def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
@@ -314,7 +314,7 @@ def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
     def key_of(part: str) -> Any:
         key = _member(data, part)
         if key is None:
-            raise located(
+            raise add_location(
                 InputError(f"a reading changes '{place}', but there is no '{part}'", column=where), path
             )
         return key
@@ -345,7 +345,7 @@ def _member(data: Any, part: str) -> Any:
     return None
 
 
-def located(error: InputError, path: Path) -> InputError:
+def add_location(error: InputError, path: Path) -> InputError:
     """Return a copy of an error that also names the robot file and the line of its cause.
 
     The line is that of the entry to which the dotted path in the ``column`` of the error points.

@@ -96,14 +96,14 @@ class Coefficient(yamlio.Document):
         return self
 
 
-def _named(coefficients: dict[str, Coefficient]) -> dict[str, Coefficient]:
+def _check_coefficient_names(coefficients: dict[str, Coefficient]) -> dict[str, Coefficient]:
     for name in coefficients:
         if not NAME.fullmatch(name):
             raise ValueError(f"a coefficient cannot be called '{name}': letters, digits and _ only")
     return coefficients
 
 
-Coefficients = Annotated[dict[str, Coefficient], AfterValidator(_named)]
+Coefficients = Annotated[dict[str, Coefficient], AfterValidator(_check_coefficient_names)]
 
 
 class Link(yamlio.Document):
@@ -181,7 +181,7 @@ class Driven(Actuator):
     table_deg: Annotated[list[tuple[float, float]], Field(min_length=2)] | None = None
 
     @property
-    def computed(self) -> bool:
+    def is_computed(self) -> bool:
         """Whether the angle is computed, from a command or a shared actuator. It is then never given."""
         return self.servo is not None or self.actuator is not None
 
@@ -380,7 +380,7 @@ class SlenderBody(OnLink):
     strips: Annotated[int, Field(ge=1, le=200)] = 5
 
     @model_validator(mode="after")
-    def _ordered(self) -> SlenderBody:
+    def _check_order(self) -> SlenderBody:
         stations = [s.station_m for s in self.sections]
         if any(b <= a for a, b in pairwise(stations)):
             raise ValueError("the stations of the sections must increase")
@@ -668,7 +668,7 @@ class Holder(yamlio.Document):
     damping_ratio: Quantity = 0.05
 
 
-class Place(yamlio.Document):
+class TrackedPoint(yamlio.Document):
     """Place of a tracked point on a robot in a plane: its link, and coordinates in the axes of this link.
 
     The origin of the axes is the front end of the link. x points forward, y to port (upwards in the vertical
@@ -714,7 +714,7 @@ class Multilink(yamlio.Document):
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
     #: Places of points that a tracker follows in a film, by the names that the tracker uses.
-    points: dict[str, Place] = {}
+    points: dict[str, TrackedPoint] = {}
     coefficients: Coefficients = {}
     inputs: dict[str, Input] = {}
     #: Actuators that several driven joints follow, by name.

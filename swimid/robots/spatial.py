@@ -32,7 +32,7 @@ from swimid.robots.planar import (
 #: Type of a vector with three physical quantities as components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
 Direction = tuple[float, float, float]
-ZERO: Vector = (0.0, 0.0, 0.0)
+ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
 
 def _long(direction: Direction) -> Direction:
@@ -50,7 +50,7 @@ class Body(yamlio.Document):
 
     name: str
     mass_kg: Quantity = 0.0
-    com_m: Vector = ZERO
+    com_m: Vector = ZERO_VECTOR
     #: Components xx, yy, zz of the inertia tensor of the link about its centre of mass, in the axes of the
     #: link. The components xy, xz, yz follow if they are not zero.
     inertia_kg_m2: Annotated[list[Quantity], Field(min_length=3, max_length=6)] = [0.0, 0.0, 0.0]
@@ -69,7 +69,7 @@ class Hinge(Connection):
     """
 
     #: Position of the hinge in the axes of the parent link, m.
-    at_m: Vector = ZERO
+    at_m: Vector = ZERO_VECTOR
     #: Direction of the rotation axis of the hinge, in the axes of the child link.
     axis: Axis
     #: Rotation from the axes of the parent link to those of the child link at zero hinge angle, degrees. It
@@ -84,9 +84,9 @@ class AddedMass(OnLink):
     """
 
     kind: Literal["added-mass"]
-    mass_kg: Vector = ZERO
-    inertia_kg_m2: Vector = ZERO
-    at_m: Vector = ZERO
+    mass_kg: Vector = ZERO_VECTOR
+    inertia_kg_m2: Vector = ZERO_VECTOR
+    at_m: Vector = ZERO_VECTOR
 
 
 class Spheroid(OnLink):
@@ -96,7 +96,7 @@ class Spheroid(OnLink):
     #: Half the length of the prolate spheroid, and its maximum radius, m.
     semi_major_m: PositiveFloat
     semi_minor_m: PositiveFloat
-    at_m: Vector = ZERO
+    at_m: Vector = ZERO_VECTOR
     #: Factors by which the added masses of the spheroid along x, y and z are multiplied. The added inertia
     #: for rotation about y has the factor of z, and that for rotation about z the factor of y, because these
     #: rotations move water along z and y.
@@ -123,7 +123,7 @@ class Plate(OnLink):
     chord_m: PositiveFloat
     #: Dimensionless coefficient k in the added mass of the plate (sea lion paper, Eq 9).
     k: Quantity = 1.0
-    at_m: Vector = ZERO
+    at_m: Vector = ZERO_VECTOR
     normal: Axis = (0.0, 0.0, 1.0)
 
 
@@ -136,12 +136,12 @@ class Drag(OnLink):
     """
 
     kind: Literal["drag"]
-    area_m2: Vector = ZERO
+    area_m2: Vector = ZERO_VECTOR
     coefficient: Vector = (1.0, 1.0, 1.0)
-    linear_N_s_m: Vector = ZERO
+    linear_N_s_m: Vector = ZERO_VECTOR
     #: Quadratic drag in addition to that of the areas: force divided by the square of the velocity.
-    quadratic_N_s2_m2: Vector = ZERO
-    at_m: Vector = ZERO
+    quadratic_N_s2_m2: Vector = ZERO_VECTOR
+    at_m: Vector = ZERO_VECTOR
     #: End of the row of drag strips that begins at ``at_m``. The field ``area_m2`` is the area of the whole
     #: row.
     to_m: Vector | None = None
@@ -161,8 +161,8 @@ class Damping(OnLink):
     """Linear and quadratic damping moments that oppose the rotation of a link about each of its axes."""
 
     kind: Literal["damping"]
-    linear_N_m_s_rad: Vector = ZERO
-    quadratic_N_m_s2_rad2: Vector = ZERO
+    linear_N_m_s_rad: Vector = ZERO_VECTOR
+    quadratic_N_m_s2_rad2: Vector = ZERO_VECTOR
 
 
 class Foil(OnLink):
@@ -204,7 +204,7 @@ class Water(OnLink):
 
     kind: Literal["water"]
     volume_m3: Quantity
-    at_m: Vector = ZERO
+    at_m: Vector = ZERO_VECTOR
     #: Radii of gyration, m, of the water inside the hull about x, y and z axes through the centre of this
     #: water.
     gyration_m: Direction = (0.0, 0.0, 0.0)
@@ -217,7 +217,7 @@ class Force(OnLink):
     """Constant force that acts at a point of a link, with components in the axes of the link or the world."""
 
     kind: Literal["force"]
-    at_m: Vector = ZERO
+    at_m: Vector = ZERO_VECTOR
     force_N: Vector
     frame: Literal["link", "world"] = "link"
 
@@ -230,11 +230,11 @@ class Load(OnLink):
 
     kind: Literal["load"]
     input: str
-    at_m: Vector = ZERO
+    at_m: Vector = ZERO_VECTOR
     #: Force and moment divided by the value of the input after the law of its actuator.
-    force_N: Vector = ZERO
+    force_N: Vector = ZERO_VECTOR
     #: Moment in the axes of the link.
-    moment_N_m: Vector = ZERO
+    moment_N_m: Vector = ZERO_VECTOR
     #: Axes of the force: those of the link, or those of the world, as for a buoyancy.
     frame: Literal["link", "world"] = "link"
 
@@ -279,7 +279,7 @@ class MovingMass(MovingMassLaw):
 class Derivatives(DerivativeTerms):
     """Hydrodynamic derivatives of a link at a point."""
 
-    at_m: Vector = ZERO
+    at_m: Vector = ZERO_VECTOR
 
 
 Element = Annotated[

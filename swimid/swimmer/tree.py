@@ -63,7 +63,7 @@ class Polynomial:
         """Convert a number, a quantity of a robot file (None is zero) or a polynomial to a polynomial."""
         if isinstance(quantity, Polynomial):
             return quantity
-        number, names = factors(given(quantity, 0.0))
+        number, names = factors(use_default(quantity, 0.0))
         return cls({names: number})
 
     def __add__(self, other: Polynomial | float) -> Polynomial:
@@ -101,7 +101,7 @@ class Polynomial:
         return float(sum(n * np.prod([values[name] for name in names]) for names, n in self.terms.items()))
 
 
-def given(quantity: Any, default: Any) -> Any:
+def use_default(quantity: Any, default: Any) -> Any:
     """Return an optional entry of a robot file, or the default value if the file lacks the entry."""
     if quantity is None:
         return default
@@ -115,7 +115,7 @@ Row = list[Entry]
 
 
 @dataclass
-class Rows:
+class TableRows:
     """Rows of the input arrays of an engine, as they are collected from a robot file.
 
     Attributes
@@ -183,7 +183,10 @@ class Rows:
 
     def add_rudder(self, element: RudderLaw, points: Row) -> None:
         """Add a rudder with the points of its force, of the induced force on the hull, and of the inflow."""
-        port, starboard = element.straightening, given(element.straightening_starboard, element.straightening)
+        port, starboard = (
+            element.straightening,
+            use_default(element.straightening_starboard, element.straightening),
+        )
         row = [
             *points,
             0.5 * self.density_kg_m3 * Polynomial.of(element.area_m2) * Polynomial.of(element.lift_slope),
@@ -222,7 +225,7 @@ class Rows:
             self.add("term", element.link, [*point, coefficient], *integers)
 
 
-def strips(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
+def gauss_points(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
     """Yield the points of Gauss's quadrature rule between two positions, each with its weight.
 
     The sum of the weights is 1.
@@ -231,7 +234,7 @@ def strips(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
         yield low + 0.5 * (high - low) * (1.0 + float(node)), 0.5 * float(weight)
 
 
-class Table:
+class PolynomialTable:
     """Matrix whose entries are polynomials in the coefficients of a robot file.
 
     Parameters
@@ -280,7 +283,7 @@ WORDS = {
 
 
 @dataclass(frozen=True)
-class Axis:
+class MovingJoint:
     """A moving joint or hinge of a robot file, with its column in a log and the index of its child link."""
 
     joint: Any
@@ -371,7 +374,7 @@ def check_names(body: Any, part: str) -> None:
                 hint = suggestion(name, list(known), where_known)
                 raise InputError(f"there is no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
     stated = list(body.coefficients)
-    for path, quantity in quantities(body, part):
+    for path, quantity in list_quantities(body, part):
         unknown = sorted(Polynomial.of(quantity).names - set(stated))
         if unknown:
             hint = suggestion(unknown[0], stated)
@@ -383,7 +386,7 @@ def propellers(body: Any) -> list[str]:
     return [element.name for element in body.elements if element.kind == "propeller"]
 
 
-def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
+def list_quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
     """Yield the dotted path and the value of each physical quantity of the links, joints and elements.
 
     In the path, a member of a list has its name, or its index if it has no name.
@@ -404,7 +407,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, float | str]]:
         yield path, value
 
 
-def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
+def sort_links(body: Any, part: str) -> tuple[list[Any], list[Any]]:
     """Return the links, parents before children, and the joint between each link and its parent.
 
     The joint of the base is None.
@@ -445,7 +448,7 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
     """Return the coefficients of a robot file as model parameters."""
     found = []
     for name, c in known.items():
-        start = given(c.start, c.value)
+        start = use_default(c.start, c.value)
         scale = c.scale or abs(c.value) or abs(start) or 1.0
         words = c.meaning, c.source
         found.append(Parameter(name, c.unit, *c.limits, start, scale, c.free, c.per_trial, *words, c.value))
@@ -488,7 +491,7 @@ class Tree(ABC):
     #: Module of the compiled equations of motion (the engine), which defines the columns of the input arrays.
     engine: ModuleType
     #: Functions that add the rows of an element to the input arrays, by kind of element.
-    adders: Mapping[str, Callable[[Any, Any, Rows], None]]
+    adders: Mapping[str, Callable[[Any, Any, TableRows], None]]
     #: Last arguments of the engine, by name. They do not depend on the coefficients.
     constants: dict[str, Any]
 
@@ -496,13 +499,13 @@ class Tree(ABC):
         self.body = body
         self.names = list(body.coefficients)
         check_names(body, self.part)
-        self.links, self._joints = ordered(body, self.part)
+        self.links, self._joints = sort_links(body, self.part)
         self.index = {link.name: i for i, link in enumerate(self.links)}
         moving = [j for j in body.joints if j.driven is not None or j.passive is not None]
-        axes = [Axis(j, f"joint{k + 1}_rad", self.index[j.child]) for k, j in enumerate(moving)]
+        axes = [MovingJoint(j, f"joint{k + 1}_rad", self.index[j.child]) for k, j in enumerate(moving)]
         self.driven = [a for a in axes if a.joint.driven is not None]
         self.passive = [a for a in axes if a.joint.passive is not None]
-        self.actuators, self.actuator_of = _actuated(body, self.driven)
+        self.actuators, self.actuator_of = _list_actuators(body, self.driven)
         self.topology = np.full((len(self.links), 3), -1, dtype=np.int64)
         for i in range(1, len(self.links)):
             self.topology[i, 0] = self.index[self._joints[i].parent]
@@ -520,7 +523,7 @@ class Tree(ABC):
         self.constants = {"free_base": self.free_base}
         self._evaluated = lru_cache(MAX_TABLES)(self._evaluate)
 
-    def fill(self, fluid: Fluid) -> Rows:
+    def fill(self, fluid: Fluid) -> TableRows:
         """Collect the rows of the input arrays from all links and elements of the robot file.
 
         Masses and inertias are checked at the coefficient values of the file.
@@ -528,7 +531,7 @@ class Tree(ABC):
         engine = self.engine
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
         elements: dict[str, list[tuple[tuple[int, ...], Row]]] = {name: [] for name in self.elements}
-        rows = Rows(
+        rows = TableRows(
             fluid.density_kg_m3,
             fluid.gravity_m_s2,
             self.index,
@@ -548,8 +551,8 @@ class Tree(ABC):
                 self._add_torque(joint, rows)
         self._load_inputs = len(self.driven) + np.array(rows.loads, dtype=np.int64)
 
-        def table(entries: list[Any], columns: tuple[str, ...]) -> Table:
-            return Table(entries, len(columns), self.names)
+        def table(entries: list[Any], columns: tuple[str, ...]) -> PolynomialTable:
+            return PolynomialTable(entries, len(columns), self.names)
 
         self._joint = table([self._place(j) for j in self._joints], engine.JOINT)
         self.rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
@@ -578,7 +581,7 @@ class Tree(ABC):
         """
         return self._evaluated(np.asarray(values, dtype=float).tobytes())
 
-    def named(self, values: Array) -> dict[str, float]:
+    def name_values(self, values: Array) -> dict[str, float]:
         """Return the coefficients by name, from a parameter vector that begins with them."""
         return dict(zip(self.names, values, strict=False))
 
@@ -614,11 +617,11 @@ class Tree(ABC):
         """
 
     @abstractmethod
-    def _add_rigid(self, link: Any, rows: Rows) -> None:
+    def _add_rigid(self, link: Any, rows: TableRows) -> None:
         """Add the mass and inertia of a link, without added mass."""
 
     @abstractmethod
-    def _add_torque(self, joint: Any, rows: Rows) -> None:
+    def _add_torque(self, joint: Any, rows: TableRows) -> None:
         """Add the torque of an actuator on a joint: moments on its child link and on its parent link."""
 
     @abstractmethod
@@ -626,7 +629,7 @@ class Tree(ABC):
         """Return the row of a joint in the ``joint`` input array. The joint of the base is None."""
 
 
-def _actuated(body: Any, driven: Sequence[Axis]) -> tuple[list[Actuated], list[int]]:
+def _list_actuators(body: Any, driven: Sequence[MovingJoint]) -> tuple[list[Actuated], list[int]]:
     """Return the actuators of driven joints, and the index of the actuator of each joint."""
     found: dict[str, Actuated] = {}
     names = []

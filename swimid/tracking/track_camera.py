@@ -14,7 +14,7 @@ from pydantic import Field
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import provenance, yamlio
 from swimid.logs.scale import Camera
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -107,7 +107,7 @@ def track_camera(
     >>> draft = track_setup("pool.mp4", camera=made.file.camera)  # doctest: +SKIP
     """
     files, board = list(_files(pictures)), options.board
-    with recorded(repeat=True) as notices, progress("finding the board", len(files)) as step:
+    with record_warnings(repeat=True) as notices, progress("finding the board", len(files)) as step:
         seen, size = _corners(files, board, step)
     if len(seen) < MIN_PICTURES:
         text = f"{len(seen)} of {len(files)} pictures show a board of {options.squares} squares; at least "
@@ -125,7 +125,7 @@ def track_camera(
     )
     evidence = _make_evidence(fit, seen, f"{len(seen)} of {len(files)}, {size[0]} x {size[1]} px", size)
     update = {"notices": ev.notices(notices), "provenance": document.provenance}
-    return Calibration.of(document, evidence.model_copy(update=update)).saved(output)
+    return Calibration.of(document, evidence.model_copy(update=update)).write_output(output)
 
 
 class _CameraFit(NamedTuple):
@@ -168,21 +168,24 @@ def _make_evidence(
     focal = 100 * max(errors[0] / values[0], errors[1] / values[1])
     value, limit, passed = f"± {focal:.2g} %", f"± {MAX_FOCAL_SE:.0%}", focal <= 100 * MAX_FOCAL_SE
     reason = f"the focal length has a standard error of {focal:.2g} %"
-    checks.append(ev.check("Focal length", value, passed, limit, reason=reason))
+    checks.append(ev.make_check("Focal length", value, passed, limit, reason=reason))
     rows: list[dict[str, Any]] = [
         {"parameter": name, "value": value, "standard error": error}
         for name, value, error in zip(NAMES, values, errors, strict=True)
     ]
-    focal_px = numbers.measured(values[0], errors[0])
+    caption = "Focal lengths and centre in px, distortion of OpenCV."
+    focal_px = numbers.format_estimate(values[0], errors[0])
     answer = f"Focal length {focal_px} px, reprojection error {fit.rms_px:.2g} px."
     return ev.Evidence(
         command="track camera",
         title=f"Calibration of a camera from {len(seen)} pictures",
-        verdict=ev.judged(answer, checks),
+        verdict=ev.make_verdict(answer, checks),
         facts={"Pictures": pictures},
         checks=checks,
         tables=[
-            ev.table("parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."),
+            ev.make_table(
+                "parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."
+            ),
             ev.leaf_table("pictures", "Reprojection errors, px", dict(zip(seen, fit.each_px, strict=True))),
         ],
         methods=["The camera was calibrated with OpenCV from pictures of a checkerboard (Zhang 2000)."],
@@ -242,4 +245,4 @@ def _checks(count: int, tilt: float, parts: int, rms: float, each: list[float]) 
         ("Reprojection error", error, rms <= MAX_ERROR_PX, f"<= {MAX_ERROR_PX:g} px", "warn",
          f"the corners fit no camera within {MAX_ERROR_PX:g} px: {error}"),
     ]  # fmt: skip
-    return [ev.check(*row[:4], otherwise=row[4], reason=row[5]) for row in rows]
+    return [ev.make_check(*row[:4], otherwise=row[4], reason=row[5]) for row in rows]

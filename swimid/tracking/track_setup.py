@@ -75,7 +75,7 @@ class SetupDraft(Text):
             return written
         picture = path.with_suffix(".markers.png")
         _, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
-        with atomic.replacing(picture) as temporary:
+        with atomic.replace_file(picture) as temporary:
             temporary.write_bytes(provenance.mark_png(data.tobytes()))
         return [*written, picture]
 
@@ -197,7 +197,9 @@ def _draft(video: Path, run: FilmTrack, rejected: list[MarkerCandidate], output:
     comments = "".join(f"# {note}\n" for note in notes)
     keys = yamlio.dumps(setup.model_dump(mode="json", exclude_none=True))
     text = "".join([_HEAD.format(video.name), comments, keys, _MORE])
-    return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=_sheet(run)).saved(output)
+    return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=_sheet(run)).write_output(
+        output
+    )
 
 
 def _warn_of_faults(run: FilmTrack) -> None:
@@ -284,12 +286,12 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
     """
     best, limits = next(iter(scores)), frames.MAX_DISTANCE_SD
     changes = {pair: distance_change(run, *pair) for pair in combinations(scores, 2)}
-    rigid = {}
+    rigid: dict[tuple[str, str], tuple[float, float]] = {}
     for pair, change in changes.items():
         strong = min(scores[name] for name in pair) >= SECOND_SHARE * scores[best]
         if strong and change is not None and change <= limits[1]:
             rigid[pair] = (max(change, limits[0]), -sum(scores[name] for name in pair))
-    names = list(min(rigid, key=rigid.__getitem__)) if rigid else [best]
+    names = list(min(rigid, key=lambda pair: rigid[pair])) if rigid else [best]
     first = names[0]
     for name in scores:
         change = changes.get((first, name), changes.get((name, first), 0.0))

@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.files.kernels import numba
-from swimid.fitting.model import MOST_FORCES, Force, no_force
+from swimid.fitting.model import MOST_FORCES, ExternalForce, no_force
 from swimid.robots.planar import MAX_FACTORS
 
 #: Magnitude of an entry of the state vector from which a simulation has broken down.
-BROKEN = 1e6
+MAX_STATE = 1e6
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -47,7 +47,7 @@ def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def settled(state):  # type: ignore[no-untyped-def]
+def correct_state(state):  # type: ignore[no-untyped-def]
     """Leave the state after an integration step unchanged.
 
     In a plane it needs no correction. In 3-D, the function of this name scales the quaternion.
@@ -55,7 +55,7 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def facing(frame, base, turn):  # type: ignore[no-untyped-def]
+def find_heading(frame, base, turn):  # type: ignore[no-untyped-def]
     """Return the heading of a link in the world, rad.
 
     The heading is continuous when the base turns by more than half a rotation.
@@ -98,7 +98,7 @@ FORCE = ("x", "y", "force_x", "force_y", "world")
 WAKE = ("x", "y", "half_mass")
 #: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link. The column
 #: ``world`` is 1 if the force has the axes of the world. The column ``loss`` is the decrease of the input's
-#: effect per square root of the input and per velocity along the force (:func:`weakened`).
+#: effect per square root of the input and per velocity along the force (:func:`reduce_input`).
 LOAD = ("x", "y", "force_x", "force_y", "moment", "world", "loss")
 #: Columns of the input array ``propeller``: point and axis, the coefficients of :func:`thrust_of`, and the
 #: factors on the thrust (1 - t) and on the velocity of advance (1 - w). With the thrust T, the slipstream far
@@ -327,7 +327,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def weakened(size, loss, along):  # type: ignore[no-untyped-def]
+def reduce_input(size, loss, along):  # type: ignore[no-untyped-def]
     """Return the input of a load whose force falls with the velocity along the force.
 
     A propeller at the rate n has the thrust ``T = a n |n| - b |n| u`` with the velocity u along T. Its thrust
@@ -356,7 +356,7 @@ def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-d
             c, s = work[i, 17], work[i, 18]
             fx, fy = c * fx + s * fy, c * fy - s * fx
         along = (work[i, 2] - work[i, 4] * y) * fx + (work[i, 3] + work[i, 4] * x) * fy
-        size = weakened(row[load_input[e], 0], load[e, 6], along)
+        size = reduce_input(row[load_input[e], 0], load[e, 6], along)
         _push(work, i, x, y, size * fx, size * fy)
         work[i, 10] -= size * load[e, 4]
 
@@ -431,7 +431,7 @@ def wake_growth(aside, speed, decay, port, starboard):  # type: ignore[no-untype
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+def _propeller_flow(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
     """Return velocity of advance (m/s) and thrust (N) of propeller ``e``."""
     i, n = propeller_link[e, 0], row[propeller_link[e, 1], 0]
     r = work[i, 4]
@@ -446,7 +446,7 @@ def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-u
 def _propellers(propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
     """Add the thrusts of propellers."""
     for e in range(propeller.shape[0]):
-        _, thrust = _driven_water(e, propeller_link, propeller, row, work)
+        _, thrust = _propeller_flow(e, propeller_link, propeller, row, work)
         push = propeller[e, 7] * thrust
         x, y = propeller[e, 0], propeller[e, 1]
         _push(work, propeller_link[e, 0], x, y, push * propeller[e, 2], push * propeller[e, 3])
@@ -462,7 +462,7 @@ def _rudders(rudder_link, rudder, propeller_link, propeller, row, work):  # type
         advance = work[i, 2] - r * rudder[e, 5]
         if p >= 0:
             jet = propeller[p, 9]
-            advance, thrust = _driven_water(p, propeller_link, propeller, row, work)
+            advance, thrust = _propeller_flow(p, propeller_link, propeller, row, work)
         along = inflow_speed(advance, thrust, jet, rudder[e, 11], rudder[e, 12], rudder[e, 13])
         angle = row[rudder_link[e, 1], 0]
         sine, cosine = math.sin(angle), math.cos(angle)
@@ -532,8 +532,8 @@ def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
-    """Add the external forces of effects on the links (:class:`swimid.fitting.model.Force`)."""
+def _add_external_forces(time, state, work, forced):  # type: ignore[no-untyped-def]
+    """Add the external forces of effects on the links (:class:`swimid.fitting.model.ExternalForce`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):
         i = links[e]
@@ -545,7 +545,7 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
         pose[0] = frame[0] + frame[2] * a - frame[3] * b
         pose[1] = frame[1] + frame[3] * a + frame[2] * b
         world = (frame[6], frame[2], frame[3])
-        pose[2] = facing(world, (state[2], c, s), (work[i, 17], work[i, 18]))
+        pose[2] = find_heading(world, (state[2], c, s), (work[i, 17], work[i, 18]))
         wrench[:] = 0.0
         own = constants[ends[e] : ends[e + 1]]
         functions[e](time, pose, velocity, own, wrench)
@@ -721,7 +721,7 @@ def derivative(  # type: ignore[no-untyped-def]
     _terms(term_link, term, work)
     _sliders(slider_link, slider, row, work)
     if forced is not None:
-        _forced(time, state, work, forced)
+        _add_external_forces(time, state, work, forced)
     _inwards(state, topology, joint, passive, work, matrix, right)
     first = 3
     if free_base:
@@ -741,14 +741,14 @@ def derivative(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def is_broken(state, rate):  # type: ignore[no-untyped-def]
+def has_diverged(state, rate):  # type: ignore[no-untyped-def]
     """Return whether a simulation has broken down: a state is too large, or its rate is not finite."""
     largest = 0.0
     for j in range(len(state)):
         largest = max(largest, abs(state[j]))
         if not abs(rate[j]) < math.inf:
             largest = math.inf
-    return not largest < BROKEN
+    return not largest < MAX_STATE
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -816,7 +816,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
-                if is_broken(states[i], slope):
+                if has_diverged(states[i], slope):
                     states[i:] = math.nan
                     rates[i:] = math.nan
                     return states, rates
@@ -871,7 +871,7 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
         _terms(term_link, term, work)
         _sliders(slider_link, slider, table[t], work)
         if forced is not None:
-            _forced(begin + step * t, states[t], work, forced)
+            _add_external_forces(begin + step * t, states[t], work, forced)
         for i in range(links - 1, -1, -1):
             found[t, i] = work[i, 10]
             if i > 0:
@@ -886,7 +886,7 @@ def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
     return 2 * n, [(len(tables["topology"]), 19), (n, n), (n,)]
 
 
-def placed(frame: Sequence[float], reference: tuple[float, float]) -> NDArray[np.float64]:
+def place_frame(frame: Sequence[float], reference: tuple[float, float]) -> NDArray[np.float64]:
     """Return the coordinate frame of a simulation in the world, for the forces of effects, shape (7,).
 
     Parameters
@@ -899,14 +899,14 @@ def placed(frame: Sequence[float], reference: tuple[float, float]) -> NDArray[np
     return np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]])
 
 
-def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
+def outside(forces: Sequence[ExternalForce], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
     """Return the forces of effects in the form of the argument ``forced`` of :func:`integrate`.
 
     Parameters
     ----------
-    forces : sequence of Force, at most :data:`swimid.fitting.model.MOST_FORCES`
+    forces : sequence of ExternalForce, at most :data:`swimid.fitting.model.MOST_FORCES`
     frame : ndarray, shape (7,)
-        Result of :func:`placed`.
+        Result of :func:`place_frame`.
     links : int
         Number of links.
     """
@@ -926,7 +926,7 @@ def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
+def interpolate_states(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
     """Return the states of a simulation at given times, by cubic Hermite interpolation.
 
     Parameters
@@ -965,7 +965,7 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def seen(states, speeds, reference, origin, heading, spin):  # type: ignore[no-untyped-def]
+def observe_camera(states, speeds, reference, origin, heading, spin):  # type: ignore[no-untyped-def]
     """Return pose and velocity of the reference point of the robot as a camera measures them.
 
     Parameters

@@ -34,16 +34,16 @@ from swimid.swimmer.planar.engine import (
     INTEGERS,
     LEAST_SPEED,
     begin_stage,
+    has_diverged,
     inflow_speed,
-    is_broken,
     passive_torque,
     positive,
     product_of,
+    reduce_input,
     rudder_force,
     solve,
     thrust_of,
     wake_growth,
-    weakened,
 )
 
 __all__ = ["FILLED", "INTEGERS"]
@@ -143,7 +143,7 @@ def _apply(w, k, v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _transposed(w, k, v):  # type: ignore[no-untyped-def]
+def _apply_transpose(w, k, v):  # type: ignore[no-untyped-def]
     """Return the product of the transpose of the 3 by 3 matrix at column ``k`` of a row, and a vector."""
     return (
         w[k] * v[0] + w[k + 3] * v[1] + w[k + 6] * v[2],
@@ -163,7 +163,7 @@ def _symmetric(w, k, v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _moving(w, at):  # type: ignore[no-untyped-def]
+def _point_velocity(w, at):  # type: ignore[no-untyped-def]
     """Return the velocity of a point of a link, in the axes of the link."""
     return _plus(_at(w, _V), _cross(_at(w, _W), at))
 
@@ -231,10 +231,10 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
                 w[m] = joint[i, 6 + m] + s * joint[i, 15 + m] + (1.0 - c) * joint[i, 24 + m]
             place, axis = _at(joint[i], 0), _at(joint[i], 3)
             # compute velocity and acceleration of the hinge, in the axes of the link
-            _put(w, _V, _transposed(w, _R, _moving(u, place)))
-            _put(w, _W, _transposed(w, _R, _at(u, _W)))
-            _put(w, _DV, _transposed(w, _R, _plus(_at(u, _DV), _cross(_at(u, _DW), place))))
-            _put(w, _DW, _transposed(w, _R, _at(u, _DW)))
+            _put(w, _V, _apply_transpose(w, _R, _point_velocity(u, place)))
+            _put(w, _W, _apply_transpose(w, _R, _at(u, _W)))
+            _put(w, _DV, _apply_transpose(w, _R, _plus(_at(u, _DV), _cross(_at(u, _DW), place))))
+            _put(w, _DW, _apply_transpose(w, _R, _at(u, _DW)))
             if d >= 0 or k >= 0:
                 # add the motion of the hinge, with s = axis speed: v' += v x s, w' += w_parent x s + axis
                 # bend, w += s
@@ -245,7 +245,7 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
                 _put(w, _W, _plus(_at(w, _W), turning))
             _put(w, _PLACE, _plus(_at(u, _PLACE), _apply(u, _TURN, place)))
             for m in range(3):
-                _put(w, _TURN + 3 * m, _transposed(w, _R, _at(u, _TURN + 3 * m)))
+                _put(w, _TURN + 3 * m, _apply_transpose(w, _R, _at(u, _TURN + 3 * m)))
         for m in range(21):
             w[_A + m] = inertia[i, m]
         if topology[i, 3] != 0:
@@ -259,7 +259,7 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
 def _momenta(w, v, spin):  # type: ignore[no-untyped-def]
     """Return the linear and the angular momentum of a link for its linear and angular velocity."""
     p = _plus(_symmetric(w, _A, v), _apply(w, _B, spin))
-    return p, _plus(_transposed(w, _B, v), _symmetric(w, _D, spin))
+    return p, _plus(_apply_transpose(w, _B, v), _symmetric(w, _D, spin))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
@@ -295,7 +295,7 @@ def _drags(drag_link, drag, surface, work):  # type: ignore[no-untyped-def]
     """Add the drag at points of the links, along each axis of a link."""
     for e in range(drag.shape[0]):
         w, at = work[drag_link[e]], _at(drag[e], 0)
-        vx, vy, vz = _moving(w, at)
+        vx, vy, vz = _point_velocity(w, at)
         fx = -(drag[e, 3] * abs(vx) + drag[e, 6]) * vx
         fy = -(drag[e, 4] * abs(vy) + drag[e, 7]) * vy
         fz = -(drag[e, 5] * abs(vz) + drag[e, 8]) * vz
@@ -316,7 +316,7 @@ def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
     """Add the lift and the drag of fins, each at a point of a link. Flow along the span has no effect."""
     for e in range(foil.shape[0]):
         w, at = work[foil_link[e]], _at(foil[e], 0)
-        chord, normal, v = _at(foil[e], 7), _at(foil[e], 10), _moving(w, at)
+        chord, normal, v = _at(foil[e], 7), _at(foil[e], 10), _point_velocity(w, at)
         along, across = _dot(v, chord), _dot(v, normal)
         square = along * along + across * across
         # at a point at rest, where the force is zero, avoid a division by zero
@@ -338,7 +338,7 @@ def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
     for e in range(force.shape[0]):
         w, at, own = work[force_link[e]], _at(force[e], 0), _at(force[e], 3)
         if force[e, 6] != 0.0:
-            own = _transposed(w, _TURN, own)
+            own = _apply_transpose(w, _TURN, own)
         _push(w, at, _times(_share(w, at, force[e, 7], surface), own))
 
 
@@ -348,17 +348,17 @@ def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-d
     for e in range(load.shape[0]):
         w, at, force = work[load_link[e]], _at(load[e], 0), _at(load[e], 3)
         if load[e, 9] != 0.0:
-            force = _transposed(w, _TURN, force)
-        size = weakened(row[load_input[e], 0], load[e, 10], _dot(_moving(w, at), force))
+            force = _apply_transpose(w, _TURN, force)
+        size = reduce_input(row[load_input[e], 0], load[e, 10], _dot(_point_velocity(w, at), force))
         _push(w, at, _times(size, force))
         _put(w, _M, _plus(_at(w, _M), _times(-size, _at(load[e], 6))))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+def _propeller_flow(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
     """Return velocity of advance (m/s) and thrust (N) of propeller ``e``."""
     n = row[propeller_link[e, 1], 0]
-    velocity = _moving(work[propeller_link[e, 0]], _at(propeller[e], 0))
+    velocity = _point_velocity(work[propeller_link[e, 0]], _at(propeller[e], 0))
     along = _dot(velocity, _at(propeller[e], 3))
     # oblique motion counts in the direction horizontally to port of the axis
     aside = velocity[1] * propeller[e, 3] - velocity[0] * propeller[e, 4]
@@ -372,7 +372,7 @@ def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-u
 def _propellers(propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
     """Add the thrusts of propellers."""
     for e in range(propeller.shape[0]):
-        _, thrust = _driven_water(e, propeller_link, propeller, row, work)
+        _, thrust = _propeller_flow(e, propeller_link, propeller, row, work)
         w = work[propeller_link[e, 0]]
         _push(w, _at(propeller[e], 0), _times(propeller[e, 9] * thrust, _at(propeller[e], 3)))
 
@@ -382,12 +382,12 @@ def _rudders(rudder_link, rudder, propeller_link, propeller, row, work):  # type
     """Add the forces of rudders, and the forces on the hull that they induce."""
     for e in range(rudder.shape[0]):
         w, p = work[rudder_link[e, 0]], rudder_link[e, 2]
-        side, velocity = _at(rudder[e], 9), _moving(w, _at(rudder[e], 6))
+        side, velocity = _at(rudder[e], 9), _point_velocity(w, _at(rudder[e], 6))
         jet, thrust = 0.0, 0.0
         advance = velocity[0]
         if p >= 0:
             jet = propeller[p, 11]
-            advance, thrust = _driven_water(p, propeller_link, propeller, row, work)
+            advance, thrust = _propeller_flow(p, propeller_link, propeller, row, work)
         along = inflow_speed(advance, thrust, jet, rudder[e, 17], rudder[e, 18], rudder[e, 19])
         angle = row[rudder_link[e, 1], 0]
         sine, cosine = math.sin(angle), math.cos(angle)
@@ -403,7 +403,7 @@ def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
     """Add the forces and moments that are products of velocities at a point of a link."""
     for e in range(term.shape[0]):
         w, component, at = work[term_link[e, 0]], term_link[e, 1], _at(term[e], 0)
-        velocity, (p, q, r) = _moving(w, at), _at(w, _W)
+        velocity, (p, q, r) = _point_velocity(w, at), _at(w, _W)
         u, v, vertical = velocity
         speed = math.sqrt(_dot(velocity, velocity))
         inverse = 1.0 / max(speed, LEAST_SPEED)
@@ -429,11 +429,11 @@ def _sliders(slider_link, slider, row, work):  # type: ignore[no-untyped-def]
         mass, weight = slider[e, 6], slider[e, 7]
         at = _plus(_at(slider[e], 0), _times(row[k, 0], travel))
         moved = _times(row[k, 1], travel)
-        spin, velocity = _at(w, _W), _plus(_moving(w, at), moved)
+        spin, velocity = _at(w, _W), _plus(_point_velocity(w, at), moved)
         # acceleration of the mass: rates of the components of its velocity, and their rotation with the link
         rate = _plus(_at(w, _DV), _plus(_cross(_at(w, _DW), at), _cross(spin, moved)))
         rate = _plus(_plus(rate, _times(row[k, 2], travel)), _cross(spin, velocity))
-        down = _transposed(w, _TURN, (0.0, 0.0, -weight))
+        down = _apply_transpose(w, _TURN, (0.0, 0.0, -weight))
         _push(w, at, _plus(down, _times(-mass, rate)))
         x, y, z = at
         w[_A] += mass
@@ -480,7 +480,7 @@ def _add_upper(w, k, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _rotated(w, product, k):  # type: ignore[no-untyped-def]
+def _rotate_matrix(w, product, k):  # type: ignore[no-untyped-def]
     """Return the rows of ``R M R'``, with the rotation R of a link to its parent and a matrix M.
 
     The matrix M is stored at column ``k``. The function ``product`` multiplies it by a vector.
@@ -504,9 +504,9 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     moment = _plus(_apply(w, _R, _at(w, _M)), _cross(place, force))
     _put(u, _F, _plus(_at(u, _F), force))
     _put(u, _M, _plus(_at(u, _M), moment))
-    a0, a1, a2 = _rotated(w, _symmetric, _A)
-    b0, b1, b2 = _rotated(w, _transposed, _B)
-    d0, d1, d2 = _rotated(w, _symmetric, _D)
+    a0, a1, a2 = _rotate_matrix(w, _symmetric, _A)
+    b0, b1, b2 = _rotate_matrix(w, _apply_transpose, _B)
+    d0, d1, d2 = _rotate_matrix(w, _symmetric, _D)
     a1, a2 = (a0[1], a1[1], a1[2]), (a0[2], a1[2], a2[2])
     # with S = r x, the velocity of the link's origin is v - S w, so that B becomes C = B - A S, and D becomes
     # D - B' S + S C
@@ -650,7 +650,7 @@ def derivative(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def settled(state):  # type: ignore[no-untyped-def]
+def correct_state(state):  # type: ignore[no-untyped-def]
     """Scale the quaternion in a state vector to length 1, in place."""
     length = 0.0
     for j in range(3, 7):
@@ -685,14 +685,14 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
-                if is_broken(states[i], slope):
+                if has_diverged(states[i], slope):
                     states[i:] = math.nan
                     rates[i:] = math.nan
                     return states, rates
                 if i == steps:
                     return states, rates
         begin_stage(4, step, states[i], slope, total, states[i + 1])
-        settled(states[i + 1])
+        correct_state(states[i + 1])
     return states, rates
 
 

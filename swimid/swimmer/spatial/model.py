@@ -19,14 +19,24 @@ from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.kinematics import angles, from_angles
 from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
-from swimid.swimmer.model import Swimmer, flows, turned
+from swimid.swimmer.model import Swimmer, flows, rotate_vector
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given, strips
+from swimid.swimmer.tree import (
+    SYMMETRIC,
+    Entry,
+    Polynomial,
+    Row,
+    TableRows,
+    Tree,
+    check_apparent,
+    gauss_points,
+    use_default,
+)
 
 #: Row and column indices of the upper triangle of a symmetric 3 by 3 matrix, which is stored in an input
 #: array.
 UPPER = np.triu_indices(3)
-ZERO = np.zeros((3, 3))
+ZERO_MATRIX = np.zeros((3, 3))
 
 
 def _vector(entries: Sequence[Entry]) -> Any:
@@ -34,7 +44,7 @@ def _vector(entries: Sequence[Entry]) -> Any:
     return np.array([Polynomial.of(entry) for entry in entries], dtype=object)
 
 
-def cross_matrix(point: Any) -> Any:
+def cross_product_matrix(point: Any) -> Any:
     """Return the matrix of the cross product with a vector, shape (3, 3), of numbers or polynomials."""
     x, y, z = point
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -46,7 +56,7 @@ def centre_of_mass(row: Array) -> Array:
     return np.array([whole[5, 1], whole[3, 2], whole[4, 0]]) / whole[0, 0]
 
 
-def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: Any = ZERO) -> None:
+def _add_mass(rows: TableRows, link: str, mass: Any, at: Sequence[Entry], turning: Any = ZERO_MATRIX) -> None:
     """Add a point mass with one value for each direction, and an inertia about this point.
 
     The added entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) are the blocks A = M, ``B = -M S`` and
@@ -62,7 +72,7 @@ def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: An
     turning : 3 by 3 entries, kg m2
         Inertia J about the point.
     """
-    lever = cross_matrix(_vector(at))
+    lever = cross_product_matrix(_vector(at))
     ms = mass @ lever
     rows.add_inertia(link, [*mass[UPPER], *(-ms).ravel(), *(turning - lever @ ms)[UPPER]])
 
@@ -73,7 +83,7 @@ def full(row: Array) -> Array:
     return np.block([[row[:6][SYMMETRIC], b], [b.T, row[15:][SYMMETRIC]]])
 
 
-def _added_mass(element: parts.AddedMass, body: parts.Body, rows: Rows) -> None:
+def _added_mass(element: parts.AddedMass, body: parts.Body, rows: TableRows) -> None:
     """Add added masses along the axes of a link, and added inertias about these axes."""
     mass, turning = (np.diag(_vector(v)) for v in (element.mass_kg, element.inertia_kg_m2))
     _add_mass(rows, body.name, mass, element.at_m, turning)
@@ -104,7 +114,7 @@ def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, 
     return alpha / (2.0 - alpha), beta / (2.0 - beta), turning
 
 
-def _spheroid(element: parts.Spheroid, body: parts.Body, rows: Rows) -> None:
+def _spheroid(element: parts.Spheroid, body: parts.Body, rows: TableRows) -> None:
     """Add the added mass of a prolate spheroid at the centre of the spheroid (sea lion, Eqs 3 to 8)."""
     a, b = element.semi_major_m, element.semi_minor_m
     displaced = 4.0 / 3.0 * math.pi * rows.density_kg_m3 * a * b * b
@@ -117,7 +127,7 @@ def _spheroid(element: parts.Spheroid, body: parts.Body, rows: Rows) -> None:
     _add_mass(rows, body.name, np.diag(masses), element.at_m, np.diag(about))
 
 
-def _plate(element: parts.Plate, body: parts.Body, rows: Rows) -> None:
+def _plate(element: parts.Plate, body: parts.Body, rows: TableRows) -> None:
     """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
     mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
     unit: Any = _unit(element.normal)
@@ -129,7 +139,7 @@ def _unit(direction: Sequence[float] | Array) -> Array:
     return np.asarray(direction, dtype=float) / np.linalg.norm(direction)
 
 
-def _drag(element: parts.Drag, body: parts.Body, rows: Rows) -> None:
+def _drag(element: parts.Drag, body: parts.Body, rows: TableRows) -> None:
     """Add drag ``-rho/2 C A |v| v`` and linear drag along each axis of a link (sea lion, Eq 2).
 
     The drag acts at a point, or on a row of strips at the points of Gauss's rule.
@@ -138,18 +148,18 @@ def _drag(element: parts.Drag, body: parts.Body, rows: Rows) -> None:
     quadratic = half * _vector(element.area_m2) * _vector(element.coefficient)
     quadratic = quadratic + _vector(element.quadratic_N_s2_m2)
     gains = [*quadratic, *_vector(element.linear_N_s_m)]
-    ends = _vector(element.at_m), _vector(given(element.to_m, element.at_m))
-    for at, share in strips(*ends, element.strips):
+    ends = _vector(element.at_m), _vector(use_default(element.to_m, element.at_m))
+    for at, share in gauss_points(*ends, element.strips):
         shares = [share * gain for gain in gains]
         rows.add("drag", body.name, [*at, *shares, element.half_height_m or 0.0])
 
 
-def _damping(element: parts.Damping, body: parts.Body, rows: Rows) -> None:
+def _damping(element: parts.Damping, body: parts.Body, rows: TableRows) -> None:
     """Add quadratic and linear moments against rotation about the axes of a link."""
     rows.add("damping", body.name, [*element.quadratic_N_m_s2_rad2, *element.linear_N_m_s_rad])
 
 
-def _foil(element: parts.Foil, body: parts.Body, rows: Rows) -> None:
+def _foil(element: parts.Foil, body: parts.Body, rows: TableRows) -> None:
     """Add lift and drag of a fin with the polar of a flat plate."""
     gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
     polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
@@ -164,18 +174,18 @@ def _foil(element: parts.Foil, body: parts.Body, rows: Rows) -> None:
     rows.add("foil", body.name, row)
 
 
-def _hydrostatics(element: parts.Hydrostatics, body: parts.Body, rows: Rows) -> None:
+def _hydrostatics(element: parts.Hydrostatics, body: parts.Body, rows: TableRows) -> None:
     """Add the weight of a link at its centre of mass, and the buoyancy of the link."""
     gravity = rows.gravity_m_s2
     weight = -gravity * Polynomial.of(body.mass_kg)
     rows.add("force", body.name, [*body.com_m, 0.0, 0.0, weight, 1.0, 0.0])
     lift = gravity * rows.density_kg_m3 * Polynomial.of(element.volume_m3)
     if lift.terms:
-        at = given(element.buoyancy_at_m, body.com_m)
+        at = use_default(element.buoyancy_at_m, body.com_m)
         rows.add("force", body.name, [*at, 0.0, 0.0, lift, 1.0, element.half_height_m or 0.0])
 
 
-def _water(element: parts.Water, body: parts.Body, rows: Rows) -> None:
+def _water(element: parts.Water, body: parts.Body, rows: TableRows) -> None:
     """Add the inertia of the water inside a hull, and the weight of this water if ``weighs`` is true."""
     mass = rows.density_kg_m3 * Polynomial.of(element.volume_m3)
     about = np.array(element.gyration_m, dtype=object) ** 2 * mass
@@ -185,43 +195,43 @@ def _water(element: parts.Water, body: parts.Body, rows: Rows) -> None:
         rows.add("force", body.name, [*element.at_m, 0.0, 0.0, weight, 1.0, 0.0])
 
 
-def _force(element: parts.Force, body: parts.Body, rows: Rows) -> None:
+def _force(element: parts.Force, body: parts.Body, rows: TableRows) -> None:
     """Add a constant force at a point of a link, in the axes of the link or of the world."""
     world = float(element.frame == "world")
     rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
 
 
-def _load(element: parts.Load, body: parts.Body, rows: Rows) -> None:
+def _load(element: parts.Load, body: parts.Body, rows: TableRows) -> None:
     """Add a force and a moment in the axes of a link that are proportional to an input."""
     world = float(element.frame == "world")
     row: Row = [*element.at_m, *element.force_N, *element.moment_N_m, world, 0.0]
     rows.add_load(body.name, element.input, row)
 
 
-def _propeller(element: parts.Propeller, body: parts.Body, rows: Rows) -> None:
+def _propeller(element: parts.Propeller, body: parts.Body, rows: TableRows) -> None:
     """Add a propeller whose thrust depends on its rate and on the velocity of advance."""
     rows.add_propeller(element, [*element.at_m], [*_unit(element.axis)])
 
 
-def _rudder(element: parts.Rudder, body: parts.Body, rows: Rows) -> None:
+def _rudder(element: parts.Rudder, body: parts.Body, rows: TableRows) -> None:
     """Add the normal force on a rudder, and the lateral force on the hull that it induces."""
     points = element.at_m, element.hull_force_at_m, element.inflow_at_m
-    row = [entry for point in points for entry in given(point, element.at_m)]
+    row = [entry for point in points for entry in use_default(point, element.at_m)]
     rows.add_rudder(element, [*row, *_unit(element.side)])
 
 
-def _moving_mass(element: parts.MovingMass, body: parts.Body, rows: Rows) -> None:
+def _moving_mass(element: parts.MovingMass, body: parts.Body, rows: TableRows) -> None:
     """Add a mass that an input moves along a line of a link."""
     rows.add_mass(element, [*element.at_m])
 
 
-def _derivatives(element: parts.Derivatives, body: parts.Body, rows: Rows) -> None:
+def _derivatives(element: parts.Derivatives, body: parts.Body, rows: TableRows) -> None:
     """Add forces and moments that are products of the velocities of a point of a link."""
     rows.add_terms(element, [*element.at_m], engine.COMPONENTS, engine.VELOCITIES)
 
 
 #: Functions that add the rows of an element to the input arrays, by kind of element.
-ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
+ADDERS: dict[str, Callable[[Any, Any, TableRows], None]] = {
     "added-mass": _added_mass,
     "spheroid": _spheroid,
     "plate": _plate,
@@ -267,7 +277,7 @@ class Assembly(Tree):
     def __init__(self, body: parts.Multibody, fluid: Fluid) -> None:
         super().__init__(body)
         self.reference = np.array(body.reference.at_m)
-        self.constants = {"surface": given(body.surface_z_m, NOWHERE), **self.constants}
+        self.constants = {"surface": use_default(body.surface_z_m, NOWHERE), **self.constants}
         rows = self.fill(fluid)
         massless = [[all(not Polynomial.of(e).terms for e in row)] for row in rows.inertia]
         self.topology = np.ascontiguousarray(np.hstack([self.topology, massless]), dtype=np.int64)
@@ -301,13 +311,13 @@ class Assembly(Tree):
             if mass > 0:
                 _check_moments(rigid[i], mass, where)
 
-    def _add_rigid(self, link: parts.Body, rows: Rows) -> None:
+    def _add_rigid(self, link: parts.Body, rows: TableRows) -> None:
         mass = Polynomial.of(link.mass_kg)
         moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
         turning = _vector(moments)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
         _add_mass(rows, link.name, np.diag([mass] * 3), link.com_m, turning)
 
-    def _add_torque(self, joint: parts.Hinge, rows: Rows) -> None:
+    def _add_torque(self, joint: parts.Hinge, rows: TableRows) -> None:
         assert joint.torque is not None
         moment = Polynomial.of(joint.torque.gain_N_m) * _vector(_unit(joint.axis).tolist())
         mount = Rotation.from_euler("xyz", joint.mount_deg, degrees=True)
@@ -350,14 +360,14 @@ def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
         Rotation from the child's axes to the parent's axes at zero angle.
     """
     unit = _unit(axis)
-    cross = cross_matrix(unit)
+    cross = cross_product_matrix(unit)
     zero = mount.as_matrix()
     turns = [zero, zero @ cross, zero @ cross @ cross]
     return [*at, *unit, *np.ravel(turns)]
 
 
 #: Input arrays whose rows begin with a point of the robot.
-POINTS = ("drag", "force", "load", "propeller", "rudder", "term", "slider", "joint")
+POINT_TABLES = ("drag", "force", "load", "propeller", "rudder", "term", "slider", "joint")
 #: Signs of roll, pitch (positive nose up) and yaw relative to rotations about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
 
@@ -403,7 +413,7 @@ class MultibodyModel(Swimmer):
         if stated:
             return stated
         tables = self.tree.tables(self.start_coefficients)
-        points = np.vstack([tables[name][:, :3] for name in POINTS])
+        points = np.vstack([tables[name][:, :3] for name in POINT_TABLES])
         return float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
 
     def shift(self, tables: dict[str, Any], by: Array) -> None:
@@ -416,7 +426,7 @@ class MultibodyModel(Swimmer):
         mass, centre = rigid[link, 0], centre_of_mass(rigid[link])
         inertia = tables["inertia"].copy()
         for moved, place in ((-mass, centre), (mass, centre + by)):
-            lever = cross_matrix(place)
+            lever = cross_product_matrix(place)
             inertia[link, 6:] -= moved * np.concatenate([lever.ravel(), (lever @ lever)[UPPER]])
         tables["inertia"] = inertia
         self.tree.move_weight(tables, link, centre, by)
@@ -441,7 +451,7 @@ class MultibodyModel(Swimmer):
         # the body is nearly level, so the rates of roll, pitch and yaw approximate those about its axes
         return [*body.tolist(), *rates[3:]]
 
-    def determined_starts(self, measured: Collection[str]) -> list[str]:
+    def list_determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the names of the initial velocities, angles and rates that measured channels determine.
 
         A side view determines only the velocities in its plane.
@@ -451,16 +461,16 @@ class MultibodyModel(Swimmer):
             for name, place, speed in zip(self.rates, self.pose, self.velocity, strict=True)
             if place not in measured and speed not in measured
         ]
-        return [name for name in super().determined_starts(measured) if name not in blind]
+        return [name for name in super().list_determined_starts(measured) if name not in blind]
 
     def at_reference(self, wrench: Array) -> Array:
         """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
         force, moment = wrench[:, :3], wrench[:, 3:]
         return np.hstack([force, moment - np.cross(self.tree.reference, force)])
 
-    def _posed(self, values: Array, trial: Trial) -> Array:
+    def _first_pose(self, values: Array, trial: Trial) -> Array:
         """Return the pose of the reference point at the first sample, with estimated offsets, shape (6,)."""
-        pose = np.array(trial.swim.posed(6), dtype=float)
+        pose = np.array(trial.swim.get_pose(6), dtype=float)
         return pose + values[self._offset]
 
     def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
@@ -468,7 +478,7 @@ class MultibodyModel(Swimmer):
         if not self.free_base:
             return
         passives = len(self.passive)
-        _, _, z, roll, pitch, yaw = self._posed(values, trial)
+        _, _, z, roll, pitch, yaw = self._first_pose(values, trial)
         turn = from_angles([roll], [pitch], [0.0])[0]
         place = -turn.apply(self.tree.reference)
         start[2] = z + place[2]
@@ -479,10 +489,10 @@ class MultibodyModel(Swimmer):
         start[10 + passives : 13 + passives] = spin
         if hooks.flow:
             _, water = flows(hooks, np.array([begin_s]))
-            x, y = turned(float(water[0, 0]), float(water[0, 1]), -float(yaw))
+            x, y = rotate_vector(float(water[0, 0]), float(water[0, 1]), -float(yaw))
             start[7 + passives : 10 + passives] -= turn.inv().apply([x, y, 0.0])
 
-    def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
+    def _add_water_motion(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
         moved, speed = flows(hooks, np.append(begin_s, time_s))
         for k, name in enumerate(self.pose[:2]):
             found[name] = found[name] + moved[1:, k] - moved[0, k]
@@ -491,12 +501,12 @@ class MultibodyModel(Swimmer):
         for k, name in enumerate(self.velocity[:3]):
             found[name] = found[name] + water[:, k]
 
-    def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+    def observe(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point from simulated states."""
         passives = len(self.passive)
         turn = Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]]))
         place = states[:, :3] + turn.apply(self.tree.reference)
-        x, y, _, _, _, yaw = self._posed(values, trial)
+        x, y, _, _, _, yaw = self._first_pose(values, trial)
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = place[:, 0] - place[0, 0], place[:, 1] - place[0, 1]
         spin = states[:, 10 + passives : 13 + passives]

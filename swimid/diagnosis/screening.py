@@ -10,27 +10,28 @@ import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.crossval import NormalEquations
-from swimid.diagnosis.study import EFFECT_PRIOR, Hypothesis, Study
+from swimid.diagnosis.priors import EFFECT_PRIOR
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
 
 #: Sum of squared changes of the trials by an effect, in units of the noise variance, below which the effect
 #: counts as changing nothing.
-NOTHING = 1e-6
+MIN_SQUARED_CHANGE = 1e-6
 #: Maximum change of a sample by an effect, in noise standard deviations. A larger change means that the
 #: simulation diverged.
-BROKEN = 3e4
+MAX_CHANGE_SD = 3e4
 #: Minimum fraction of the trials that can be simulated with an effect without divergence. Parameter values of
 #: the effect with a smaller fraction are left out.
-SOUND = 0.7
+MIN_SOUND_SHARE = 0.7
 #: Number of parts into which each trial is divided to cross-validate an effect whose parameter has a separate
 #: value for each trial.
-PARTS = 4
+TRIAL_PARTS = 4
 
 
 @dataclass(frozen=True)
-class Tried:
+class Screening:
     """Screening result of one effect.
 
     Attributes
@@ -61,15 +62,15 @@ class Tried:
         return float(self.gains.sum())
 
 
-def within(change: Array) -> bool:
-    """Return whether the change of a trial by an effect is finite and below :data:`BROKEN`.
+def is_sound(change: Array) -> bool:
+    """Return whether the change of a trial by an effect is finite and below :data:`MAX_CHANGE_SD`.
 
     A larger change means that the simulation diverged.
     """
-    return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < BROKEN)
+    return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < MAX_CHANGE_SD)
 
 
-class Trialled(NamedTuple):
+class ScreeningRuns(NamedTuple):
     """Simulated changes of the trials by one effect.
 
     Attributes
@@ -84,7 +85,7 @@ class Trialled(NamedTuple):
     points: list[tuple[Array, list[Array]]]
 
 
-def simulate(study: Study, base: Hypothesis, effects: Sequence[Effect]) -> list[Trialled]:
+def simulate_effects(study: GapStudy, base: Hypothesis, effects: Sequence[Effect]) -> list[ScreeningRuns]:
     """Simulate each effect with several parameter values and return the changes of the trials."""
 
     def one(effect: Effect) -> list[tuple[Array, list[Array]]]:
@@ -92,23 +93,23 @@ def simulate(study: Study, base: Hypothesis, effects: Sequence[Effect]) -> list[
         found = []
         points = list(effect.tries(parameters))
         for point, changed in zip(points, study.changes(base, effect, points), strict=True):
-            sound = [within(c) for c in changed]
+            sound = [is_sound(c) for c in changed]
             # The change of a diverged trial is set to zero. The other trials still show the effect.
-            if sum(sound) > SOUND * len(sound):
+            if sum(sound) > MIN_SOUND_SHARE * len(sound):
                 found.append(
                     (point, [c if ok else np.zeros(len(c)) for c, ok in zip(changed, sound, strict=True)])
                 )
         return found
 
     return [
-        Trialled(effect, effect.parameters(study.model, study.trials), points)
+        ScreeningRuns(effect, effect.parameters(study.model, study.trials), points)
         for effect, points in zip(effects, map_in_processes(one, effects, study.jobs), strict=True)
     ]
 
 
-def screen(
-    study: Study, base: Hypothesis, simulated: Sequence[Trialled]
-) -> tuple[list[Tried], dict[str, str]]:
+def screen_effects(
+    study: GapStudy, base: Hypothesis, simulated: Sequence[ScreeningRuns]
+) -> tuple[list[Screening], dict[str, str]]:
     """Predict the decrease of the squared held-out residuals by each effect.
 
     The parameters of ``base`` are projected out.
@@ -121,16 +122,16 @@ def screen(
         Effects that change no measured sample or make the simulation diverge, with the reason.
     """
     columns = [changed for tried in simulated for _, changed in tried.points]
-    inner = crossval.normal_equations(study, base, columns)
-    plain = crossval.held_out(inner)
-    left = crossval.projected(inner).diagonal()
-    whole = inner.products.sum(axis=0).diagonal()[inner.shared :]
+    inner = crossval.form_normal_equations(study, base, columns)
+    plain = crossval.compute_held_out(inner)
+    left = crossval.project_columns(inner).diagonal()
+    whole = inner.products.sum(axis=0).diagonal()[inner.n_shared :]
     found, left_out, first = [], {}, 0
     for tried in simulated:
         if any(p.per_trial for p in tried.parameters):
-            best = _apart(study, base, tried)
+            best = _screen_own(study, base, tried)
         else:
-            best = _best(inner, tried, first, plain, left, whole)
+            best = _screen_shared(inner, tried, first, plain, left, whole)
         first += len(tried.points)
         if best is None:
             left_out[tried.effect.name] = "it changes nothing that was measured in these trials"
@@ -149,7 +150,7 @@ def _strength(parameters: Sequence[Parameter], point: Array) -> float:
     return max(sizes, default=1.0) or 1.0
 
 
-def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array) -> float:
+def _limit_factor(null: Array, step: Array, factor: float, lower: Array, upper: Array) -> float:
     """Return a factor limited so that ``null + factor * step`` is within the bounds of the parameters."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.array([(lower - null) / step, (upper - null) / step])
@@ -159,9 +160,9 @@ def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array
     return float(np.clip(factor, low, high))
 
 
-def _best(
-    inner: NormalEquations, tried: Trialled, first: int, plain: Array, left: Array, whole: Array
-) -> Tried | None:
+def _screen_shared(
+    inner: NormalEquations, tried: ScreeningRuns, first: int, plain: Array, left: Array, whole: Array
+) -> Screening | None:
     """Return the screening result of an effect at the parameter vector with the largest predicted gain.
 
     The candidates are all simulated parameter vectors, and the combination of the best vectors of different
@@ -180,19 +181,19 @@ def _best(
     null = np.array([p.start for p in parameters])
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
 
-    def fitted(*chosen: int) -> tuple[Array, Array]:
+    def fit(*chosen: int) -> tuple[Array, Array]:
         """Fit the changes at some parameter vectors together. Return the gains and the fitted factors."""
         prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
         where = [first + i for i in chosen]
-        gains = plain - crossval.held_out(inner, where, prior)
-        return gains, crossval.together(inner, where, prior)[inner.shared :]
+        gains = plain - crossval.compute_held_out(inner, where, prior)
+        return gains, crossval.fit_columns(inner, where, prior)[inner.n_shared :]
 
     found: list[tuple[Array, Array, tuple[int, ...]]] = []
     leaders: dict[tuple[int, ...], tuple[float, int]] = {}
     for i, (point, _) in enumerate(points):
-        if not whole[first + i] > NOTHING:
+        if not whole[first + i] > MIN_SQUARED_CHANGE:
             continue
-        gains, factors = fitted(i)
+        gains, factors = fit(i)
         moved = tuple(np.flatnonzero(point != null).tolist())
         if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
             leaders[moved] = (float(gains.sum()), i)
@@ -200,25 +201,25 @@ def _best(
         # without parameters always acts fully (factor 1).
         allowed = 1.0
         if parameters:
-            allowed = _allowed(null, point - null, float(factors[0]), lower, upper)
+            allowed = _limit_factor(null, point - null, float(factors[0]), lower, upper)
         if allowed != factors[0]:
-            gains = np.minimum(gains, plain - crossval.held_out_less(inner, first + i, allowed))
+            gains = np.minimum(gains, plain - crossval.compute_held_out_less(inner, first + i, allowed))
             factors = np.array([allowed])
         found.append((gains, factors, (i,)))
     if len(leaders) > 1:
         together = tuple(i for _, i in leaders.values())
-        found.append((*fitted(*together), together))
+        found.append((*fit(*together), together))
     if not found:
         return None
     gains, factors, chosen = max(found, key=lambda one: one[0].sum())
     parts = [(f, *points[i]) for f, i in zip(factors, chosen, strict=True)]
     one = first + chosen[0]
     absorbed = float(np.clip(1.0 - left[one] / whole[one], 0.0, 1.0))
-    raw = [plain - crossval.held_out_less(inner, first + i) for i in range(len(points))]
+    raw = [plain - crossval.compute_held_out_less(inner, first + i) for i in range(len(points))]
     helped = max(range(len(points)), key=lambda i: (raw[i].sum(), i))
     if not tried.effect.smooth and raw[helped].sum() > gains.sum():
         gains = raw[helped]
-    return Tried(
+    return Screening(
         tried.effect,
         parameters,
         np.clip(null + sum(f * (point - null) for f, point, _ in parts), lower, upper),
@@ -229,7 +230,7 @@ def _best(
     )
 
 
-def _apart(study: Study, base: Hypothesis, tried: Trialled) -> Tried | None:
+def _screen_own(study: GapStudy, base: Hypothesis, tried: ScreeningRuns) -> Screening | None:
     """Return the screening result of an effect with separate parameter values for each trial."""
     single = [j for j, p in enumerate(tried.parameters) if p.per_trial]
     null = [p.start for p in tried.parameters]
@@ -240,34 +241,34 @@ def _apart(study: Study, base: Hypothesis, tried: Trialled) -> Tried | None:
         moved = tuple(j for j in single if point[j] != null[j])
         if moved:
             groups.setdefault(np.delete(point, single).tobytes(), {}).setdefault(moved, (point, changed))
-    best: Tried | None = None
+    best: Screening | None = None
     for group in groups.values():
         changes = [changed for _, changed in group.values()]
-        if sum(float(np.vdot(c, c)) for changed in changes for c in changed) < NOTHING:
+        if sum(float(np.vdot(c, c)) for changed in changes for c in changed) < MIN_SQUARED_CHANGE:
             continue
-        gains = own_gains(study, base, changes)
+        gains = compute_own_gains(study, base, changes)
         if best is None or gains.sum() > best.gain:
             point, _ = next(iter(group.values()))
             signature = [np.sum(of_trial, axis=0) for of_trial in zip(*changes, strict=True)]
-            best = Tried(tried.effect, tried.parameters, point, gains, 0.0, signature)
+            best = Screening(tried.effect, tried.parameters, point, gains, 0.0, signature)
     return best
 
 
-def alike(study: Study, base: Hypothesis, first: Tried, second: Tried) -> float:
+def compute_cosine(study: GapStudy, base: Hypothesis, first: Screening, second: Screening) -> float:
     """Return the cosine between the changes of the trials by two effects.
 
     The parameters of ``base`` are projected out. The cosine is 0 if they imitate the whole change by one of
     the effects.
     """
     columns = [first.signature, second.signature]
-    inner = crossval.projected(crossval.normal_equations(study, base, columns))
+    inner = crossval.project_columns(crossval.form_normal_equations(study, base, columns))
     norm = np.sqrt(max(inner[0, 0], 0.0) * max(inner[1, 1], 0.0))
     if norm <= 0:
         return 0.0
     return float(inner[0, 1] / norm)
 
 
-def own_gains(study: Study, base: Hypothesis, own: Sequence[Sequence[Array]]) -> Array:
+def compute_own_gains(study: GapStudy, base: Hypothesis, own: Sequence[Sequence[Array]]) -> Array:
     """Return the decrease of the squared held-out residuals by an effect with per-trial parameters.
 
     The result has shape (folds,). The factor of the effect's change is estimated from three quarters of a
@@ -284,13 +285,13 @@ def own_gains(study: Study, base: Hypothesis, own: Sequence[Sequence[Array]]) ->
     q = len(own)
     for k, trial in enumerate(study.trials):
         block = np.column_stack([*(c[k] for c in own), base.residuals[k]])
-        seen = study.project_out(base, k, block)[: len(block)]
+        seen = crossval.project_out(study, base, k, block)[: len(block)]
         times = np.concatenate(
             [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]
         )
-        cut = np.quantile(times, np.linspace(0, 1, PARTS + 1)[1:-1]) if len(times) else np.empty(0)
+        cut = np.quantile(times, np.linspace(0, 1, TRIAL_PARTS + 1)[1:-1]) if len(times) else np.empty(0)
         part = np.searchsorted(cut, times, side="right")
-        products = np.array([seen[part == b].T @ seen[part == b] for b in range(PARTS)])
+        products = np.array([seen[part == b].T @ seen[part == b] for b in range(TRIAL_PARTS)])
         total = products.sum(axis=0)
         gain = 0.0
         for inner in products:
