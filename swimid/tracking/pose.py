@@ -504,7 +504,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
             "close enough to each other to give a speed"
         )
     measured &= segment > 0
-    body = _Body(track, setup, plane, rows, markers, hidden, measured)
+    body = _MarkedBody(track, setup, plane, rows, markers, hidden, measured)
     clock, clock_sd = _picture_times(times, held)
     angle = body.smooth_angle(clock, segments)
     raw, path = body.smooth_position(clock, segments, (segment > 0) & ~held.repeated, angle)
@@ -517,7 +517,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     return Pose(times, measured, segment, raw, path, *heading, held, hidden, plane, rows)
 
 
-class _Body:
+class _MarkedBody:
     """Rigid body through the head and the tail marker, or a point if there is one marker only.
 
     Its noise follows from the distance between the two markers.

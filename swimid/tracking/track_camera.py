@@ -183,9 +183,7 @@ def _make_evidence(
         facts={"Pictures": pictures},
         checks=checks,
         tables=[
-            ev.make_table(
-                "parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."
-            ),
+            ev.make_table("parameters", "Camera", rows, caption),
             ev.leaf_table("pictures", "Reprojection errors, px", dict(zip(seen, fit.each_px, strict=True))),
         ],
         methods=["The camera was calibrated with OpenCV from pictures of a checkerboard (Zhang 2000)."],

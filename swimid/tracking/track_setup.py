@@ -126,7 +126,7 @@ def track_setup(
     >>> made = track_video("pool.mp4", setup=draft.setup)  # doctest: +SKIP
     """
     output, video = _free(video, output, force), Path(video)
-    common = _stated_keys(options)
+    common = _common_keys(options)
     if options.pick:
         camera = common.get("camera")
 
@@ -143,7 +143,7 @@ def track_setup(
     return _draft(video, *_from_film(video, common, progress), output)
 
 
-def _stated_keys(options: TrackSetupOptions) -> dict[str, Any]:
+def _common_keys(options: TrackSetupOptions) -> dict[str, Any]:
     """Return the keys of the setup that the options state, apart from the markers."""
     common: dict[str, Any] = {"plane": options.plane, "frame_rate_hz": options.fps}
     if options.metres_per_pixel is not None:
