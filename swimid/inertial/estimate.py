@@ -25,8 +25,8 @@ from swimid.inertial.smoother import (
     Nominal,
     Observation,
     SmoothedMotion,
-    skew_matrices,
     jacobian,
+    skew_matrices,
 )
 from swimid.logs.kinematics import angles
 from swimid.logs.sampling import white_noise_sd
