@@ -67,7 +67,7 @@ except ImportError:
 
 DURATION_S = 20.0
 TIME = np.linspace(0.0, DURATION_S, 1001)
-BEAT = drives.Beat("sine", 1.4, math.radians(30.0))
+BEAT = drives.TailBeat("sine", 1.4, math.radians(30.0))
 #: Errors, relative to each channel's range, at which engines are compared; and that of the default step.
 LEVELS = (1e-3, 1e-4, 1e-5)
 #: Runs are compared ten times a second.
@@ -210,7 +210,9 @@ def mujoco_model(xml: str) -> Any:
     return model
 
 
-def mujoco_control(plant: Engine, beat: drives.Beat, step_s: float, steps: int, *, prescribed: bool) -> Pair:
+def mujoco_control(
+    plant: Engine, beat: drives.TailBeat, step_s: float, steps: int, *, prescribed: bool
+) -> Pair:
     """State (time, positions, velocities, activations) at the start, and the controls of every step."""
     gains = np.array([a.joint.driven.gain for a in plant.assembly.driven])
     n = 3 + len(plant.assembly.topology) - 1
@@ -284,7 +286,7 @@ class Peer:
     of J are the points' velocities per unknown rate (x, y, heading, passive angles).
     """
 
-    def __init__(self, plant: Engine, values: np.ndarray, beat: drives.Beat) -> None:
+    def __init__(self, plant: Engine, values: np.ndarray, beat: drives.TailBeat) -> None:
         tables = list(plant.assembly.tables(values[: len(plant.assembly.names)]).values())
         topology, joint, inertia, passive, drag_link, drag = tables[:6]
         links = len(topology)
@@ -544,7 +546,8 @@ def section_fit(plant: Engine, full: bool) -> None:
         verb_wall, verb, outcome = clocked(lambda: fit_graybox(file, channels=tuple(NOISE)))
     fits = {
         jobs: [
-            clocked(lambda jobs=jobs: output_error.fit(Engine().model, trials, jobs=jobs)) for _ in range(3)
+            clocked(lambda jobs=jobs: output_error.fit_output_error(Engine().model, trials, jobs=jobs))
+            for _ in range(3)
         ]
         for jobs in (1, None)
     }
@@ -669,7 +672,7 @@ def sysid_fit(plant: Engine, own: float) -> None:
 
     starts, controls, measured = [], [], []
     for frequency, amplitude in BEATS:
-        beat = drives.Beat("sine", frequency, math.radians(amplitude))
+        beat = drives.TailBeat("sine", frequency, math.radians(amplitude))
         start_state, control = mujoco_control(plant, beat, step, steps, prescribed=True)
         states, _ = rollout.rollout(true, mujoco.MjData(true), start_state, control)
         starts.append(start_state)

@@ -25,6 +25,7 @@ import click
 import griffe
 import ziamath
 from pictures import draw_quick
+from reference import PYTHON
 
 from swimid.api import NAMES
 from swimid.cli.main import SECTIONS, SHARED, Command, main
@@ -38,31 +39,6 @@ FOREIGN_SCRIPT = "https://unpkg.com/iframe-worker/shim"
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\s*\\(?P<open>[\[(])(?P<tex>.*?)\\[\])]\s*</\1>', re.S)
 #: Font size of equations, px.
 EQUATION_PX = 17
-
-#: Title of each page of the Python reference, and the public names on it.
-PYTHON = {
-    "Start": ("init", "sample", "robot"),
-    "Trials, logs and robots": (
-        "load", "read_log", "read_robot", "list_robots", "TrialSet", "Log", "Robot",
-    ),
-    "Make logs": (
-        "track_video", "track_setup", "track_camera", "Calibration", "track_imu", "import_log",
-        "guess_mapping", "plot", "Logged",
-    ),
-    "Identify": ("fit_drag", "fit_propulsion", "fit_graybox", "rwls", "fit", "Fitted"),
-    "Simulate and compare": ("simulate", "Simulation", "compare", "Comparison"),
-    "Diagnose": ("diagnose", "Diagnosis", "DetectionPower", "sensitivity", "Sensitivity"),
-    "Put to work": (
-        "performance_map", "PerformanceMap", "optimise_stiffness", "StiffnessRule", "optimise_gait",
-        "BestGait",
-    ),
-    "Many at once": ("batch", "Batch", "compare_runs", "ComparedRuns"),
-    "Results": ("load_result", "Result", "report", "export"),
-    "Models and effects": ("Model", "Parameter", "Channel", "Trial", "Trials", "fit_model", "Effect"),
-    "Errors and warnings": (
-        "SwimidError", "InputError", "UsageError", "NoTrustworthyResult", "SwimidWarning",
-    ),
-}  # fmt: skip
 
 
 def slug(title: str) -> str:

@@ -11,11 +11,11 @@ import pytest
 from swimid.diagnosis import readings, search
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.search import HypothesisSearch
+from swimid.diagnosis.search import HypothesisSearch, SearchResult
 from swimid.diagnosis.study import GapStudy
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, RigInput, SwimInput, Trial
 from swimid.results import evidence
@@ -57,7 +57,7 @@ def swim(frequency_hz: float = 1.4) -> Trial:
     """A trial of which pose and heading are measured."""
     time = np.arange(51) / 25.0
     measured = {name: np.zeros(len(time)) for name in ("x_m", "y_m", "yaw_rad")}
-    return Trial("swim", "fit", time, measured, swim=SwimInput(Beat("sine", frequency_hz, 0.4)))
+    return Trial("swim", "fit", time, measured, swim=SwimInput(TailBeat("sine", frequency_hz, 0.4)))
 
 
 def experiment(robot: str | Path = "tfish", trials: list[Trial] | None = None) -> Experiment:
@@ -131,7 +131,7 @@ def test_effects_act_on_a_robot_in_another_reading(fish: Experiment, others: dic
 
 def test_a_finer_step_keeps_the_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
     acting = fish.model.with_effects([others["reading:areas=as-printed"]], fish.trials)
-    finer = acting.refined()
+    finer = acting.refine()
     assert finer is not None
     assert isinstance(finer, Swimmer)
     assert isinstance(fish.model, Swimmer)
@@ -244,7 +244,7 @@ def decays(rng: np.random.Generator, rate_1_s: float, rising: float) -> list[Tri
     return trials
 
 
-def sought(trials: list[Trial], *, reading: bool = True) -> HypothesisSearch:
+def sought(trials: list[Trial], *, reading: bool = True) -> SearchResult:
     effects: list[Effect] = [Seen("rise", rise), Seen("ring", ring)]
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'

@@ -116,8 +116,8 @@ class Series:
         self.trial, self.role = trial, role
         self.time_s = np.linspace(0, 1, 50)
         self.simulated = self.time_s
-        self.weighted = size * np.cos(np.arange(50.0))
-        self.measured = self.simulated + 0.01 * self.weighted
+        self.z_scores = size * np.cos(np.arange(50.0))
+        self.measured = self.simulated + 0.01 * self.z_scores
 
 
 def test_the_worst_the_best_and_the_worst_held_out_trial_are_shown() -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.robots import file as robot_format
@@ -29,7 +29,7 @@ needs_casadi = pytest.mark.skipif(importlib.util.find_spec("casadi") is None, re
 
 
 def values_of(model: Swimmer) -> np.ndarray:
-    stated = model.stated()
+    stated = model.get_file_values()
     return np.array([stated.get(p.name, p.start) for p in model.parameters])
 
 
@@ -76,7 +76,7 @@ def test_torques_of_random_trees(base: str) -> None:
 
 
 def test_both_engines_give_the_same_torques() -> None:
-    swim = SwimInput(Beat("sine", 1.4, 0.5))
+    swim = SwimInput(TailBeat("sine", 1.4, 0.5))
     flat, space = (swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, LiftedModel))
     assert space.torque_N_m == pytest.approx(flat.torque_N_m, abs=1e-9)
 
@@ -91,7 +91,7 @@ def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
     joints[-1] = joints[-1].model_copy(update={"driven": None, "passive": law})
     body = robot.multibody.model_copy(update={"joints": joints, "strokes": {}})
     model = MultibodyModel(robot.model_copy(update={"multibody": body}))
-    tables = model.tree.tables(np.array(list(model.stated().values())))
+    tables = model.tree.tables(np.array(list(model.get_file_values().values())))
     rng, size = np.random.default_rng(3), 13 + 2 * len(model.passive)
     state, row = rng.normal(size=size), rng.normal(size=(len(model.driven), 5))
     row[:, 3], row[:, 4] = np.cos(row[:, 0]), np.sin(row[:, 0])
@@ -108,7 +108,7 @@ def test_a_run_that_breaks_down_has_no_energetics() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     values = values_of(model)
     values[model.index("c_d4")] = -1e6
-    trial = Trial("run", "fit", np.arange(101) / 20, {}, swim=SwimInput(Beat("sine", 2.0, 0.5)))
+    trial = Trial("run", "fit", np.arange(101) / 20, {}, swim=SwimInput(TailBeat("sine", 2.0, 0.5)))
     columns, found = model.with_energetics([(values, trial)], [1.0])[0]
     assert found is None
     assert np.isnan(columns["u_m_s"]).all()
@@ -117,7 +117,7 @@ def test_a_run_that_breaks_down_has_no_energetics() -> None:
 def test_forgotten_trials_are_simulated_again() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(101) / 50
-    slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(Beat("sine", f, 0.3))) for f in (1.0, 2.0))
+    slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(TailBeat("sine", f, 0.3))) for f in (1.0, 2.0))
     first = model.simulate(values_of(model), slow)["u_m_s"]
     model.forget([slow])
     assert not np.array_equal(model.simulate(values_of(model), fast)["u_m_s"], first)

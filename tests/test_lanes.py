@@ -206,7 +206,7 @@ def test_a_batch_of_a_robot_in_space_agrees_with_the_engine(rng: np.random.Gener
 
 
 def trials(count: int = 3) -> list[Trial]:
-    swims = [SwimInput(drives.Beat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k)) for k in range(count)]
+    swims = [SwimInput(drives.TailBeat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k)) for k in range(count)]
     return [
         Trial(f"run{k}", "fit", np.arange(0.0, 2.0 + 0.3 * k, 0.02), {}, swim=s) for k, s in enumerate(swims)
     ]
@@ -217,7 +217,7 @@ def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
     plain = MultilinkModel(robot_format.read("tfish"))
     names = {e.name: e for e in effect_catalogue.list_effects()}
     own = trials()
-    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
     for chosen in (
         (),
         ("tether",),
@@ -246,7 +246,7 @@ def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
 def test_a_single_run_takes_the_kernel_too(fish: MultilinkModel) -> None:
     """A simulation does not depend on the other runs of its batch."""
     own = trials()
-    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
     runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(8)]
     together = fish.run_many(runs)
     for values, trial in runs:
@@ -267,7 +267,7 @@ def test_a_run_that_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel
     for side_by_side in (False, True):
         model = Failing(robot_format.read("tfish"))
         model.kernels.own, model.kernels.used = fish.kernels.own, side_by_side
-        start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+        start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
         seen = model.run_many([(start, t) for t in trials()])
         assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
 
@@ -306,7 +306,7 @@ def test_memory_is_reused_after_its_results_are_released(
 def test_a_cached_run_outlives_later_batches(fish: MultilinkModel) -> None:
     """The offset of the start pose needs no new simulation. The cached one must be unchanged."""
     own = trials()
-    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
     fish.forget(own)
     before = fish.simulate(start, own[0])
     fish.run_many([(start * (1 + 0.01 * k), own[1 + k % 2]) for k in range(24)])
@@ -326,7 +326,7 @@ def test_equal_effects_share_their_runs() -> None:
 
 
 def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) -> None:
-    start = np.array([fish.stated()[name] for name in fish.coefficients])
+    start = np.array([fish.get_file_values()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
     assert fish.kernels.own.fits(tables)
     nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernels.own.fixed["drag"]))[0]
@@ -367,10 +367,10 @@ def test_threads_simulate_whole_batches(fish: MultilinkModel, monkeypatch: pytes
     monkeypatch.setattr(fish, "run_many", counted)
     problem = Problem(fish, fish.parameters, trials(), jobs=2)
     problem._typical_s = 1.0
-    problem.simulated([(problem.start, k % 3) for k in range(6)])
+    problem.simulate_points([(problem.start, k % 3) for k in range(6)])
     assert parts == [6]
     problem._typical_s = 1.0
-    problem.simulated([(problem.start, k % 3) for k in range(20)])
+    problem.simulate_points([(problem.start, k % 3) for k in range(20)])
     assert sorted(parts[1:]) == [4, 16]
 
 
@@ -412,7 +412,7 @@ def test_the_environment_alone_chooses_the_engine(
     monkeypatch.setenv("SWIMID_LANES", mode)
     monkeypatch.setattr(lanes, "folder", lambda: tmp_path)
     model = MultilinkModel(robot_format.read("tfish"))
-    assert model.together == together
+    assert model.batch_size == together
     if mode == "never":
         model.prepare(effects=True)
         assert not list(tmp_path.iterdir())

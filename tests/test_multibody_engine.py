@@ -288,7 +288,7 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     values = np.array([c.value for c in body.coefficients.values()])
     step, steps = 0.005, 4000
     half = 0.5 * step * np.arange(2 * steps + 1)
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4, 0.1))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4, 0.1))
     motions = [joint_motion(axis, k, swim, half, 0.0) for k, axis in enumerate(planar.driven)]
     mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
     n = planar.unknowns
@@ -475,7 +475,7 @@ def armed(base: str, at: list[float]) -> MultibodyModel:
 
 
 def beaten(model: MultibodyModel, time: np.ndarray, **values: float) -> dict[str, np.ndarray]:
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
     known = np.array([values.get(p.name, p.start) for p in model.parameters])
     return model.simulate(known, Trial("t", "fit", time, {}, swim=swim))
 

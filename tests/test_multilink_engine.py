@@ -223,7 +223,7 @@ def swim(
 ) -> np.ndarray:
     """Return the state of the built-in fish at 1.4 Hz and 30 degrees."""
     model = MultilinkModel(robot_format.read("tfish"), max_step=step)
-    beat = drives.Beat("sine", 1.4, math.radians(30.0))
+    beat = drives.TailBeat("sine", 1.4, math.radians(30.0))
     trial = Trial("run", "fit", times, {}, swim=SwimInput(beat, pose=pose))
     found = model.simulate(values_of(model) if values is None else values, trial)
     names = ("x_m", "y_m", "yaw_rad", "joint4_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s", "joint4_rate_rad_s")
@@ -251,7 +251,7 @@ def test_velocities_are_the_derivatives_of_the_pose_of_any_reference_point() -> 
     robot = robot_format.read("tfish").model_copy(deep=True)
     robot.multilink.reference.station_m, robot.multilink.reference.offset_m = 0.15, 0.06
     model, time = MultilinkModel(robot), np.arange(0.0, 2.0, 0.005)
-    beat = SwimInput(drives.Beat("sine", 1.4, math.radians(30.0)), pose=(0.3, -0.2, 0.7))
+    beat = SwimInput(drives.TailBeat("sine", 1.4, math.radians(30.0)), pose=(0.3, -0.2, 0.7))
     begun = {"initial_surge": 0.2, "initial_sway": -0.1, "initial_yaw_rate": 0.5}
     values = [begun.get(p.name, v) for p, v in zip(model.parameters, values_of(model), strict=True)]
     with warnings.catch_warnings():
@@ -296,7 +296,9 @@ class TestTendonFish:
         integrated; all else much better.
         """
         model = MultilinkModel(robot_format.read("tfish"))
-        trial = Trial("run", "fit", GRID, {}, swim=SwimInput(drives.Beat("sine", 1.4, math.radians(30.0))))
+        trial = Trial(
+            "run", "fit", GRID, {}, swim=SwimInput(drives.TailBeat("sine", 1.4, math.radians(30.0)))
+        )
         run = model.trajectory(values_of(model), trial)
         found = engine.interpolate_states(BETWEEN, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
         grid_error = np.abs(run.states[:: round(0.02 / run.grid.step_s)] - reference[0]).max(axis=0)
@@ -735,7 +737,7 @@ def slender(drag_N_s_m: float) -> MultilinkModel:
 def undulate(model: MultilinkModel, speed: float, times: np.ndarray) -> dict[str, np.ndarray]:
     """Simulate the wave with joint angles of up to 4 degrees, from a given speed."""
     values = np.array([speed if p.name == "initial_surge" else p.start for p in model.parameters])
-    beat = drives.Beat("sine", BEAT_HZ, math.radians(4.0))
+    beat = drives.TailBeat("sine", BEAT_HZ, math.radians(4.0))
     return model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))
 
 

@@ -186,7 +186,7 @@ def fish() -> MultilinkModel:
 
 
 def beating(hz: float, deg: float, duration_s: float, **more: Any) -> Trial:
-    beat = drives.Beat("sine", hz, math.radians(deg), **more)
+    beat = drives.TailBeat("sine", hz, math.radians(deg), **more)
     swim = SwimInput(beat, pose=(0.3, -0.2, 0.5), coefficients={"c_f": 1.1})
     return Trial(f"{hz} Hz", "fit", 2.0 + np.arange(0.0, duration_s + 0.01, 0.04), {}, swim=swim)
 

@@ -16,8 +16,9 @@ from swimid.diagnosis.crossval import NormalEquations, solve_normal
 from swimid.diagnosis.noise import BETWEEN, RandomCandidate, RandomEffect, Scatter
 from swimid.diagnosis.nominal import MIN_RANDOM_TRIALS, OWN_PRIOR
 from swimid.diagnosis.posterior import CALIBRATED, Candidate, DataSize
+from swimid.diagnosis.priors import EFFECT_PRIOR
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import EFFECT_PRIOR, MAX_FOLD_ITERATIONS, GapStudy, Hypothesis
+from swimid.diagnosis.study import MAX_FOLD_ITERATIONS, GapStudy, Hypothesis
 from swimid.fitting import mistakes
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
@@ -112,7 +113,7 @@ def _undo_mistakes(fit: Hypothesis) -> list[tuple[OddTrial, Array, float]]:
     trial, found = study.trials[owners.index(f)], []
     shared = {fit.labels[j]: float(fit.theta[j]) for j in study.select_shared(fit)}
     before = _fit_trials(study, fit, [trial], shared, iterations=MAX_FOLD_ITERATIONS)
-    for mistake in mistakes.catalogue(study.model, [trial]):
+    for mistake in mistakes.list_mistakes(study.model, [trial]):
         undone = mistake.undo(trial)
         if undone is None:
             continue

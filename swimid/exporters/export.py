@@ -28,7 +28,7 @@ from swimid.results.parameters import Estimate
 from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import drawn
+from swimid.simulation.draws import draw_parameters
 
 FORMAT = "swimid-export/1"
 #: Key of the list of force elements in the JSON document, for each kind of force element.
@@ -282,7 +282,7 @@ def _samples(source: ExportSource, count: int, seed: int) -> list[dict[str, floa
     if not applied.uncertain()[0]:
         raise UsageError("no parameter of the file has a standard error to draw from")
     applied.warn_without_error("the random samples")
-    vectors, inside = drawn(applied, count, seed)
+    vectors, inside = draw_parameters(applied, count, seed)
     if inside < 1.0 - NOTABLE:
         share = numbers.percent(1.0 - inside)
         warn("SWM069", f"{share} of the random samples lay outside the bounds, and were drawn again")

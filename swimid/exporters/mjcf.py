@@ -19,7 +19,7 @@ from swimid.effects.catalogue import list_effects
 from swimid.exporters.causes import FILTERS, ExportedCause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
-from swimid.fitting.model import TRACEABLE, Force
+from swimid.fitting.model import TRACEABLE, ExternalForce
 from swimid.notices import record_warnings
 from swimid.swimmer.tree import SYMMETRIC
 
@@ -114,7 +114,7 @@ def export(source: ExportSource, options: ExportOptions) -> Exported:
     )
 
 
-def _site(force: Force) -> str:
+def _site(force: ExternalForce) -> str:
     """Return the name of the MuJoCo site at which the force of an effect acts."""
     return CAUSE + next(name for name, known in TRACEABLE.items() if known.function is force.function)
 

@@ -15,7 +15,7 @@ import numpy as np
 from swimid.exporters.causes import ExportedCause, limits_of, read_causes
 from swimid.exporters.options import ExportOptions
 from swimid.files.templates import environment
-from swimid.fitting.model import Array, Force
+from swimid.fitting.model import Array, ExternalForce
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
@@ -213,7 +213,7 @@ class ExportSource:
         return np.asarray(_change_tables(dry.tables(self.values), causes)["inertia"])
 
     @cached_property
-    def forces(self) -> list[tuple[str, Force]]:
+    def forces(self) -> list[tuple[str, ExternalForce]]:
         """Forces that the effects exert on the links, each with the name of its effect."""
         # Compute the tables first, because some forces get their constants when their effect changes the
         # tables.
@@ -332,7 +332,7 @@ def _change_tables(tables: Mapping[str, Any], causes: Sequence[ExportedCause]) -
     """Return a copy of the input arrays of the equations of motion with the changes by effects."""
     found = {name: np.copy(table) for name, table in tables.items()}
     for cause in causes:
-        cause.hooks.changed(found, "tables")
+        cause.hooks.change_values(found, "tables")
     return found
 
 

@@ -25,8 +25,8 @@ from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
-from swimid.simulation.cases import value_text
-from swimid.simulation.draws import drawn
+from swimid.simulation.cases import format_quantity
+from swimid.simulation.draws import draw_parameters
 
 #: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range; and relative
 #: tolerance within which the limit of a quantity counts as reached.
@@ -275,7 +275,7 @@ def _set_intervals(
     problem: GaitProblem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
 ) -> None:
     """Set the 95 % intervals of the varied parameters and of the goal in ``file``, from random samples."""
-    vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
+    vectors, file.inside = draw_parameters(problem.performance.applied, options.draws, options.seed)
     file.draws = len(vectors)
     nominal = np.tile(problem.place(file.at), (len(vectors), 1))
     with progress("gaits of draws", total=DRAW_STEPS) as step:
@@ -347,7 +347,7 @@ def answer(file: GaitFile) -> str:
     """Return a sentence with the best gait, the value of its goal, and the limits that it reaches."""
     place = ", ".join(f"{n} {numbers.format_number(v, 4, file.vary[n].unit)}" for n, v in file.at.items())
     held = f", limited by {', '.join(file.held_by)}" * bool(file.held_by)
-    return f"Best gait: {place}; {file.goal} {value_text(file.best, file.unit, digits=4)}{held}."
+    return f"Best gait: {place}; {file.goal} {format_quantity(file.best, file.unit, digits=4)}{held}."
 
 
 def _gait_table(file: GaitFile) -> ev.Table:
@@ -358,7 +358,7 @@ def _gait_table(file: GaitFile) -> ev.Table:
     for name, value in {**file.at, file.goal: file.best}.items():
         factor, shown = numbers.in_degrees(units[name])
         low, high = factor * np.array(known.get(name, (None, None)), dtype=float)
-        row: dict[str, ev.Cell] = {"": name, "best gait": value_text(value, units[name], digits=4)}
+        row: dict[str, ev.Cell] = {"": name, "best gait": format_quantity(value, units[name], digits=4)}
         rows.append({**row, "95 %": numbers.interval(low, high, None, shown)})
     caption = "Intervals are over draws of the coefficients."
     return ev.make_table("gait", "Gait", rows, caption * bool(file.draws))
@@ -369,7 +369,7 @@ def _quantity_table(file: GaitFile) -> ev.Table:
     for name, value in file.quantities.items():
         if value is not None:
             bare, unit = numbers.split_unit(name)
-            rows.append({"quantity": bare.replace("_", " "), "value": value_text(value, unit, digits=4)})
+            rows.append({"quantity": bare.replace("_", " "), "value": format_quantity(value, unit, digits=4)})
     return ev.make_table("quantities", "Quantities of the best gait", rows)
 
 

@@ -30,7 +30,7 @@ from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
-from swimid.simulation.cases import value_text
+from swimid.simulation.cases import format_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -339,7 +339,7 @@ def _cell(file: MapFile, name: str, row: int, column: int) -> str:
     q, sd = file.quantities[name], None
     if q.stderr is not None:
         sd = q.stderr[row][column]
-    return value_text(q.values[row][column], q.unit, sd)
+    return format_quantity(q.values[row][column], q.unit, sd)
 
 
 def _select_plotted(file: MapFile) -> list[str]:

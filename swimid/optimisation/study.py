@@ -33,7 +33,7 @@ from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.robots import file as robot_format
 from swimid.simulation import cases, catalogue
-from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_drive, swim_input
+from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, list_drive_options, swim_input
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.model import Swimmer
 
@@ -97,7 +97,7 @@ class Performance:
             file, _ = catalogue.read_parameters(options.params)
             if file.model not in ("multilink", "multibody"):
                 raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
-        made = cls(catalogue.load_robot(options, file), given_drive(options), options)
+        made = cls(catalogue.load_robot(options, file), list_drive_options(options), options)
         if not made.model.driven:
             raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
         return made
@@ -189,7 +189,7 @@ class Performance:
     def run(self, point: Point) -> SwimRun:
         """Return the simulation of a gait from rest, before it is computed."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
-        return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
+        return SwimRun.simulate_drive(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
         """Return the parameter vector of the model with the coefficients of a gait."""

@@ -15,7 +15,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
+from swimid.fitting.model import Array, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
@@ -121,7 +121,7 @@ def fit_propulsion(
     """
     with record_warnings(repeat=True) as notices:
         experiment = fit_common.load_experiment(trials, command="fit-propulsion", drag=options.drag)
-        choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
+        choices = fit_common.prepare_fit(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         fit = _fit_recoil_law
         if experiment.name != "cruise":
@@ -158,10 +158,10 @@ def _fit_surge(
     """
     model = experiment.model
     assert isinstance(model, SurgeModel)
-    result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
+    result = output_error.fit_output_error(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
-    result = output_error.complete(result)
-    if all(result.status[label] != "estimated" for label in result.shared):
+    result = output_error.complete_fit(result)
+    if all(result.status[label] != "estimated" for label in result.common_labels):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
     laws = {"amplitude_exponent": AMPLITUDE_EXPONENT}
@@ -175,7 +175,7 @@ def _fit_surge(
         (result.stderr("thrust_acceleration") or 0.0) / thrust,
         (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
     )
-    derived["thrust_coefficient"] = _estimated(at_one, at_one * spread, "m/s^2")
+    derived["thrust_coefficient"] = _make_estimate(at_one, at_one * spread, "m/s^2")
     if spread >= UNIDENTIFIABLE:
         derived["thrust_coefficient"].status = "unidentifiable"
     beats = experiment.facts["beats"]
@@ -184,7 +184,7 @@ def _fit_surge(
         values = [float(b["found_hz"]) for b in measured]
         scatter = float(np.std(values) / math.sqrt(len(values)))
         error = max(scatter, min(float(b["stderr_hz"]) for b in measured))
-        derived["beat_frequency"] = _estimated(float(np.median(values)), error, "Hz")
+        derived["beat_frequency"] = _make_estimate(float(np.median(values)), error, "Hz")
     settings = {
         "reference_amplitude_rad": reference,
         "reference_frequency_hz": model.reference_frequency_hz,
@@ -205,7 +205,7 @@ def _fit_surge(
     return file, checks, {"title": title, "figures": figures, "methods": methods}
 
 
-def _estimated(value: float, stderr: float, unit: str) -> Estimate:
+def _make_estimate(value: float, stderr: float, unit: str) -> Estimate:
     """Return an estimate with the status ``estimated`` for a derived quantity."""
     return Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
@@ -238,15 +238,17 @@ def _fit_recoil_law(
             "no fin's hydrodynamic inertia is known: only its product with the efficiency is determined; the "
             "efficiency is held at its starting value",
         )
-    everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
+    everything = output_error.fit_output_error(
+        model, experiment.trials, parameters=choices, progress=progress
+    )
     fit_common.refuse_interrupted(everything)
     departures: list[dict[str, Any]] = []
     if not options.keep_departures:
         departures = _find_departures(model, experiment.trials, choices)
     kept, result, left_out = experiment.trials, everything, [d["frequency_hz"] for d in departures]
     if departures:
-        kept = _without(experiment.trials, left_out)
-        result = output_error.fit(model, kept, parameters=choices, progress=progress)
+        kept = _blank_frequencies(experiment.trials, left_out)
+        result = output_error.fit_output_error(model, kept, parameters=choices, progress=progress)
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents, exponent_checks = _free_exponents(model, kept, choices, LAWS, "power")
@@ -278,11 +280,11 @@ def _fit_recoil_law(
         "figures": [_speed_figure(experiment, result, points, left_out), _residual_figure(result)],
         "methods": methods,
     }
-    checks = [*fit_common.checks(result, held_out=False), _held_out_fins(model, result, kept, choices)]
+    checks = [*fit_common.checks(result, held_out=False), _predict_fins(model, result, kept, choices)]
     return file, [*checks, departed, *exponent_checks], shown
 
 
-def _held_out_fins(
+def _predict_fins(
     model: RecoilModel, result: FitResult, trials: Sequence[Trial], choices: tuple[Parameter, ...]
 ) -> ev.Check:
     """Return a check of the speeds of each fin, predicted by a fit to the other fins.
@@ -293,7 +295,7 @@ def _held_out_fins(
     if len(known) > 1:
         for left_out in known:
             roles = [replace(t, role="validate" if t is left_out else "fit") for t in trials]
-            without = output_error.fit(model, roles, parameters=choices)
+            without = output_error.fit_output_error(model, roles, parameters=choices)
             errors += [s.residual / s.measured for s in without.series_of(SPEED, "validate")]
     fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
     error, usual = (100 * ev.compute_rms(*parts) if parts else math.nan for parts in (errors, fitted))
@@ -309,7 +311,7 @@ def _held_out_fins(
 # ------------------------------------------------------------ checks of the law
 
 
-def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
+def _blank_frequencies(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
     """Return copies of cruise trials in which the speeds at the given beat frequencies are set to NaN."""
     kept = []
     for trial in trials:
@@ -332,7 +334,9 @@ def _find_departures(
         out, tests = [d["frequency_hz"] for d in departures], []
         for level in [one for one in levels if one not in out]:
             with suppress(NoTrustworthyResult):
-                fitted = output_error.fit(model, _without(trials, [*out, level]), parameters=choices)
+                fitted = output_error.fit_output_error(
+                    model, _blank_frequencies(trials, [*out, level]), parameters=choices
+                )
                 test = _departure(fitted, trials, level)
                 if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
                     tests.append(test)
@@ -349,7 +353,7 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     speed was measured at this frequency.
     """
     shares, spread = [], []
-    size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
+    size = float(np.sqrt(np.mean([np.nanmean(s.z_scores**2) for s in fitted.series])))
     reference = fitted.noise[SPEED].value_sd
     for trial in trials:
         predicted = fitted.model.run(fitted.values(trial.id), trial)[SPEED]
@@ -413,7 +417,9 @@ def _free_exponents(
     exponents, checks = {}, []
     for name, law in laws.items():
         try:
-            result = output_error.fit(model, trials, parameters=chosen(choices, freed=(name,)))
+            result = output_error.fit_output_error(
+                model, trials, parameters=choose_parameters(choices, freed=(name,))
+            )
         except NoTrustworthyResult:
             continue
         fit_common.refuse_interrupted(result)
@@ -462,7 +468,7 @@ def _with_drag_error(
     drag: ParameterFile = experiment.facts["drag"]
     shifts, joint = np.zeros((2, len(result.labels))), np.eye(2)
     for name, other in _models_by_drag_error(experiment).items():
-        moved = output_error.fit(other, trials, parameters=choices)
+        moved = output_error.fit_output_error(other, trials, parameters=choices)
         shifts[DRAG_PARAMETERS.index(name)] = moved.estimate - result.estimate
     if drag.correlation and all(n in drag.correlation.names for n in DRAG_PARAMETERS):
         i, j = (drag.correlation.names.index(n) for n in DRAG_PARAMETERS)
@@ -484,9 +490,9 @@ def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, An
     relative = math.hypot((coefficient.stderr or 0.0) / coefficient.value, scatter)
     forces = [p["propulsive_force_N"] for p in points]
     return {
-        "velocity_ratio": _estimated(ratio, error, "1"),
-        "smallest_propulsive_force": _estimated(min(forces), min(forces) * relative, "N"),
-        "largest_propulsive_force": _estimated(max(forces), max(forces) * relative, "N"),
+        "velocity_ratio": _make_estimate(ratio, error, "1"),
+        "smallest_propulsive_force": _make_estimate(min(forces), min(forces) * relative, "N"),
+        "largest_propulsive_force": _make_estimate(max(forces), max(forces) * relative, "N"),
     }
 
 
@@ -596,7 +602,7 @@ def _residual_figure(result: FitResult) -> ev.Figure:
         for group, s in enumerate(fins):
             # Shift the points of each fin sideways, so that points of different fins do not hide each other.
             x = factor * inputs[s.trial][name] + 0.025 * reach * (group - (len(fins) - 1) / 2)
-            traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
+            traces.append(ev.Trace(x=x, y=s.z_scores, style="points", label=s.trial, group=group))
         spans = [ev.Span(start=-2.0, end=2.0, axis="y", label="±2 sd")]
         panels.append(ev.panel(label, "residual / sd", traces, spans=spans))
     caption = (

@@ -553,7 +553,7 @@ def make_fit_figure(
     unit of the figure.
     """
     drawn: list[Panel] = []
-    for name, s in extremes(shown, lambda s: compute_rms(s.weighted)).items():
+    for name, s in extremes(shown, lambda s: compute_rms(s.z_scores)).items():
         known = select_marks(s.time_s, s.measured)
         x, y = thin_curve(s.time_s, factor * s.simulated, MAX_TRIAL_POINTS)
         traces = pair((s.time_s[known], x), (factor * s.measured[known], y))
@@ -612,12 +612,12 @@ def make_residual_figure(
     It shows the trials with the largest errors. If ``correlation`` is given, a second panel shows the
     autocorrelation of the residuals.
     """
-    worst = sorted(range(len(shown)), key=lambda k: -compute_rms(shown[k].weighted))[:MAX_RESIDUAL_ROWS]
+    worst = sorted(range(len(shown)), key=lambda k: -compute_rms(shown[k].z_scores))[:MAX_RESIDUAL_ROWS]
     rows = [shown[k] for k in sorted(worst)]
     mixed = len({s.role for s in rows}) > 1
     traces: list[Trace] = []
     for k, s in enumerate(rows):
-        x, y = thin_curve(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), MAX_TRIAL_POINTS)
+        x, y = thin_curve(s.time_s, np.clip(s.z_scores, -ROW_SD, ROW_SD), MAX_TRIAL_POINTS)
         group, label = 0, "fitted" if mixed else "residuals"
         if s.role != "fit":
             group, label = 1, "held out"

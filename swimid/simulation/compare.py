@@ -28,7 +28,7 @@ from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series, compare_wave
-from swimid.simulation.cases import value_text
+from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
 from swimid.simulation.options import CompareOptions
@@ -123,7 +123,7 @@ def compare(
     --------
     >>> import swimid
     >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
-    >>> against = compare("sample_logs/rig/trials.yaml", params=drag)
+    >>> against = compare_waves("sample_logs/rig/trials.yaml", params=drag)
     >>> bool((against.scores["nrmse"] < 0.002).all()), against.verdict
     (True, 'good')
     """
@@ -190,13 +190,13 @@ def compare(
 
 def _mistakes_check(trials: Sequence[Trial], applied: Applied, before: mistakes.TrialSeries) -> ev.Check:
     """Check whether a common mistake in trials explains the errors, with shared parameters fixed."""
-    known = mistakes.catalogue(applied.model, trials)
+    known = mistakes.list_mistakes(applied.model, trials)
 
     def simulate(trial: Trial) -> list[dict[str, Array]]:
-        values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
+        values, _, _ = compare_series.start_of(applied, trial, True, mistakes.SCREEN_START_RTOL)
         return [applied.model.run(values, trial)]
 
-    return mistakes.check(mistakes.search(trials, known, before, simulate), len(known))
+    return mistakes.check_mistakes(mistakes.search(trials, known, before, simulate), len(known))
 
 
 #: Columns with the errors of a channel in the tables of the evidence.
@@ -273,7 +273,7 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
     for n in series[0][0]:
         if all(n in sides[0] for sides in series):
             pairs = zip(times, series, strict=True)
-            channels[n] = np.array([[_resampled(clock, t, c[n]) for c in sides] for t, sides in pairs])
+            channels[n] = np.array([[_resample(clock, t, c[n]) for c in sides] for t, sides in pairs])
     means = {n: values.mean(axis=0) for n, values in channels.items()}
     record = compare_series.ProfileComparison(
         name=name,
@@ -290,7 +290,7 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
     return Profile(clock, channels, record)
 
 
-def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
+def _resample(clock: Array, time_s: Array, values: Array) -> Array:
     """Return the samples of a channel interpolated at the times ``clock``.
 
     The result is NaN outside the range of the valid samples.
@@ -342,10 +342,12 @@ def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> lis
     for p in profiles:
         ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
         texts = [numbers.format_number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
-        rows.append([p.name, len(p.trials), *texts, value_text(p.orientation_rmse_rad, "rad")])
+        rows.append([p.name, len(p.trials), *texts, format_quantity(p.orientation_rmse_rad, "rad")])
         for c in p.cycles:
             for side, known, sd in (("measured", c.measured, c.spread), ("simulated", c.simulated, {})):
-                cells = [value_text(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES]
+                cells = [
+                    format_quantity(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES
+                ]
                 strokes.append([p.name, c.cycle, side, *cells])
     sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
     names = [numbers.split_unit(name)[0].replace("_", " ") for name in CYCLE_QUANTITIES]
@@ -531,7 +533,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    waves = compare_wave.table(file.waves)
+    waves = compare_wave.tabulate_waves(file.waves)
     tables = [pooled, *_profile_tables(file.profiles), _speeds(file), waves, _scores(file)]
     return [table for table in tables if table.rows]
 
@@ -543,7 +545,7 @@ def _errors(name: str, s: ChannelScore) -> list[Any]:
         bias = 0.0
     channel = name + " (from pose)" * (s.source == "pose")
     shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
-    return [channel, value_text(s.rmse, s.unit), *shares, value_text(bias, s.unit)]
+    return [channel, format_quantity(s.rmse, s.unit), *shares, format_quantity(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
@@ -555,7 +557,7 @@ def _scores(file: ComparisonFile) -> ev.Table:
                 numbers.format_number(s.fit_percent, 3, "percent"),
                 numbers.percent(s.peak_error_normalised),
             )
-            texts = [value_text(s.peak_error, s.unit), value_text(s.phase_error_rad, "rad")]
+            texts = [format_quantity(s.peak_error, s.unit), format_quantity(s.phase_error_rad, "rad")]
             rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
         id="scores",
@@ -580,8 +582,8 @@ def _speeds(file: ComparisonFile) -> ev.Table:
         if measured:
             share = (simulated - measured) / measured
         texts = [
-            value_text(measured, "m/s"),
-            value_text(simulated, "m/s"),
+            format_quantity(measured, "m/s"),
+            format_quantity(simulated, "m/s"),
             numbers.percent(share, 2),
             settles,
         ]
@@ -623,18 +625,18 @@ def _figures(
             drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
     beating = [d for d in done if d.record.wave is not None]
     if beating:
-        shown = {t: d.record.wave for t, d in _telling(beating).items() if d.record.wave is not None}
-        drawn.append(compare_wave.figure(shown))
+        shown = {t: d.record.wave for t, d in _select_trials(beating).items() if d.record.wave is not None}
+        drawn.append(compare_wave.draw_waves(shown))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
-        paths = [_path(t, d, *names) for t, d in _telling(done).items() if set(names) <= d.pairs.keys()]
+        paths = [_path(t, d, *names) for t, d in _select_trials(done).items() if set(names) <= d.pairs.keys()]
         caption = "Path of the reference point."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
 
 
-def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
+def _select_trials(done: Sequence[Compared]) -> dict[str, Compared]:
     """Return the trials to plot, by the title of their panel.
 
     They are the trials with the largest and the smallest error, and the held-out trial with the largest
@@ -659,7 +661,7 @@ def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
 
 def _overlay(done: Sequence[Compared]) -> ev.Figure:
     panels = []
-    for title, d in _telling(done).items():
+    for title, d in _select_trials(done).items():
         joints = [n for n in d.pairs if n.startswith("joint")]
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]

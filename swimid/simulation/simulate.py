@@ -28,7 +28,7 @@ from swimid.results import numbers
 from swimid.results.evidence import remove_outdated
 from swimid.results.result import LOG_ENDINGS, Result
 from swimid.simulation import cases
-from swimid.simulation.cases import Case, value_text
+from swimid.simulation.cases import Case, format_quantity
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import SimulateOptions
 
@@ -97,7 +97,7 @@ def simulate_case(case: Case) -> Simulated:
 
 def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
     """Raise an error if a simulation breaks down before its inputs end."""
-    if not steps.is_broken(case.trial, simulated):
+    if not steps.is_broken_down(case.trial, simulated):
         return
     lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
     whole = np.flatnonzero(~lost)
@@ -448,7 +448,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
 
     It has the quantities, and the checks of the integration step and of steady swimming.
     """
-    first, path = done[0], cases.place(options)
+    first, path = done[0], cases.describe_point(options)
     facts = {"Parameters": "values of the robot file", "Runs": str(len(done))}
     if path is not None:
         facts["Parameters"] = path.name
@@ -513,13 +513,13 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
         label = f"{numbers.split_unit(name)[0].replace('_', ' ')}{tail}"
         if name == "mean_speed_BL_s":
             label = "mean speed in body lengths"
-        texts[label] = value_text(quantity.value, quantity.unit, quantity.stderr, digits=4)
+        texts[label] = format_quantity(quantity.value, quantity.unit, quantity.stderr, digits=4)
     return texts
 
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
     """Return the result of ``simulate`` as data for ``--json``."""
-    case, place = done[0].case, cases.place(options)
+    case, place = done[0].case, cases.describe_point(options)
     return {
         "model": case.applied.model.name,
         "robot": case.metadata["robot"],

@@ -19,7 +19,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error, rivals
 from swimid.fitting.fit import fit
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.global_search import Start, agreeing, multistart
+from swimid.fitting.global_search import Start, count_agreeing, multistart
 from swimid.fitting.model import (
     Array,
     Model,
@@ -143,7 +143,7 @@ def fit_graybox(
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
         with on_cluster(options.cluster, "swimid.swimmer.fit_graybox:Posed.of", trials, options) as rebuilt:
             search = _search(posed, output, origin, rebuilt, progress)
-        result = output_error.complete(search.result)
+        result = output_error.complete_fit(search.result)
         folder = (output or trials_format.place(trials)).parent
         file = _parameter_file(posed, result, origin, folder)
         checks = [
@@ -156,9 +156,9 @@ def fit_graybox(
         explanation: mistakes.Explanation | None = None
         before = {t.id: [s for s in result.series if s.trial == t.id] for t in result.trials}
         if options.method == "least-squares" and mistakes.is_suspect(checks, before):
-            known = mistakes.catalogue(model, result.trials)
+            known = mistakes.list_mistakes(model, result.trials)
             explanation = _explain(result, known, before, options, progress)
-            checks.append(mistakes.check(explanation, len(known)))
+            checks.append(mistakes.check_mistakes(explanation, len(known)))
     evidence = ev.Evidence(
         command="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
@@ -237,7 +237,7 @@ class FitSetup:
         parameters = share(model.parameters, groups)
         if begin is not None:
             parameters = _start_from(begin, parameters)
-        parameters = fit_common.prepare(
+        parameters = fit_common.prepare_fit(
             experiment,
             output,
             parameters=parameters,
@@ -264,7 +264,7 @@ class FitSetup:
     def end_of(self, begin: Array) -> Array:
         """Return the estimate of the fit from a starting point, or the starting point if the fit fails."""
         with suppress(NoTrustworthyResult):
-            return output_error.fit(
+            return output_error.fit_output_error(
                 self.model,
                 self.experiment.trials,
                 parameters=self.parameters,
@@ -339,7 +339,7 @@ def _least_squares(
         begin, starts = begins[0], max(starts, len(begins))
     first: FitResult | None = None
     if starts == 1:
-        first = output_error.fit(model, trials, begin=begin, progress=progress, **settings)
+        first = output_error.fit_output_error(model, trials, begin=begin, progress=progress, **settings)
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return _Search(first)
         starts = DEFAULT_STARTS
@@ -392,8 +392,8 @@ def _require_result(
         if explanation is not None:
             hint = explanation.sentence
         raise NoTrustworthyResult(f"the fit did not converge: {result.message}{kept}", hint=hint)
-    unknown = [label for label in result.shared if result.status[label] == "unidentifiable"]
-    if unknown and unknown == result.shared and not file.derived:
+    unknown = [label for label in result.common_labels if result.status[label] == "unidentifiable"]
+    if unknown and unknown == result.common_labels and not file.derived:
         raise NoTrustworthyResult(
             f"none of {', '.join(unknown)} can be identified from these trials",
             hint="use longer and more different trials, or fix known coefficients with --fix",
@@ -405,7 +405,7 @@ def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parame
     model = experiment.model.swimmer
     known = {p.name: p.start for p in model.parameters} | {p.name: p.start for p in parameters}
     fixed = {p.name for p in parameters if not p.free}
-    stated = {name: value for name, value in model.stated().items() if name not in fixed}
+    stated = {name: value for name, value in model.get_file_values().items() if name not in fixed}
     for trial in (t for t in experiment.trials if t.swim.steady):
         points = [np.array([p[q.name] for q in model.parameters]) for p in (known, known | stated)]
         cruises = [model.cruise(point, trial) for point in points]
@@ -432,7 +432,7 @@ def _explain(
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
-    stated = model.stated()
+    stated = model.get_file_values()
     sets = (
         result.at_estimates(),
         tuple(replace(p, start=stated.get(p.name, p.start)) for p in result.parameters),
@@ -441,7 +441,7 @@ def _explain(
     def simulate(trial: Trial) -> Iterator[dict[str, Array]]:
         for parameters in sets:
             own = output_error.estimate_start(
-                model, parameters, trial, sd, tolerance=mistakes.START_TOLERANCE
+                model, parameters, trial, sd, tolerance=mistakes.SCREEN_START_RTOL
             )
             known = {p.name: own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters}
             yield model.run(values_of(model, parameters, known), trial)
@@ -538,7 +538,7 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
             paths[trial.id] = series[across], series[along]
 
     def error(series: Series) -> float:
-        return float(sum(np.nanmean(s.weighted**2) for s in paths[series.trial]))
+        return float(sum(np.nanmean(s.z_scores**2) for s in paths[series.trial]))
 
     panels = []
     for title, x in ev.extremes([x for x, _ in paths.values()], error).items():
@@ -553,7 +553,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
 
     The check can fail only if the user asked for several starting points.
     """
-    agree, count = agreeing(ends), len(ends)
+    agree, count = count_agreeing(ends), len(ends)
     passed, text = None, ""
     if agree < count:
         text = "the other starts end higher; the lowest is reported"
@@ -606,7 +606,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
     units = {c.name: c.unit for c in result.model.channels}
     for s in result.series:
         unit, role = units[s.channel], {"validate": "held out"}.get(s.role, "fit")
-        score = fit_common.scores(result, s.role, [s.trial])[s.channel]
+        score = fit_common.compute_scores(result, s.role, [s.trial])[s.channel]
         warped = fit_common.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         peak = fit_common.peak_error(s.measured, s.simulated)[1]
         shares = numbers.percent(score.nrmse), numbers.percent(score.vaf, 4), numbers.percent(peak)
@@ -625,7 +625,7 @@ def _methods(experiment: Experiment, result: FitResult, ends: Sequence[Start], m
     if method == "nsga2":
         by = "the search on the front"
     said = [
-        f"{', '.join(result.shared)} were estimated from {fitted} {experiment.name} trials "
+        f"{', '.join(result.common_labels)} were estimated from {fitted} {experiment.name} trials "
         f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
         f"{len(model.tree.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at "
         f"most {1e3 * model.max_step:g} ms; halving them changes no sample by more than "
@@ -634,7 +634,7 @@ def _methods(experiment: Experiment, result: FitResult, ends: Sequence[Start], m
     ]
     if ends:
         drawn = {"hybrid": "on the front"}.get(method, "drawn evenly within the bounds")
-        said.append(f"{agreeing(ends)} of {len(ends)} starts, {drawn}, end in the reported minimum.")
+        said.append(f"{count_agreeing(ends)} of {len(ends)} starts, {drawn}, end in the reported minimum.")
     own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
     if own:
         said.append(

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.files.kernels import numba
-from swimid.fitting.model import MOST_FORCES, Force, no_force
+from swimid.fitting.model import MOST_FORCES, ExternalForce, no_force
 from swimid.robots.planar import MAX_FACTORS
 
 #: Magnitude of an entry of the state vector from which a simulation has broken down.
@@ -533,7 +533,7 @@ def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _add_external_forces(time, state, work, forced):  # type: ignore[no-untyped-def]
-    """Add the external forces of effects on the links (:class:`swimid.fitting.model.Force`)."""
+    """Add the external forces of effects on the links (:class:`swimid.fitting.model.ExternalForce`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):
         i = links[e]
@@ -899,12 +899,12 @@ def place_frame(frame: Sequence[float], reference: tuple[float, float]) -> NDArr
     return np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]])
 
 
-def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
+def outside(forces: Sequence[ExternalForce], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
     """Return the forces of effects in the form of the argument ``forced`` of :func:`integrate`.
 
     Parameters
     ----------
-    forces : sequence of Force, at most :data:`swimid.fitting.model.MOST_FORCES`
+    forces : sequence of ExternalForce, at most :data:`swimid.fitting.model.MOST_FORCES`
     frame : ndarray, shape (7,)
         Result of :func:`place_frame`.
     links : int
