@@ -372,7 +372,7 @@ class TestFolders:
             "plot F -o x.svg", "compare F --params F", "rwls F --input a --output b", "import F -o x.csv",
             "batch F -o run", "import log.csv --map F -o x.csv", "track imu F -o x.csv",
             "track video log.csv --setup F -o x.csv", "export F --to json",
-            "export F --to movement -o x.nc", "simulate --params F", "simulate --robot F",
+            "simulate --params F", "simulate --robot F",
             "map --params F --over frequency_hz=1:2:3", "import F.parquet -o x.csv",
             "plot F.parquet -o x.svg", "import F.mat -o x.csv", "import F.h5 -o x.csv",
             "import F.xlsx -o x.csv", "import F.tdms -o x.csv",
