@@ -5,20 +5,18 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swimid import executors
 from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult
-from swimid.fitting.problem import Problem, map_in_threads
+from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent
 
 #: Maximum relative difference between the costs of two fits that count as the same minimum.
@@ -48,7 +46,6 @@ def multistart(
     jobs: int | None = None,
     max_iterations: int = UNFINISHED_ITERATIONS,
     first: FitResult | None = None,
-    elsewhere: Callable[[Array], Array] | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
     """Fit from several starting points, and return the best fit.
@@ -63,8 +60,6 @@ def multistart(
         Starting points that are used first. The default is the start values of the parameters.
     first : FitResult, optional
         Result of the fit from the first starting point, if it is already known.
-    elsewhere : callable, optional
-        Function that searches from a starting point on another machine. The fits begin at its end points.
 
     Returns
     -------
@@ -86,13 +81,10 @@ def multistart(
     )  # fmt: skip
     ends: list[Start] = []
     outcomes: list[FitResult | NoTrustworthyResult] = []
-    searched: AbstractContextManager[Iterable[Array]] = nullcontext(points)
-    if elsewhere is not None:
-        searched = map_in_threads(elsewhere, points, executors.WAITING)
-    with progress("starts", total=starts) as step, searched as nearer_points:
-        for begin, nearer in zip(points, nearer_points, strict=True):
+    with progress("starts", total=starts) as step:
+        for begin in points:
             try:
-                result, first = first or fit_from(begin=nearer), None
+                result, first = first or fit_from(begin=begin), None
             except KeyboardInterrupt:
                 if not any(isinstance(one, FitResult) for one in outcomes):
                     raise
