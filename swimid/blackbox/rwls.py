@@ -194,7 +194,13 @@ def _checks(m: Identified) -> list[Check]:
         ev.make_check(
             "Held-out data", str(len(m.held_out)), bool(m.held_out), "some", reason="no data were held out"
         ),
-        ev.make_check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
+        ev.make_check(
+            "Repeated samples",
+            "; ".join(m.data.repeats),
+            not m.data.repeats,
+            "none",
+            reason=f"the log repeats samples: {'; '.join(m.data.repeats)}",
+        ),
     ]
     otherwise: Literal["warn", "fail"] = "warn"
     if pole is not None:

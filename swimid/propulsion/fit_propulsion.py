@@ -302,7 +302,7 @@ def _predict_fins(
     fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
     error, usual = (100 * ev.compute_rms(*parts) if parts else math.nan for parts in (errors, fitted))
     limit = fit_common.VALIDATION_RATIO * usual
-    reason = f"the speeds of a fin that was not fitted are predicted with an error of {error:.2g} %"
+    reason = f"the error on fins that were not fitted is {error:.2g} %, and at most {limit:.2g} % is allowed"
     if not errors:
         reason = "no fin can be held out: two fins with known inertia are needed"
     text = "root-mean-square error of the speeds of each fin, predicted by a fit to the others"
@@ -391,7 +391,7 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
     fitted = "; ".join(values)
     limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
     text = f"left out of the fit; with these frequencies {fitted}" * bool(departures)
-    reason = f"runs depart from the law at {off}, and are left out"
+    reason = f"the law does not hold for the runs at {off}, which are left out"
     name = "every frequency follows the law"
     return ev.make_check(name, off or "all", not departures, limit, text, reason=reason)
 

@@ -35,7 +35,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error, rivals
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Parameter, Trial, choose_parameters
+from swimid.fitting.model import Array, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.rivals import Judged, Rival
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
@@ -308,9 +308,8 @@ def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
     alike = next((names for names in SIMILAR_PARAMETERS if held.name in names), ())
     acting = [p for p in stated.parameters if p.free or p.start != 0.0]
     others = [p for p in acting if p.name in alike and p is not held]
-    by_default = held.name in [p.name for p in stated.model.parameters if not p.free]
     can_vanish = all(p.lower <= 0.0 <= p.upper for p in others)
-    if not (others and by_default and held.start == 0.0 and can_vanish):
+    if not others or not can_vanish or held.start != 0.0 or not is_held_by_default(stated.model, held.name):
         return None
     fixed = dict.fromkeys([p.name for p in others], 0.0)
     parameters = choose_parameters(stated.parameters, fixed=fixed, freed=(held.name,))
@@ -318,6 +317,11 @@ def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
         whole = {held.name: sum(p.start for p in others)}
         parameters = choose_parameters(stated.parameters, fixed=fixed | whole)
     return Rival(held.name, parameters, stated.trials, tuple(fixed))
+
+
+def is_held_by_default(model: Model, name: str) -> bool:
+    """Return whether a model holds a parameter unless the user frees it."""
+    return any(p.name == name and not p.free for p in model.parameters)
 
 
 def find_omitted(stated: FitResult, judged: Sequence[Judged]) -> list[Judged]:
@@ -421,7 +425,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
         f"{_format_estimate(stated, one)} becomes {_format_estimate(best.fit, one)}"
         for one in stated.common_labels
     ]
-    reason = f"the trials speak for {_describe(best)}"
+    reason = f"the fit lacks {_describe(best)}"
     if explains_differences(stated, best.fit):
         reason += ", which explains why the trials differ"
     elif not find_material(stated, best.fit):

@@ -617,19 +617,22 @@ def _checks(
     change, steady = f"{numbers.format_number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
     halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
     none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
+    lost = f"{broken} simulations broke down"
+    unclear = f"the interval of the index of {where} is {numbers.format_number(width, 2)} wide"
+    coarse = f"halving the integration step changes an output by {change} over the ranges"
     checks = [
-        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out),
-        ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
-        ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
+        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out, reason=lost),
+        ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples, reason=unclear),
+        ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved, reason=coarse),
     ]
     if strongest is not None:
         size, one, other = strongest
         value = f"correlation up to {numbers.format_number(size, 2)} ({one}, {other})"
         sound = abs(size) <= MAX_ESTIMATE_CORRELATION
         text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
-        checks.append(
-            ev.make_check("ranges independent", value, sound, f"≤ {MAX_ESTIMATE_CORRELATION:g} in size", text)
-        )
+        limit = f"≤ {MAX_ESTIMATE_CORRELATION:g} in size"
+        reason = f"the estimates of {one} and {other} are correlated, and their ranges are not"
+        checks.append(ev.make_check("ranges independent", value, sound, limit, text, reason=reason))
     return checks
 
 
