@@ -504,7 +504,7 @@ def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
     """Check that at least one marker moves, because a motionless object passes all other checks.
 
     A robot that hardly leaves its place passes if it has a stroke. The stroke of a robot keeps its phase
-    (:func:`swimid.kinematics.frequency.find_beats`), and ripples or passing objects that shift a centre do not.
+    (:func:`swimid.kinematics.frequency.find_beats`). Ripples or passing objects that shift a centre do not.
     """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
