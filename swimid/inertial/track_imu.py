@@ -133,7 +133,7 @@ def _estimate(
     """Read and repair a recording, and estimate its motion; ``named`` is the file in messages on columns."""
     if options.method == "paper" and options.other is not None:
         hint = "leave out --with, or take --method smoother"
-        raise UsageError("--method paper fuses with nothing", hint=hint)
+        raise UsageError("--method paper cannot use another log", hint=hint)
     record, notes = recording.read_record(unread, rules, named, progress)
     record, findings = faults.repair(record)
     poses = None if options.other is None else recording.read_poses(log.of(options.other, name="other"))
