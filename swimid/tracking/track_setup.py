@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from pathlib import Path
@@ -307,9 +308,8 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
 
 def _make_markers(video: Path, options: TrackSetupOptions) -> list[Marker]:
     """Return setup entries of the markers that the user picked on the command line."""
-    for index, (_, frame) in enumerate(islice(Video(video).frames(), options.frame + 1)):
-        last = index, frame
-    index, frame = last
+    frames_read = enumerate(islice(Video(video).frames(), options.frame + 1))
+    ((index, (_, frame)),) = deque(frames_read, maxlen=1)
     if index < options.frame:
         raise InputError(f"has no frame {options.frame}: its last frame is {index}", file=video)
     return proposals.pick_markers(frame, proposals.kinds_of(options.picks), path=video, index=options.frame)
