@@ -170,6 +170,29 @@ class _Task:
         """Return whether an effect may be a cause."""
         return self.asked is None or name in self.asked
 
+    @property
+    def reasons(self) -> list[str]:
+        """Reasons why changes of parameters are no hypotheses."""
+        reasons = []
+        if self.options.params is None:
+            reasons.append(NOT_GIVEN.format(self.loaded.experiment.values_from))
+        names = [c.name for c in self.begun.changes if not self.is_asked(c.name)]
+        if names:
+            omitted = [name.removeprefix(nominal.PREFIX) for name in names]
+            reasons.append(NOT_REQUESTED.format(join_names(omitted)))
+        return reasons
+
+    @property
+    def limits(self) -> TrialLimits:
+        """Limits of a proposed trial."""
+        options = self.options
+        return TrialLimits(
+            self.loaded.experiment,
+            options.tank_length_m,
+            options.max_frequency_hz or math.inf,
+            math.radians(options.max_amplitude_deg or math.inf),
+        )
+
 
 def _prepare(loaded: Loaded, options: DiagnoseOptions, inputs: Sequence[Input]) -> _Task:
     """Return the inputs of a diagnosis.
@@ -238,15 +261,11 @@ def _find_causes(
         study, [*task.applicable, *others, *begun.changes], asked=task.asked, seed=options.seed,
         most=options.max_causes, checkpoint=checkpoint, progress=progress,
     )  # fmt: skip
-    limits = TrialLimits(
-        experiment,
-        options.tank_length_m,
-        options.max_frequency_hz or math.inf,
-        math.radians(options.max_amplitude_deg or math.inf),
-    )
     validation = [t for t in begun.trials if t.role == "validate"]
     with threadpool_limits(limits=1, user_api="blas"):
-        file, worst = answer.answer(result, validation, begun, study.trials, limits=limits, progress=progress)
+        file, worst = answer.answer(
+            result, validation, begun, study.trials, limits=task.limits, progress=progress
+        )
     origin = task.about["provenance"]
     repaired_file = repaired.build_repaired(
         result, file, task.loaded, folder, readings=options.readings, provenance=origin
@@ -257,14 +276,8 @@ def _find_causes(
     if experiment.values_from == TRIALS_FILE:
         forms = {e.name for e in task.applicable}
         left_out |= {e.name: CANNOT_ACT for e in task.effects if e.stage != "rig" and e.name not in forms}
-    reasons = [*file.reasons]
-    if options.params is None:
-        reasons.append(NOT_GIVEN.format(experiment.values_from))
-    omitted = [c.name.removeprefix(nominal.PREFIX) for c in begun.changes if not task.is_asked(c.name)]
-    if omitted:
-        reasons.append(NOT_REQUESTED.format(join_names(omitted)))
     about = {
-        "reasons": reasons,
+        "reasons": [*file.reasons, *task.reasons],
         "left_out": {name: why for name, why in left_out.items() if task.is_asked(name)} | file.left_out,
         "as_given": as_given,
     }

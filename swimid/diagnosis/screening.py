@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -180,6 +181,9 @@ def _screen_shared(
     parameters, points = tried.parameters, tried.points
     null = np.array([p.start for p in parameters])
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+    acting = [i for i in range(len(points)) if whole[first + i] > MIN_SQUARED_CHANGE]
+    if not acting:
+        return None
 
     def fit(*chosen: int) -> tuple[Array, Array]:
         """Fit the changes at some parameter vectors together. Return the gains and the fitted factors."""
@@ -188,11 +192,10 @@ def _screen_shared(
         gains = plain - crossval.compute_held_out(inner, where, prior)
         return gains, crossval.fit_columns(inner, where, prior)[inner.n_shared :]
 
-    found: list[tuple[Array, Array, tuple[int, ...]]] = []
+    fits: list[tuple[Array, Array, tuple[int, ...]]] = []
     leaders: dict[tuple[int, ...], tuple[float, int]] = {}
-    for i, (point, _) in enumerate(points):
-        if not whole[first + i] > MIN_SQUARED_CHANGE:
-            continue
+    for i in acting:
+        point = points[i][0]
         gains, factors = fit(i)
         moved = tuple(np.flatnonzero(point != null).tolist())
         if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
@@ -205,16 +208,13 @@ def _screen_shared(
         if allowed != factors[0]:
             gains = np.minimum(gains, plain - crossval.compute_held_out_less(inner, first + i, allowed))
             factors = np.array([allowed])
-        found.append((gains, factors, (i,)))
+        fits.append((gains, factors, (i,)))
     if len(leaders) > 1:
         together = tuple(i for _, i in leaders.values())
-        found.append((*fit(*together), together))
-    if not found:
-        return None
-    gains, factors, chosen = max(found, key=lambda one: one[0].sum())
+        fits.append((*fit(*together), together))
+    gains, factors, chosen = max(fits, key=lambda one: one[0].sum())
     parts = [(f, *points[i]) for f, i in zip(factors, chosen, strict=True)]
-    one = first + chosen[0]
-    absorbed = float(np.clip(1.0 - left[one] / whole[one], 0.0, 1.0))
+    column = first + chosen[0]
     raw = [plain - crossval.compute_held_out_less(inner, first + i) for i in range(len(points))]
     helped = max(range(len(points)), key=lambda i: (raw[i].sum(), i))
     if not tried.effect.smooth and raw[helped].sum() > gains.sum():
@@ -224,7 +224,7 @@ def _screen_shared(
         parameters,
         np.clip(null + sum(f * (point - null) for f, point, _ in parts), lower, upper),
         gains,
-        absorbed,
+        float(np.clip(1.0 - left[column] / whole[column], 0.0, 1.0)),
         [np.asarray(sum(f * changed[k] for f, _, changed in parts)) for k in range(len(points[0][1]))],
         points[helped][0],
     )
@@ -244,12 +244,12 @@ def _screen_own(study: GapStudy, base: Hypothesis, tried: ScreeningRuns) -> Scre
     best: Screening | None = None
     for group in groups.values():
         changes = [changed for _, changed in group.values()]
-        if sum(float(np.vdot(c, c)) for changed in changes for c in changed) < MIN_SQUARED_CHANGE:
+        signature = [np.sum(of_trial, axis=0) for of_trial in zip(*changes, strict=True)]
+        if sum(float(np.vdot(c, c)) for c in chain(*changes)) < MIN_SQUARED_CHANGE:
             continue
         gains = compute_own_gains(study, base, changes)
         if best is None or gains.sum() > best.gain:
             point, _ = next(iter(group.values()))
-            signature = [np.sum(of_trial, axis=0) for of_trial in zip(*changes, strict=True)]
             best = Screening(tried.effect, tried.parameters, point, gains, 0.0, signature)
     return best
 
