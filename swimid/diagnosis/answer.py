@@ -101,18 +101,18 @@ def answer(
     ----------
     validation : sequence of Trial
         Trials that no fit uses.
-    begun : Begun
+    begun : Preparation
         Parameters of the parameter file, and those whose change is not a hypothesis.
     raw : sequence of Trial
         The fitted trials, failed samples included.
-    limits : Limits
+    limits : TrialLimits
         Limits of a proposed trial.
 
     Returns
     -------
     GapFile
         The caller adds the names of the model, the robot, the experiment, the parameter file and the trials.
-    list of Piece
+    list of HeldOutSeries
         Measured and simulated samples of this held-out trial.
 
     Raises

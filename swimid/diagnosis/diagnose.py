@@ -54,7 +54,7 @@ NOT_REQUESTED = "changes of parameters were not requested, and are not tried: {}
 NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
 
 
-def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
+def _compute_errors(loaded: Loaded) -> dict[str, ChannelScore]:
     """Return the error of the model in each channel, with the parameter values as given.
 
     The errors are those that the command ``compare`` computes.
@@ -243,6 +243,13 @@ def _find_power(task: _Task, notices: Sequence[Notice]) -> DetectionPower:
     return DetectionPower.of(file, power.build_power_evidence(file, ev.notices(notices)))
 
 
+def _check_command(path: Path, file: GapFile) -> None:
+    """Warn if there is no proposed trial, so that its command file is not written."""
+    if all(a.command is None for a in file.advice):
+        why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
+        warn("SWM075", f"{path.name} is not written: {why[0]}")
+
+
 def _find_causes(
     task: _Task, folder: Path, checkpoint: Checkpoint, progress: Progress
 ) -> tuple[GapFile, list[HeldOutSeries], ParameterFile | None]:
@@ -255,7 +262,7 @@ def _find_causes(
     """
     options, begun, study = task.options, task.begun, task.study
     experiment = task.loaded.experiment
-    as_given = _as_given(task.loaded)
+    as_given = _compute_errors(task.loaded)
     others, left_out = readings.list_readings(experiment, study.trials)
     result = search.search_causes(
         study, [*task.applicable, *others, *begun.changes], asked=task.asked, seed=options.seed,
@@ -268,11 +275,10 @@ def _find_causes(
         )
     origin = task.about["provenance"]
     repaired_file = repaired.build_repaired(
-        result, file, task.loaded, folder, readings=options.readings, provenance=origin
+        result, file, task.loaded, folder, readings=dict(options.readings), provenance=origin
     )
-    if options.next is not None and all(a.command is None for a in file.advice):
-        why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
-        warn("SWM075", f"{options.next.name} is not written: {why[0]}")
+    if options.next is not None:
+        _check_command(options.next, file)
     if experiment.values_from == TRIALS_FILE:
         forms = {e.name for e in task.applicable}
         left_out |= {e.name: CANNOT_ACT for e in task.effects if e.stage != "rig" and e.name not in forms}

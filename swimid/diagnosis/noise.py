@@ -358,7 +358,7 @@ def estimate_measurement_noise(
     ----------
     generic : sequence of lists of ndarray
         Weighted changes of each trial by generic smooth terms, each with its typical size.
-    differing : sequence of Differing
+    differing : sequence of RandomCandidate
         Quantities that may differ between trials.
     brief : bool
         Whether a memory that is long compared with a trial does not count as noise, because it may be a gap.
@@ -564,7 +564,7 @@ def with_random_effects(
 
     Parameters
     ----------
-    differing : sequence of Differing
+    differing : sequence of RandomCandidate
         Possible random effects.
     largest : float
         Maximum standard deviation of a random effect, in typical scales. It does not limit what differs

@@ -130,36 +130,44 @@ def prepare_diagnosis(loaded: Loaded) -> Preparation:
     """Return trials and priors at the start of a diagnosis, and give the model its refitted parameters."""
     experiment, applied = loaded.experiment, loaded.applied
     model, file = experiment.model, applied.file
-    given: dict[str, Estimate] = {}
-    own_data = False
-    if file is not None:
-        given = {name: e for name, e in file.parameters.items() if "[" not in name}
-        own_data = _is_own_data(experiment, file)
+    estimates = {} if file is None else file.parameters
+    given = {name: e for name, e in estimates.items() if "[" not in name}
+    own_data = file is not None and _is_own_data(experiment, file)
     own = applied.list_per_trial()
     if len(experiment.trials) >= MIN_RANDOM_TRIALS:
         # Do not free the per-trial parameters of RANDOM_PARAMETERS. They are random effects in a diagnosis,
         # and without a prior they would absorb any gap.
         own -= RANDOM_PARAMETERS.keys()
     model.parameters = select_refitted(model.parameters, given, applied.values(), own=own)
-    runs = experiment.trials
-    if model.timed_runs:
-        runs = [run for trial in runs for run in trial.split_rows()]
-    known: set[str] = set()
-    if not own_data and model.name != arx.NAME:
-        stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
-        known = {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
+    known = set() if own_data else _select_known(model, given)
     names, covariance = applied.uncertain()
     mine = [i for i, name in enumerate(names) if name in known]
     sd = np.sqrt(np.diag(covariance))[mine]
     correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
     return Preparation(
-        [add_channels(t, model.channels) for t in runs],
+        _list_runs(experiment),
         given,
         {} if own_data else {n: e for n, e in given.items() if n not in known},
         select_priors(model.parameters, given, own_data=own_data, exact=known),
         _list_changes(model, given, known),
         ([names[i] for i in mine], correlation),
     )
+
+
+def _list_runs(experiment: Experiment) -> list[Trial]:
+    """Return the trials with all channels, each row of a table of timed runs as a trial."""
+    trials, model = experiment.trials, experiment.model
+    if model.timed_runs:
+        trials = [run for trial in trials for run in trial.split_rows()]
+    return [add_channels(t, model.channels) for t in trials]
+
+
+def _select_known(model: Model, given: Mapping[str, Estimate]) -> set[str]:
+    """Return the refitted coefficients with a standard error, whose change is a hypothesis."""
+    if model.name == arx.NAME:
+        return set()
+    stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
+    return {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
 
 
 def _is_own_data(experiment: Experiment, file: ParameterFile) -> bool:

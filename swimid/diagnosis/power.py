@@ -8,7 +8,7 @@ compared with the noise of the trials. The decision rule is that of a diagnosis.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -140,6 +140,9 @@ class DetectionPower(FileResult[PowerFile]):
 
 # ---------------------------------------------------------------- computation
 
+#: Reasons why the detection power of an effect is unknown.
+NO_MEASURED_CHANGE = "it changes nothing that was measured in these trials"
+BROKEN_DOWN = "the model breaks down with it"
 #: Probability with which an effect of the reported size is detected.
 POWER = 0.9
 #: Minimum fraction of the squared change by an effect that must remain after the model's parameters are
@@ -201,7 +204,7 @@ def compute_power(
 
     Returns
     -------
-    list of Row
+    list of EffectPower
         One row for each effect, in the order given.
     dict of name to reason
         Effects without a detection power.
@@ -219,10 +222,7 @@ def compute_power(
         own = _lines(runs, columns)
         lines += own
         if not own:
-            why = "the model breaks down with it"
-            if runs.points:
-                why = "it changes nothing that was measured in these trials"
-            left_out.setdefault(runs.effect.name, why)
+            left_out.setdefault(runs.effect.name, NO_MEASURED_CHANGE if runs.points else BROKEN_DOWN)
     inner = crossval.form_normal_equations(search.study, base, columns)
     products = crossval.project_columns(inner)[:-1, :-1]
     squares = np.maximum(products.diagonal(), 0.0)
@@ -238,12 +238,30 @@ def compute_power(
     # A change that the parameters imitate is a rounding error, and like no other.
     norm = np.where(products.diagonal() > MIN_REMAINING_SHARE * whole, np.sqrt(squares), np.inf)
     cosine = np.abs(products) / np.outer(norm, norm)
-    for name, (_, row) in best.items():
-        for other, places in every.items() if row.size is not None else ():
-            largest = float(cosine[np.ix_(every[name], places)].max())
-            if other != name and not is_distinguishable(record, largest):
-                row.alike.append(other)
-    return [row for _, row in best.values()], {n: why for n, why in left_out.items() if n not in best}
+    rows = [row for _, row in best.values()]
+    for row in rows:
+        row.alike = _list_alike(row, cosine, every, record)
+    return rows, {n: why for n, why in left_out.items() if n not in best}
+
+
+def _list_alike(
+    row: EffectPower, cosine: Array, columns: Mapping[str, list[int]], record: DataSize
+) -> list[str]:
+    """Return the effects from which the trials never distinguish an effect that they detect.
+
+    Parameters
+    ----------
+    cosine : ndarray, shape (c, c)
+        Absolute cosines between the changes of the trials.
+    columns : mapping of str to list of int
+        Columns of each effect.
+    """
+    if row.size is None:
+        return []
+    mine = columns[row.effect]
+    others = {name: float(cosine[np.ix_(mine, own)].max()) for name, own in columns.items()}
+    del others[row.effect]
+    return [name for name, largest in others.items() if not is_distinguishable(record, largest)]
 
 
 class _Line(NamedTuple):

@@ -425,22 +425,26 @@ def _top(trials: Sequence[Trial], channel: str, least: float) -> float:
     return max([least, *(float(np.max(np.abs(y - y[0]))) for y in present if len(y) > 1)])
 
 
+def _describe_push(trials: Sequence[Trial], length_s: float) -> ResidualPush:
+    """Return the force on a rig, whose size follows from the pulls and from the motion of the body."""
+    spans = [_top(trials, c, 1e-3) for c in _channels(trials) if not c.endswith(("_s", "_s2"))]
+    span = max(spans, default=1.0)
+    inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
+    mass = float(np.median(inertia)) if inertia else 1.0
+    pushes = [abs(t.rig.pull) for t in trials]
+    swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
+    return ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length_s, 1e-3), span)
+
+
 def _list_forces(model: Model, trials: Sequence[Trial]) -> list[Description]:
     """Return the forces on a rig, or on the base of a robot that moves freely."""
     length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
-    channels = _channels(trials)
     if model.body is None:
-        spans = [_top(trials, c, 1e-3) for c in channels if not c.endswith(("_s", "_s2"))]
-        span = max(spans, default=1.0)
-        inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
-        mass = float(np.median(inertia)) if inertia else 1.0
-        pushes = [abs(t.rig.pull) for t in trials]
-        swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
-        return [ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span)]
+        return [_describe_push(trials, length)]
     if not model.body.free:
         return []
     arm = sum(model.body.lengths_m)
-    distance = max((_top(trials, c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
+    distance = max((_top(trials, c, 1e-3) for c in _channels(trials) if c.endswith("_m")), default=1.0)
     speed = max(distance / length, 1e-3)
     push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
     sizes = {axis: push * (arm if axis == "yaw" else 1.0) for axis in FORCE_AXES}

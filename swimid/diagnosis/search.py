@@ -194,7 +194,7 @@ def prepare_study(given: GapStudy, effects: Sequence[Effect]) -> tuple[GapStudy,
 
     Returns
     -------
-    Study
+    GapStudy
         The study without the failed samples, with its noise model.
     Hypothesis
     Dropouts
