@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NotRequired
+from typing import Any
 
 import swimid
 from swimid.errors import InputError, UsageError
@@ -45,8 +45,6 @@ CONVENTIONS = (
 
 class ExportedText(Text):
     """Result of ``export``, whose ``document`` is the text of the exported file."""
-
-    keys = {"target": str, "limits": list[str], "compared": NotRequired[dict[str, float]]}
 
 
 @takes(ExportOptions)

@@ -9,8 +9,6 @@ from swimid.options import Options, option
 
 class ExportOptions(
     Options,
-    command="export",
-    section="Publish",
     argument="PARAMS",
     output="The file to write. Without it, or with -o -, it goes to stdout.",
     stdout={},

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -14,13 +13,12 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
-from swimid import executors
 from swimid.errors import UsageError
 from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import UNSTEADY
+from swimid.kinematics.cycles import UNSTEADY
 from swimid.logs.log import to_xarray
 from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
@@ -233,7 +231,7 @@ class Cells:
 
     @classmethod
     def of_options(cls, options: MapOptions) -> Cells:
-        """Build the cells of a map, on a worker of a cluster."""
+        """Build the cells of a map."""
         performance = Performance.of_options(options)
         return cls(performance, bool(performance.applied.uncertain()[0]))
 
@@ -259,17 +257,11 @@ def _simulate(
     if cells.uncertain:
         size = 1
     parts = [points[k : k + size] for k in range(0, len(points), size)]
-    compute, jobs = cells.compute, options.jobs
-    place = "swimid.optimisation.performance_map:Cells.of_options"
-    chosen = options.model_copy(update={"dt": cells.performance.model.max_step})
-    with executors.on_cluster(options.cluster, place, chosen) as rebuilt:
-        if rebuilt is not None:
-            compute, jobs = partial(rebuilt.call, "compute"), executors.WAITING
 
-        def one(k: int) -> Array:
-            return checkpoint.get_or_compute(f"points {k}", lambda: compute(parts[k]))
+    def one(k: int) -> Array:
+        return checkpoint.get_or_compute(f"points {k}", lambda: cells.compute(parts[k]))
 
-        found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
+    found = studies.in_parallel(one, len(parts), options.jobs, "gaits", progress)
     return np.concatenate([rows.reshape(-1, len(cells.performance.units), 2) for rows in found])
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance, yamlio
-from swimid.logs.scale import Camera
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
+from swimid.points.scale import Camera
 from swimid.results.result import Text
 from swimid.tracking import frames, picking, proposals
 from swimid.tracking import setup as setup_format
@@ -60,10 +60,6 @@ class SetupDraft(Text):
     sheet: NDArray[np.uint8] | None = None
 
     next_step = "swimid track video {data[video]} --setup {file} -o {free[run.csv]}"
-    keys = {
-        "video": str, "markers": list[dict[str, Any]], "head": str, "tail": str | None,
-        "found_share": dict[str, float],
-    }  # fmt: skip
 
     @property
     def setup(self) -> Setup:
