@@ -69,9 +69,7 @@ def sample(
     >>> list(sample().data["samples"])[:3]
     ['rig', 'cruise', 'tfish']
     """
-    source = next((place for place in SAMPLE_FOLDERS if place.is_dir()), None)
-    if source is None:
-        raise InputError("the samples are not part of this installation", hint="reinstall swimid")
+    source = _find_samples()
     index = yamlio.plain(yamlio.load(source / INDEX))
     if name is None:
         return _list_samples(index)
@@ -79,8 +77,7 @@ def sample(
         raise UsageError(f"there is no sample '{name}'", hint=suggestion(name, list(index)))
     folder = Path(name) if output is None else output
     atomic.check_empty(folder, force=force)
-    origin = source / ("" if name == ALL else name)
-    described = origin / DOWNLOAD
+    described = source / name / DOWNLOAD
     if options.address is not None and not described.is_file():
         raise UsageError(f"nothing of the sample '{name}' is downloaded", hint="leave --from out")
     copies: list[Path] = []
@@ -88,11 +85,19 @@ def sample(
         atomic.make_folder(folder)
         if described.is_file():
             copies += download.fetch(described, folder, address=options.address, progress=progress)
-        copies += _copy(origin, folder, everything=name == ALL)
+        copies += _copy(source if name == ALL else source / name, folder, everything=name == ALL)
     about = index[name]["about"]
     command = " ".join(index[name]["command"].split()).format(folder=shlex.quote(folder.as_posix()))
     data = {"sample": name, "folder": str(folder), "about": about, "command": command}
     return Sample("sample", f"{folder}: {about}", data, copies)
+
+
+def _find_samples() -> Path:
+    """Return the folder of the samples."""
+    for folder in SAMPLE_FOLDERS:
+        if folder.is_dir():
+            return folder
+    raise InputError("the samples are not part of this installation", hint="reinstall swimid")
 
 
 def _list_samples(index: dict[str, dict[str, str]]) -> Sample:

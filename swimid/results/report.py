@@ -93,9 +93,9 @@ def report(
     >>> print(page.document.splitlines()[0])
     # Rig identification of boxfish: falling-weight
     """
-    if not inputs:
-        raise UsageError("name at least one result file")
     sources = list(dict.fromkeys(source for given in inputs for source in _sources(given)))
+    if not sources:
+        raise UsageError("name at least one result file")
     paths = [source for source in sources if isinstance(source, Path)]
     target, kind = None, options.format or "html"
     if output not in (None, "-", Path("-")):
@@ -106,10 +106,8 @@ def report(
     heading = options.title or "Identification report"
     if options.title is None and len(contents) == 1:
         heading = contents[0].title
-    digests = {str(result.path): "of nothing: it was in memory" for result in results}
-    digests |= {str(path): sha256(path) for path in paths}
     folder = Path() if target is None else target.parent
-    page = ReportPage(results, contents, f"report.{kind}", heading, folder, now(), digests)
+    page = ReportPage(results, contents, f"report.{kind}", heading, folder, now())
     text = page.render(progress)
     if target is None:
         return Page("report", text.rstrip("\n"), page.to_dict(), document=text)
@@ -186,26 +184,34 @@ def overall(results: Sequence[Result], contents: Sequence[ev.Evidence]) -> ev.Ve
     the other results.
     """
     leading = [content for result, content in zip(results, contents, strict=True) if result.leads_page]
-    solved = [_digests(content) for content in leading if content.verdict.level == "good"]
-    doubts: dict[str, list[str]] = {"bad": [], "caution": [], "before the repair": [], "good": []}
-    counted = []
-    for result, content in zip(results, contents, strict=True):
-        inputs = _digests(content)
-        if inputs and not result.leads_page and any(inputs <= digests for digests in solved):
-            doubts["before the repair"].append(result.path.name)
-        else:
-            counted.append(content)
-            doubts[content.verdict.level].append(result.path.name)
+    doubts, counted = _sort_by_level(results, contents, leading)
     whole = _worst(counted)
     if len(contents) == 1:
         return whole
-    del doubts["good"]
     parts = [content.verdict.text for content in leading]
     if not leading or whole.level != "good":
         parts.append(whole.text)
     parts += [f"{level.capitalize()}: {', '.join(names)}." for level, names in doubts.items() if names]
     word = leading[0].verdict.word if leading and leading[0].verdict.level == whole.level else ""
     return ev.Verdict(level=whole.level, text=" ".join(parts), word=word)
+
+
+def _sort_by_level(
+    results: Sequence[Result], contents: Sequence[ev.Evidence], leading: Sequence[ev.Evidence]
+) -> tuple[dict[str, list[str]], list[ev.Evidence]]:
+    """Return the names of doubtful results by level, and the contents that count for the verdict."""
+    solved = [_digests(content) for content in leading if content.verdict.level == "good"]
+    names: dict[str, list[str]] = {"bad": [], "caution": [], "before the repair": [], "good": []}
+    counted = []
+    for result, content in zip(results, contents, strict=True):
+        inputs = _digests(content)
+        if inputs and not result.leads_page and any(inputs <= digests for digests in solved):
+            names["before the repair"].append(result.path.name)
+        else:
+            counted.append(content)
+            names[content.verdict.level].append(result.path.name)
+    del names["good"]
+    return names, counted
 
 
 def _digests(content: ev.Evidence) -> set[str]:
@@ -246,8 +252,6 @@ class ReportPage:
         Folder of the page, in which the next commands are typed.
     created : datetime
         Time that is printed at the foot of the page. Reports with the same input and time are identical.
-    digests : dict of str to str
-        SHA-256 of each result file by its path.
     """
 
     results: Sequence[Result]
@@ -256,7 +260,16 @@ class ReportPage:
     title: str
     folder: Path
     created: datetime
-    digests: Mapping[str, str]
+
+    @cached_property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of each result file by its path."""
+        digests = {}
+        for result in self.results:
+            digests[str(result.path)] = "of nothing: it was in memory"
+            if result.outputs:
+                digests[str(result.path)] = sha256(result.path)
+        return digests
 
     @cached_property
     def verdict(self) -> ev.Verdict:
