@@ -523,11 +523,7 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
     """
     times = np.arange(0.0, COMPARED_S + 0.5 * STEP_S, STEP_S)
     commands = _commands(draft, times)
-    document = made.model_dump(mode="python")
-    weights = [e for e in document["multilink"]["elements"] if e["kind"] == "hydrostatics"]
-    document["multilink"] |= {"elements": weights, "coefficients": {}}
-    document["fluid"]["density_kg_m3"] = 1.0
-    model = MultilinkModel(schema_of(DRAFTED_PARTS).model_validate(document), max_step=STEP_S)
+    model = _dry_model(made)
     names, values = [p.name for p in model.parameters], np.array([p.start for p in model.parameters])
     released = 0.0 if commands else RELEASED_RAD
     drifts = bool(draft.base) and draft.compiled.jnt_type[draft.base[0]] == 0 and not model.passive
@@ -535,16 +531,11 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
     for axis in model.passive:
         values[names.index(f"initial_angle_{axis.name}")] = released
     if drifts:
-        # the velocity of the front end, in the axes of the link
-        base = draft.bodies[0]
-        lever = base.front - draft.flat(draft.data.xpos[base.number])
-        world = DRIFT[:2] + DRIFT[2] * np.array([-lever[1], lever[0]])
-        side = np.array([-base.forward[1], base.forward[0]])
-        for name, value in zip(model.rates, (world @ base.forward, world @ side, DRIFT[2]), strict=True):
+        for name, value in zip(model.rates, _front_velocity(draft), strict=True):
             values[names.index(f"initial_{name}")] = value
-    document_inputs = document["multilink"].get("inputs", {})
     known: dict[str, Any] = {
-        name: (lambda t, series=commands[name]: np.interp(t, times, series)) for name in document_inputs
+        name: (lambda t, series=commands[name]: np.interp(t, times, series))
+        for name in getattr(made.multilink, "inputs", {})
     }
     pose = tuple(float(simulated[name][0]) for name in model.pose) if draft.free else None
     ran = model.run(values, Trial("draft", "fit", times, {}, swim=SwimInput(inputs=known, pose=pose)))
@@ -555,6 +546,24 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
         if span > STILL_RANGE:
             found[name] = float(np.max(np.abs(np.unwrap(series) - ran[columns.get(name, name)]))) / span
     return found
+
+
+def _dry_model(made: Robot) -> MultilinkModel:
+    """Return the model of a drafted robot without forces of the water."""
+    document = made.model_dump(mode="python")
+    weights = [e for e in document["multilink"]["elements"] if e["kind"] == "hydrostatics"]
+    document["multilink"] |= {"elements": weights, "coefficients": {}}
+    document["fluid"]["density_kg_m3"] = 1.0
+    return MultilinkModel(schema_of(DRAFTED_PARTS).model_validate(document), max_step=STEP_S)
+
+
+def _front_velocity(draft: _Draft) -> tuple[float, float, float]:
+    """Return the velocity of the front end of a drifting robot, in the axes of the first link."""
+    base = draft.bodies[0]
+    lever = base.front - draft.flat(draft.data.xpos[base.number])
+    world = DRIFT[:2] + DRIFT[2] * np.array([-lever[1], lever[0]])
+    side = np.array([-base.forward[1], base.forward[0]])
+    return float(world @ base.forward), float(world @ side), float(DRIFT[2])
 
 
 def _commands(draft: _Draft, times: Array) -> dict[str, Array]:
