@@ -16,7 +16,7 @@ from click.shell_completion import ShellComplete
 
 import swimid as package
 from swimid.cli.main import main, value_of
-from swimid.commands import COMMANDS, CommandSpec
+from swimid.commands import COMMAND_SPECS, CommandSpec
 from swimid.errors import UsageError
 from swimid.logs.options import ImportOptions
 from swimid.notices import SwimidWarning
@@ -26,7 +26,7 @@ from swimid.swimmer.options import FitGrayboxOptions
 from swimid.tracking.options import Pick
 from tests.conftest import ROOT, Ran
 
-SPECS = list(COMMANDS.values())
+SPECS = list(COMMAND_SPECS.values())
 commands = pytest.mark.parametrize("spec", SPECS, ids=lambda s: s.command)
 
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
-from swimid.commands import COMMANDS, EVIDENCE, TABLE, CommandSpec
+from swimid.commands import COMMAND_SPECS, EVIDENCE, TABLE, CommandSpec
 from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, name_arguments
 from swimid.files import atomic, provenance
 from swimid.notices import Notice, Progress, Step, record_warnings, silent
@@ -603,7 +603,7 @@ def optimise() -> None:
     """Find the best stiffness for each frequency and amplitude, or the best gait."""
 
 
-for spec in COMMANDS.values():
+for spec in COMMAND_SPECS.values():
     {"track": track_group, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
 
 

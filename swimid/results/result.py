@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from swimid.commands import COMMANDS, KINDS
+from swimid.commands import COMMAND_SPECS, KINDS
 from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
 from swimid.files import atomic, provenance, tabular, yamlio
 from swimid.files.provenance import paths_of
@@ -553,14 +553,16 @@ def _format_name(form: str) -> str:
 
 def list_result_formats() -> list[str]:
     """Return the names of the formats of all result files, such as ``gap`` for ``swimid-gap/1``."""
-    names = [name for spec in COMMANDS.values() for name in spec.usage.makes.split("|") if name not in KINDS]
+    names = [
+        name for spec in COMMAND_SPECS.values() for name in spec.usage.makes.split("|") if name not in KINDS
+    ]
     return ["parameters", *names]
 
 
 def class_of(name: str) -> type[FileResult[Any]]:
     """Return the class of the results of a format; the module of its command is imported if need be."""
     import_module(PARAMETERS)
-    for spec in COMMANDS.values():
+    for spec in COMMAND_SPECS.values():
         if name not in _CLASSES and name in spec.usage.makes.split("|"):
             spec.run()
     return _CLASSES[name]
