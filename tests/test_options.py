@@ -142,9 +142,9 @@ class TestModel:
             ({}, "the option 'params' is missing"),
             (
                 {"params": "a", "method": "bad"},
-                "method: 'bad' is not allowed: input should be 'fast' or 'good'",
+                "method: 'bad' is not allowed: allowed are 'fast' or 'good'",
             ),
-            ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: input should be greater than 0"),
+            ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: it must be greater than 0"),
             ({"params": "a", "names": "ab"}, "names: 'ab' is not allowed"),
             ({"params": "a", "metod": "fast"}, "has no option 'metod'"),
             ({"params": "a", "outptu": "x"}, "has no option 'outptu'"),

@@ -25,7 +25,7 @@ from typing_extensions import TypedDict
 
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
-from swimid.options import BEYOND, is_beyond
+from swimid.options import BEYOND, describe_problem, is_beyond
 
 #: Maximum size of a YAML file, bytes. A larger file is an error, and is not parsed.
 MAX_BYTES = 20_000_000
@@ -389,13 +389,12 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
         if isinstance(place, Mapping) and (wrote := nearest(str(location[-1]), [*map(str, place)])):
             hint = f"you wrote '{wrote}'"
         return f"key '{location[-1]}' is missing", hint
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind == "value_error":
-        return message, None
+        return problem["msg"].removeprefix("Value error, "), None
     shown = type(value).__name__
     if value is None or isinstance(value, str | int | float):
         shown = textwrap.shorten(repr(value), MAX_VALUE_LETTERS, placeholder=" ...")
-    return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", _hint_of_value(problem)
+    return f"{shown} is not allowed: {describe_problem(problem)}", _hint_of_value(problem)
 
 
 def _hint_of_value(problem: Any) -> str | None:
