@@ -376,6 +376,8 @@ ALLOWED = {
     **dict.fromkeys(("bool_parsing", "bool_type"), "true or false is needed"),
     **dict.fromkeys(("list_type", "tuple_type"), "a list is needed"),
     **dict.fromkeys(("dict_type", "mapping_type", "model_type"), "'key: value' lines are needed"),
+    "missing": "this key is missing",
+    "extra_forbidden": "this key is unknown",
     "string_type": "a text is needed",
     "finite_number": "a finite number is needed",
     "literal_error": "allowed are {expected}",
