@@ -184,7 +184,7 @@ def rwls(
         checks=checks,
         tables=[_errors(m), _modes(m)],
         figures=[_free_run(m), _residuals(m)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(m),
         references=REFERENCES,
         provenance=file.provenance,

@@ -27,7 +27,6 @@ from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, may_freeze
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
-from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, make_check, make_verdict
 
@@ -498,7 +497,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         checks=checks,
         tables=_tables(found),
         figures=shown,
-        notices=ev.notices([*notices, *drawn]),
+        notices=[*notices, *drawn],
         notes=notes,
         methods=methods,
         references=references,

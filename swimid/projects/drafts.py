@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import yamlio
+from swimid.files.templates import environment
 from swimid.files.yamlio import ASK
 from swimid.logs.experiments import FORMAT as TRIALS
 from swimid.logs.experiments import Trials
@@ -635,11 +635,5 @@ def relative(path: Path, folder: Path) -> str:
 
 def render_template(template: str, **variables: Any) -> str:
     """Return the text of a template of this package with its variables filled in."""
-    environment = Environment(
-        loader=PackageLoader("swimid.projects"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template(template).render(**variables)
+    templates = environment("swimid.projects", keep_trailing_newline=True, autoescape=False)
+    return templates.get_template(template).render(**variables)

@@ -451,11 +451,6 @@ def p_text(p: float) -> str:
     return f"p = {numbers.format_number(p, 2)}"
 
 
-def notices(recorded: Sequence[Notice]) -> list[Notice]:
-    """Return recorded warnings as the list ``notices`` of the evidence of a result."""
-    return list(recorded)
-
-
 # ---------------------------------------------------------------- tables
 
 

@@ -386,7 +386,7 @@ def sensitivity(
         checks=checks,
         tables=[_totals(file), _range_table(file)],
         figures=[_map(file)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=[_method(file)],
         references=[*REFERENCES, *experiment.robot.sources],
         provenance=origin,
