@@ -267,7 +267,7 @@ class ReportPage:
         digests = {}
         for result in self.results:
             digests[str(result.path)] = "of nothing: it was in memory"
-            if result.outputs:
+            if result.outputs and result.path.exists():
                 digests[str(result.path)] = sha256(result.path)
         return digests
 
