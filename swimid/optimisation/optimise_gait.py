@@ -15,7 +15,7 @@ from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import UNSTEADY
+from swimid.kinematics.cycles import UNSTEADY
 from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
@@ -171,7 +171,7 @@ def optimise_gait(
 
 def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> GaitProblem:
     if not options.vary:
-        raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
+        raise UsageError("nothing is varied", hint="give the ranges: --vary NAME=LOW,HIGH")
     performance.check_gaits(options.vary, "--vary")
     turn = "yaw" if performance.model.in_space else performance.turn
     quantity, sign = {

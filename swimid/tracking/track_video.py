@@ -15,14 +15,17 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
-from swimid.logs import kinematics, log, point_evidence, point_files, points
-from swimid.logs.kinematics import Swimming
+from swimid.kinematics import swimming
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.speed import Estimate
+from swimid.kinematics.swimming import MIN_WINDOW_SAMPLES, Swimming, measure
+from swimid.logs import log
 from swimid.logs.log import Log, runs
-from swimid.logs.plane import Plane
-from swimid.logs.points import Posed
-from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
+from swimid.points import point_evidence, point_files, points
+from swimid.points.plane import Plane
+from swimid.points.points import Posed
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.robots import file as robot_format
@@ -104,18 +107,15 @@ def track_video(
 ) -> Track:
     """Track the markers of a film, and estimate pose, speeds and stroke of the robot.
 
-    The setup is a file, a Setup or a dict with the colours of the markers, the scale and the camera.
-    ``track_setup`` drafts a setup. The log contains all frames, even if speeds and stroke are those of a part
-    of the film.
+    The setup is a file, a Setup or a dict. The log has all frames, whatever the window of the speeds.
 
     Parameters
     ----------
     video : path
         A film, a folder of pictures, or a pattern of their names (``%05d.png``).
     output : path, optional
-        Log to write, CSV or Parquet by its ending. ``<stem>.evidence.json`` and ``<stem>.png`` are written to
-        the same folder. Without ``output`` nothing is written;
-        :meth:`~swimid.results.result.Result.save` writes the files later.
+        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` and ``<stem>.png`` in the
+        same folder. :meth:`~swimid.results.result.Result.save` writes the files later.
     metadata : dict, optional
         Additional ``# key: value`` lines of the log.
     progress : Progress
@@ -124,53 +124,54 @@ def track_video(
     Returns
     -------
     Track
-        ``.frame`` has a row for each of the n frames: ``t_s``, pose (m, rad; px without a scale), speeds
-        (m/s, rad/s), their standard deviations, the measurements, and each marker. ``.data["swimming"]``
-        contains speed, stroke and accelerations with their 95 % intervals.
+        ``.frame`` has a row for each frame: pose (m, rad; px without a scale), speeds (m/s, rad/s), their
+        standard deviations, and each marker. ``.data["swimming"]`` has speed and stroke with 95 % intervals.
 
     Raises
     ------
-    InputError
-        The film or the setup cannot be used.
+    InputError, UsageError
+        The film, the setup or an option cannot be used, or the window has too few frames with the markers.
     NoTrustworthyResult
         A marker is found in no frame, or in too few.
-    UsageError
-        An option is out of its range, or the window contains too few frames with the markers.
 
     Notes
     -----
-    Positions are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
-    1965, doi:10.2514/3.3166). The steady part of the motion is found by the marginal standard error rule
-    (White, 1997, doi:10.1177/003754979706900601).
+    Positions are smoothed as by Rauch, Tung and Striebel (1965, doi:10.2514/3.3166). The steady part is found
+    by the marginal standard error rule (White, 1997, doi:10.1177/003754979706900601).
 
     Examples
     --------
-    >>> made = track_video("pool.mp4", setup="setup.yaml")  # doctest: +SKIP
-    >>> made.frame[["t_s", "x_m", "y_m", "yaw_rad"]].plot(x="t_s")  # doctest: +SKIP
+    >>> track_video("pool.mp4", setup="setup.yaml").frame.plot("t_s", "x_m")  # doctest: +SKIP
     """
     video, setup, overlay_path = Path(video), options.setup, options.overlay_path
     if output is not None:
         output = atomic.check_writable(output, inputs=(video, setup))
     if overlay_path is not None:
         overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
-    changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
-    rules = setup_format.read_setup(setup)
-    source = setup if isinstance(setup, str | Path) else rules
-    rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
     with record_warnings(repeat=True) as notices:
-        if overlay_path is not None:
-            film = Video(video)
-            check_length(overlay_path, film.claimed, film.width, film.height)
-        with progress(f"tracking {video.name}") as step:
-            run = follow(video, rules, step=step, file=str(provenance.path_of(source)))
+        run, source = _follow_film(video, options, progress)
         result, painter = _evaluate(run, source, options, metadata or {}, notices)
+        if overlay_path is None:
+            return result.write_output(output)
         with atomic.write_together():
-            if overlay_path is not None:
-                remark = painter.write(overlay_path, progress)
-                if remark and result.evidence is not None:
-                    result = replace(result, evidence=result.evidence.model_copy(update={"notes": [remark]}))
+            painter.write(overlay_path, progress, result)
             result = result.write_output(output)
-    return result if overlay_path is None else replace(result, outputs=[*result.outputs, overlay_path])
+    return replace(result, outputs=[*result.outputs, overlay_path])
+
+
+def _follow_film(
+    video: Path, options: TrackVideoOptions, progress: Progress
+) -> tuple[FilmTrack, str | Path | Setup]:
+    """Follow the markers through a film; return the track in pixels, and the setup file or the setup."""
+    rules = setup_format.read_setup(options.setup)
+    source = options.setup if isinstance(options.setup, str | Path) else rules
+    changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
+    rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
+    if options.overlay_path is not None:
+        film = Video(video)
+        check_length(options.overlay_path, film.claimed, film.width, film.height)
+    with progress(f"tracking {video.name}") as step:
+        return follow(video, rules, step=step, file=str(provenance.path_of(source))), source
 
 
 def _evaluate(
@@ -330,7 +331,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     seen, path = pose.times[pose.measured], pose.path
     begin, end = (one if one is not None else seen[k] for one, k in zip(window_s, (0, -1), strict=True))
     inside = int(((seen >= begin) & (seen <= end)).sum())
-    if inside < kinematics.MIN_WINDOW_SAMPLES and window_s != (None, None):
+    if inside < MIN_WINDOW_SAMPLES and window_s != (None, None):
         raise UsageError(
             f"only {inside} frames with the markers are between {begin:g} and {end:g} s; the track runs from "
             f"{seen[0]:.4g} to {seen[-1]:.4g} s",
@@ -342,7 +343,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     if pose.angle is not None and pose.separation is not None:
         angle = pose.angle.position[0]
         angle_error = math.sqrt(2) * error / max(float(np.nanmedian(pose.separation)), 1e-12)
-    track = kinematics.Track(
+    track = swimming.Track(
         time_s=pose.times,
         measured=pose.measured,
         raw=pose.raw,
@@ -353,7 +354,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         error=error,
         angle_error=angle_error,
     )
-    return kinematics.measure(track, window_s)
+    return measure(track, window_s)
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
@@ -501,7 +502,7 @@ def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
     """Check that at least one marker moves, because a motionless object passes all other checks.
 
     A robot that hardly leaves its place passes if it has a stroke. The stroke of a robot keeps its phase
-    (:func:`swimid.logs.beat.find_beats`), and ripples or passing objects that shift a centre do not.
+    (:func:`swimid.kinematics.frequency.find_beats`). Ripples or passing objects that shift a centre do not.
     """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
@@ -872,8 +873,8 @@ class Painter:
             images.append(ev.Image(id=f"frame-{i}", title=title, caption=CAPTION, **image))
         return images
 
-    def write(self, path: Path, progress: Progress) -> str:
-        """Write a copy of the film with the track drawn into it; return a remark, or an empty text.
+    def write(self, path: Path, progress: Progress, result: Track) -> None:
+        """Write a copy of the film with the track drawn into it; add a remark on its format to the evidence.
 
         The film is decoded again, because the track is known only after the film was read once, and its
         frames do not fit into memory. The second decoding takes an eighth of the time of tracking with an
@@ -892,7 +893,8 @@ class Painter:
                     step()
             finally:
                 writer.close()
-        return REMARK.format("overlay") if isinstance(writer, Mpeg4) else ""
+        if isinstance(writer, Mpeg4) and result.evidence is not None:
+            result.evidence.notes.append(REMARK.format("overlay"))
 
 
 def _to_fixed_point(x: float, y: float) -> tuple[int, int]:
