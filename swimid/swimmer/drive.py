@@ -23,9 +23,10 @@ from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.notices import warn
-from swimid.robots.planar import Driven, Input
-from swimid.swimmer.planar.engine import interpolate_states
-from swimid.swimmer.tree import Actuated, Polynomial, Tree, use_default
+from swimid.robots.joints import Driven, Input
+from swimid.robots.quantities import Polynomial, use_default
+from swimid.swimmer.engine import interpolate_states
+from swimid.swimmer.tree import Actuated, Tree
 
 Value = TypeVar("Value")
 #: Maximum remaining fraction of the initial transient of a servo when a simulation begins in steady swimming.

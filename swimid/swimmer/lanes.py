@@ -3,7 +3,7 @@
 An engine is the compiled equations of motion of a robot. Its functions can also run as Python functions on
 symbols instead of numbers. They then run through their loops over links and elements once, and record a list
 of sums and products. Operations with input entries that are always 0 or 1 are removed. An engine must be
-written for this: it may branch on a value only by :func:`swimid.swimmer.planar.engine.positive`, ``max``,
+written for this: it may branch on a value only by :func:`swimid.swimmer.engine.positive`, ``max``,
 ``min`` and ``abs``.
 
 :func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
@@ -43,7 +43,7 @@ from swimid.files import atomic
 from swimid.files.kernels import numba
 from swimid.fitting.model import Force, Traceable
 from swimid.notices import Progress, silent
-from swimid.swimmer.planar.engine import MAX_STATE, integrate
+from swimid.swimmer.engine import FILLED, MAX_STATE, interpolate_states
 from swimid.swimmer.tree import Tree
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
 def _trace_heading(frame: Any, base: Any, turn: Any) -> Angle:
     """Return the heading of a link in the world by its sine and cosine.
 
-    For symbols, this function replaces :func:`swimid.swimmer.planar.engine.find_heading`.
+    For symbols, this function replaces :func:`swimid.swimmer.engine.find_heading`.
     """
     _, c, s = frame
     cosine, sine = turn
@@ -633,8 +633,8 @@ class Room:
 
 
 #: Name of the input array with the external forces in a simulation. Its entries are the start time (s), the
-#: coordinate frame (``placed`` of the engine), and for each force: 1 or 0 (whether the force acts), its point
-#: and its constants.
+#: coordinate frame (:func:`swimid.swimmer.engine.place_frame`), and for each force: 1 or 0 (whether the force
+#: acts), its point and its constants.
 ACTING = "acting"
 #: Elements whose input array of integers has the row of their input in its second column.
 STEERED = ("propeller", "rudder", "slider")
@@ -665,7 +665,7 @@ class Kernel:
         self._example = tables(np.ones(len(tree.names)))
         self.size, self._scratch = self.engine.shapes(self._example)
         self.fixed = _find_constants(tables, len(tree.names))
-        for name, columns in self.engine.FILLED.items():
+        for name, columns in FILLED.items():
             self.fixed[name][:, columns] = np.nan
         entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
@@ -734,8 +734,8 @@ class Kernel:
         if self.room is not None:
             acting = tables.pop(ACTING)
             forced, time = self._trace_forces(self.room, acting), acting[0] + tracer.symbol("elapsed", 0)
-        derivative = on_symbols(self.engine.derivative)
-        derivative(state, row, *tables.values(), forced, time, *scratch, rate)
+        compute_rate = on_symbols(self.engine.compute_rate)
+        compute_rate(state, row, tuple(tables.values()), forced, time, *scratch, rate)
         after = Tracer()
         settled = array(after, "state", (self.size,))
         on_symbols(self.engine.correct_state)(settled)
@@ -780,7 +780,7 @@ class Kernel:
             Input arrays of the equations of motion.
         forces : sequence of Force
         frame : ndarray, shape (7,)
-            Coordinate frame of the simulation in the world (``placed`` of the engine).
+            Coordinate frame of the simulation in the world (:func:`swimid.swimmer.engine.place_frame`).
         begin_s : float
             Time of the initial state.
         """
@@ -930,7 +930,7 @@ def _select_operations(operations: Sequence[Symbol], results: Any) -> list[Symbo
 
 def folder() -> Path:
     """Return the folder of generated modules, which lies in numba's cache folder of the scalar engine."""
-    return Path(integrate.stats.cache_path) / "lanes"
+    return Path(interpolate_states.stats.cache_path) / "lanes"
 
 
 def _path(text: str) -> Path:

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -19,12 +19,13 @@ from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, 
 from swimid.notices import Progress, silent
 from swimid.results.numbers import split_unit
 from swimid.robots.file import Robot
+from swimid.robots.quantities import Polynomial
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
+from swimid.swimmer.engine import interpolate_states, pack_forces
 from swimid.swimmer.lanes import LANES, Kernels, Room
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar.engine import interpolate_states, outside
 from swimid.swimmer.steady import SteadySpeed, SteadySwimming
-from swimid.swimmer.tree import MovingJoint, Polynomial, Tree, coefficients, law_of
+from swimid.swimmer.tree import MovingJoint, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.fitting.model import SwimInput
@@ -150,22 +151,18 @@ class Swimmer(Model, ABC):
     velocity: tuple[str, ...]
     #: Channels of force and torque on the holder of a fixed base. They are about the reference point.
     reactions: tuple[str, ...]
-    #: Numbers of coordinates and of velocities of the base in a state vector. The passive joint angles follow
-    #: the coordinates, and the passive joint rates follow the velocities.
-    coordinates: int
-    speeds: int
     #: Names of the pose coordinates and of the velocities, as used in the names of the start parameters.
     places: tuple[str, ...]
     rates: tuple[str, ...]
     #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.
     camera: tuple[Parameter, ...] = ()
-    #: Module of the compiled equations of motion.
-    engine: ModuleType
     tree: Tree
 
     def __init__(self, robot: Robot, *, max_step: float = STEP_S) -> None:
         self.robot, self.max_step = robot, max_step
         self.tree = self._tree()
+        self.engine = self.tree.engine
+        self.coordinates, self.speeds = self.engine.coordinates, self.engine.speeds
         self.driven, self.passive = self.tree.driven, self.tree.passive
         self.actuators = self.tree.actuators
         # the first parameters are the coefficients of the robot file
@@ -351,7 +348,7 @@ class Swimmer(Model, ABC):
         forces_N : ndarray, shape (thrusters,)
             Their forces for an input of 1.
         """
-        columns = self.engine.LOAD
+        columns = self.engine.columns["load"]
         along = [i for i, name in enumerate(columns) if name.startswith("force_")]
         forces = np.linalg.norm(tables["load"][:, along], axis=1)
         inputs = tables["load_input"] - len(self.driven)
@@ -363,7 +360,7 @@ class Swimmer(Model, ABC):
     def lose_thrust(self, tables: dict[str, Any], loss: float) -> None:
         """Let the thrust T of each thruster fall by ``loss sqrt(|T|)`` per velocity along it, (kg/m)^0.5."""
         rows, _, forces = self.thrusters(tables)
-        tables["load"][rows, self.engine.LOAD.index("loss")] = loss / forces**1.5
+        tables["load"][rows, self.engine.columns["load"].index("loss")] = loss / forces**1.5
 
     def list_joint_coefficients(self) -> list[str]:
         """Return the names of the coefficients in the laws of the passive joints, such as their stiffness."""
@@ -525,7 +522,7 @@ class Swimmer(Model, ABC):
         """Return the forces of effects as the engine takes them; None if there are none."""
         if not run.hooks.force:
             return None
-        return outside(run.hooks.force, self.frame(run), len(self.tree.links))
+        return pack_forces(run.hooks.force, self.frame(run), len(self.tree.links))
 
     def integrate(self, run: SimulationRequest) -> tuple[Array, Array]:
         """Integrate by the scalar engine, and return the states and their time derivatives."""
@@ -543,11 +540,9 @@ class Swimmer(Model, ABC):
         """
         tables, grid = tuple(self._tables(run.values, run.hooks).values()), trajectory.grid
         drive = trajectory.drive.table[::2][first:]
-        more: tuple[Any, ...] = ()
-        if run.hooks.force:
-            more = self._pack_forces(run), grid.begin_s + first * grid.step_s, grid.step_s
-        torque, wrench = self.engine.torques(
-            trajectory.states[first:], trajectory.rates[first:], drive, tables, *more
+        begin_s, forces = grid.begin_s + first * grid.step_s, self._pack_forces(run)
+        torque, wrench = self.engine.compute_torques(
+            trajectory.states[first:], trajectory.rates[first:], drive, tables, forces, begin_s, grid.step_s
         )
         return np.asarray(torque), np.asarray(wrench)
 
