@@ -38,7 +38,7 @@ import numpy as np
 from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.remainder import ResidualForce
 from swimid.effects import catalogue
-from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.drives import Cycle, TailBeat
 from swimid.fitting.model import NONE, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes import Kernel
@@ -69,7 +69,7 @@ def model_of(name: str) -> tuple[Swimmer, Trial]:
     known = robot.read(name)
     clock = np.arange(0.0, DURATION_S + 1e-9, 0.02)
     if known.multibody is None:
-        swim = SwimInput(Beat("sine", 1.4, math.radians(30.0)))
+        swim = SwimInput(TailBeat("sine", 1.4, math.radians(30.0)))
         return MultilinkModel(known), Trial(name, "fit", clock, {}, swim=swim)
     stroke = next(iter(known.multibody.strokes.values()))
     return MultibodyModel(known), Trial(
@@ -101,7 +101,7 @@ def bench_engine() -> None:
     )
     for name in ("tfish", "dolphin", "sealion"):
         model, trial = model_of(name)
-        given = np.array([model.stated().get(p.name, p.start) for p in model.parameters])
+        given = np.array([model.get_file_values().get(p.name, p.start) for p in model.parameters])
         runs = [model.request(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
         kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
         kernel.compile_module()
@@ -123,7 +123,7 @@ def bench_effects() -> None:
     lanes, trial = model_of("tfish")
     scalar, _ = model_of("tfish")
     assert isinstance(lanes, MultilinkModel)
-    given = np.array([lanes.stated().get(p.name, p.start) for p in lanes.parameters])
+    given = np.array([lanes.get_file_values().get(p.name, p.start) for p in lanes.parameters])
     swims = [replace(trial, id=f"swim {k}", measured=scalar.simulate(given, trial)) for k in range(2)]
     effects = [*catalogue.list_effects(), ResidualForce("surge", 0.05, 0.3)]
     scalar.kernels.used = False

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.notices import SwimidWarning
 from swimid.swimmer.fit_graybox import fit_graybox
@@ -67,7 +67,7 @@ def simulated(coefficients: Mapping[str, float], f: float, stiffness: float) -> 
     model = dolphin()
     known = {p.name: p.start for p in model.parameters} | dict(coefficients) | {"K_s": stiffness}
     time = np.arange(round(DURATION_S * RATE_HZ) + 1) / RATE_HZ
-    beat = Beat("sine", f, math.radians(WAIST_DEG))
+    beat = TailBeat("sine", f, math.radians(WAIST_DEG))
     trial = Trial(f"{f:g} Hz", "fit", time, {}, swim=SwimInput(beat))
     return model.simulate(np.array([known[p.name] for p in model.parameters]), trial)
 

@@ -28,7 +28,7 @@ from pictures import draw_quick
 
 from swimid.api import NAMES
 from swimid.cli.main import SECTIONS, SHARED, Command, main
-from swimid.commands import found
+from swimid.commands import find_commands
 
 ROOT = Path(__file__).parents[1]
 PAGES, SITE = ROOT / "build" / "docs", ROOT / "site"
@@ -43,7 +43,7 @@ EQUATION_PX = 17
 PYTHON = {
     "Start": ("init", "sample", "robot"),
     "Trials, logs and robots": (
-        "load", "read_log", "read_robot", "built_in_robots", "TrialSet", "Log", "Robot",
+        "load", "read_log", "read_robot", "list_robots", "TrialSet", "Log", "Robot",
     ),
     "Make logs": (
         "track_video", "track_setup", "track_camera", "Calibration", "track_imu", "import_log",
@@ -80,7 +80,7 @@ def copy_pages() -> None:
     for name in ("CONTRIBUTING.md", "CHANGELOG.md"):
         text = (ROOT / name).read_text(encoding="utf-8")
         (PAGES / name).write_text(text.replace("](docs/", "]("), encoding="utf-8")
-    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in found().items()}
+    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in find_commands().items()}
     for path in PAGES.rglob("*.md"):
         up = "../" * (len(path.relative_to(PAGES).parts) - 1)
         text = path.read_text(encoding="utf-8").replace("](../CONTRIBUTING.md", f"]({up}CONTRIBUTING.md")
@@ -106,7 +106,7 @@ def command_pages() -> None:
     """Write a page for each section of the list of commands, with the help of its commands."""
     folder = PAGES / "reference"
     for section in SECTIONS:
-        specs = [spec for spec in found().values() if spec.section == section]
+        specs = [spec for spec in find_commands().values() if spec.section == section]
         text = [f"# {section}\n"]
         for spec in sorted(specs, key=lambda one: one.command):
             text += command_text(spec.command)

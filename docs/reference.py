@@ -20,10 +20,10 @@ from pydantic import BaseModel
 
 from swimid.cli import commands
 from swimid.effects.base import STAGES
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import list_effects
 from swimid.logs.experiments import find_experiments
 from swimid.notices import read_warnings
-from swimid.results.result import class_of, formats
+from swimid.results.result import class_of, list_result_formats
 
 #: Title of each generated part of a format. The classes of the entries with the keys, or of the elements with
 #: the kinds, that follow it stand in this part, and so do the classes of their own entries.
@@ -210,7 +210,7 @@ def formats_text(titles: Mapping[str, str]) -> str:
     """Return the Markdown text of several file formats."""
     lines: list[str] = []
     for name, title in titles.items():
-        kind = class_of(name).file_type if name in formats() else find_class(name)
+        kind = class_of(name).file_type if name in list_result_formats() else find_class(name)
         lines += format_text(title, kind, 3)
     return "\n".join(lines).rstrip("\n")
 
@@ -250,7 +250,7 @@ def effects_text() -> str:
     rows, names = [], set()
     for stage in STAGES:
         first = stage
-        for effect in sorted(catalogue(), key=lambda effect: effect.name):
+        for effect in sorted(list_effects(), key=lambda effect: effect.name):
             if effect.stage == stage and effect.name not in names:
                 names.add(effect.name)
                 rows.append([first, f"`{effect.name}`", effect.meaning])

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance_map import performance_map
@@ -85,7 +85,7 @@ def doubled(name: str, *coefficients: str) -> dict[str, float]:
     return {c: 2.0 * body.coefficients[c].value for c in coefficients}
 
 
-def simulate(body: Robot, beat: Beat, seconds: float, **coefficients: float) -> dict[str, np.ndarray]:
+def simulate(body: Robot, beat: TailBeat, seconds: float, **coefficients: float) -> dict[str, np.ndarray]:
     """Return the channels of a run from rest, with the coefficients of the robot file or the given ones."""
     model = MultilinkModel(body)
     assert body.multilink is not None
@@ -111,8 +111,8 @@ def figures(run: Mapping[str, np.ndarray], frequency_hz: float, at_s: float, cyc
 
 def beat(
     frequency_hz: float, amplitude_deg: float, bias_deg: float = 0.0, h: float = 0.0, waveform: str = "sine"
-) -> Beat:
-    return Beat(waveform, frequency_hz, math.radians(amplitude_deg), math.radians(bias_deg), h)
+) -> TailBeat:
+    return TailBeat(waveform, frequency_hz, math.radians(amplitude_deg), math.radians(bias_deg), h)
 
 
 # ------------------------------------------------------------------ printing

@@ -81,7 +81,7 @@ class CommandSpec:
         module, name = self.place
         return getattr(importlib.import_module(module), name)
 
-    def returned(self) -> Any:
+    def result_type(self) -> Any:
         """Import the function that the command calls, and return the type of its result."""
         function = inspect.unwrap(self.run())
         kind = function.__annotations__["return"]
@@ -89,7 +89,7 @@ class CommandSpec:
 
 
 @cache
-def found() -> dict[str, CommandSpec]:
+def find_commands() -> dict[str, CommandSpec]:
     """Find the declarations of all commands in the files ``options.py``, and return them by command name."""
     specs = {}
     for path in sorted(Path(__file__).parent.glob("*/options.py")):

@@ -20,15 +20,15 @@ from typing import Any
 from swimid.errors import InputError, extra_needed, first_line
 
 #: Number of times that a cluster repeats a call whose worker was lost.
-RETRIES = 2
+CLUSTER_RETRIES = 2
 #: Time in which a cluster must answer, s.
-TIMEOUT_S = 30
+CLUSTER_TIMEOUT_S = 30
 #: Number of calls that wait for a cluster at a time.
 WAITING = 64
 
 
 @contextmanager
-def opened(jobs: int, cluster: str | None = None) -> Iterator[Executor]:
+def open_executor(jobs: int, cluster: str | None = None) -> Iterator[Executor]:
     """Open an executor.
 
     Parameters
@@ -57,10 +57,10 @@ def opened(jobs: int, cluster: str | None = None) -> Iterator[Executor]:
         if Path(cluster).is_file():
             given = {"scheduler_file": cluster}
         try:
-            client = stack.enter_context(Client(**given, timeout=TIMEOUT_S, set_as_default=False))
+            client = stack.enter_context(Client(**given, timeout=CLUSTER_TIMEOUT_S, set_as_default=False))
         except (OSError, ValueError) as error:
             raise InputError(f"the cluster {cluster} does not answer: {first_line(error)}") from error
-        yield stack.enter_context(client.get_executor(retries=RETRIES, pure=False))
+        yield stack.enter_context(client.get_executor(retries=CLUSTER_RETRIES, pure=False))
 
 
 class Rebuilt:
@@ -81,7 +81,7 @@ class Rebuilt:
 
     def call(self, method: str, *arguments: Any) -> Any:
         """Call a method of the object on a worker, and return its result."""
-        return self._pool.submit(_called, self._recipe, method, arguments).result()
+        return self._pool.submit(_call, self._recipe, method, arguments).result()
 
 
 @contextmanager
@@ -90,16 +90,16 @@ def on_cluster(cluster: str | None, build: str, *arguments: Any) -> Iterator[Reb
     if cluster is None:
         yield None
         return
-    with opened(1, cluster) as pool:
+    with open_executor(1, cluster) as pool:
         yield Rebuilt(pool, build, *arguments)
 
 
-def _called(recipe: tuple[str, bytes, str], method: str, arguments: tuple[Any, ...]) -> Any:
-    return getattr(_built(*recipe), method)(*arguments)
+def _call(recipe: tuple[str, bytes, str], method: str, arguments: tuple[Any, ...]) -> Any:
+    return getattr(_build(*recipe), method)(*arguments)
 
 
 @functools.lru_cache(maxsize=2)
-def _built(build: str, arguments: bytes, folder: str) -> Any:
+def _build(build: str, arguments: bytes, folder: str) -> Any:
     module, _, name = build.partition(":")
     with chdir(folder):
         return attrgetter(name)(importlib.import_module(module))(*pickle.loads(arguments))

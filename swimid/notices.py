@@ -1,7 +1,8 @@
 """Warnings of swimid, each with a stable code, and the interface of progress bars for long loops.
 
 Functions of swimid issue a warning with :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. A
-command collects its warnings with :func:`recorded`, prints them at its end, and stores them in its results.
+command collects its warnings with :func:`record_warnings`, prints them at its end, and stores them in its
+results.
 The caller of a long loop decides whether and how the progress of the loop is shown.
 """
 
@@ -80,7 +81,7 @@ def warn(code: str, text: str) -> None:
 
 
 @contextmanager
-def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
+def record_warnings(*, repeat: bool = False) -> Iterator[list[Notice]]:
     """Collect the warnings of swimid that a ``with`` block issues, and yield the list, without duplicates.
 
     The collected warnings are not shown to the user. With ``repeat`` they are issued again at the end of the

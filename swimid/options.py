@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from swimid import reading
-from swimid.errors import SwimidError, UsageError, naming, suggestion
+from swimid.errors import SwimidError, UsageError, name_arguments, suggestion
 from swimid.notices import automatic
 
 Returned = TypeVar("Returned")
@@ -163,11 +163,11 @@ class Options(BaseModel):
         for name, value in stated.items():
             parts = value.values() if isinstance(value, Mapping) else [value]
             if wrong := [part for part in parts if is_beyond(part)]:
-                raise UsageError(f"{cls.declared()[name].flag}: {wrong[0]!r:.20} is {BEYOND}")
+                raise UsageError(f"{cls.declarations()[name].flag}: {wrong[0]!r:.20} is {BEYOND}")
         return options
 
     @classmethod
-    def declared(cls) -> dict[str, Declared]:
+    def declarations(cls) -> dict[str, Declared]:
         """Return the declaration of each option. The key is the name of its field in the class of options."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
@@ -181,7 +181,7 @@ class Options(BaseModel):
         **actual
             Values that replace those of the options in the settings, by key.
         """
-        keys = {entry.key: name for name, entry in self.declared().items() if entry.key}
+        keys = {entry.key: name for name, entry in self.declarations().items() if entry.key}
         return {key: actual.get(key, _plain(getattr(self, name))) for key, name in keys.items()}
 
 
@@ -208,7 +208,7 @@ class Declared:
         self.flags: str = notes["flag"] or f"--{name.replace('_', '-')}"
         self.metavar: str | None = notes["metavar"]
         self.help = info.description or ""
-        self.kind = without_none(info.annotation)
+        self.kind = remove_none(info.annotation)
         self.annotation = info.annotation
         self.required = info.is_required()
         self.default = None if self.required else info.default
@@ -241,7 +241,7 @@ class Declared:
         return f"{text}, default {self.default!r}".replace("default None", "optional")
 
 
-def without_none(kind: Any) -> Any:
+def remove_none(kind: Any) -> Any:
     """Remove None from the alternatives of a type: ``float | None`` becomes ``float``."""
     if get_origin(kind) in (Union, UnionType):
         return Union[tuple(one for one in get_args(kind) if one is not type(None))]  # noqa: UP007 - made of a tuple
@@ -263,7 +263,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         keywords = {p.name for p in own}
 
         arguments = {"-o": "output"}
-        for entry in options.declared().values():
+        for entry in options.declarations().values():
             on, _, off = entry.flags.partition("/")
             arguments |= {on: entry.name, off: f"{entry.name}=False"}
 
@@ -275,7 +275,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
             known = [*options.model_fields, *keywords]
             if "progress" in keywords:
                 mine.setdefault("progress", automatic)
-            with naming(arguments), explained(function, args), reading.record(mine.get("output")):
+            with name_arguments(arguments), explain_types(function, args), reading.record(mine.get("output")):
                 if isinstance(given.get("options"), options) and len(given) == 1:
                     return function(*args, **given, **mine)
                 for name in given:
@@ -292,13 +292,13 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
                 default=inspect.Parameter.empty if entry.required else entry.default,
                 annotation=entry.annotation,
             )
-            for entry in options.declared().values()
+            for entry in options.declarations().values()
         ]
         rest = [p for p in own if p.kind is p.KEYWORD_ONLY]
         rest = [p.replace(default=automatic) if p.name == "progress" else p for p in rest]
         call.__signature__ = signature.replace(parameters=[*positional, *shown, *rest])  # type: ignore[attr-defined]
         call.options = options  # type: ignore[attr-defined]
-        call.__doc__ = _documented(function.__doc__, options, [p.name for p in rest])
+        call.__doc__ = _document_options(function.__doc__, options, [p.name for p in rest])
         return call
 
     return decorate
@@ -312,7 +312,7 @@ ALSO = {
 
 
 @contextmanager
-def explained(function: Callable[..., Any], args: Sequence[Any]) -> Iterator[None]:
+def explain_types(function: Callable[..., Any], args: Sequence[Any]) -> Iterator[None]:
     """Convert an exception in the ``with`` block into a :class:`UsageError` if an argument has a wrong type.
 
     Parameters
@@ -350,7 +350,7 @@ def _wrong_type(function: Callable[..., Any], name: str, value: Any, wanted: set
     return UsageError(text, hint=hint or None)
 
 
-def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
+def _document_options(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
     """Add descriptions of the options to the section Parameters of the docstring of a function.
 
     They are placed before the arguments ``rest``.
@@ -363,7 +363,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
     end = min(heads, default=len(lines) + 1) - 1
     place = next((k for k in range(begin, end) if lines[k].split(" :")[0] in rest), end)
     entries = []
-    for entry in options.declared().values():
+    for entry in options.declarations().values():
         entries += [f"{entry.name} : {entry.type_text()}", f"    {entry.help}"]
     return "\n".join([*lines[:place], *entries, *lines[place:]])
 
@@ -396,7 +396,7 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
         return raised
     name = str(problem["loc"][0])
     if problem["type"] == "missing":
-        return UsageError(f"the option '{name}' is missing", hint=options.declared()[name].help)
+        return UsageError(f"the option '{name}' is missing", hint=options.declarations()[name].help)
     message = problem["msg"]
     value = f"{problem.get('input')!r:.60}"
     return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")
@@ -410,12 +410,12 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
 StartState = Literal["auto", "rest", "estimate"]
 
 
-def fixed() -> Any:
+def fix_option() -> Any:
     """Return the declaration of the option ``--fix``, which holds parameters at a value."""
     return option({}, flag="--fix", metavar="NAME=VALUE", help="Hold a parameter at a value.")
 
 
-def freed() -> Any:
+def free_option() -> Any:
     """Return the declaration of the option ``--free``, which frees parameters that are fixed by default."""
     return option((), flag="--free", metavar="NAME", help="Estimate a parameter that is fixed by default.")
 

@@ -46,9 +46,9 @@ def ring(t: np.ndarray) -> np.ndarray:
 class Hooked(Toy):
     """Closed-form model to which effects can be added."""
 
-    def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
+    def simulate_hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
         """Simulate a trial, and change what is measured by an effect."""
-        return hooks.seen(self.simulate(values, trial), trial.time_s)
+        return hooks.sense(self.simulate(values, trial), trial.time_s)
 
 
 class Seen(Effect):

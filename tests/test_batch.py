@@ -404,7 +404,7 @@ def test_an_item_of_another_process_is_left_to_it(lab: Path, swimid: Run) -> Non
     before = {path.name for path in folder.iterdir()}
     holder = (
         "import sys, time; from pathlib import Path; from swimid.files import atomic\n"
-        f"with atomic.locked(Path({str(folder / 'status.json')!r})):\n"
+        f"with atomic.hold_lock(Path({str(folder / 'status.json')!r})):\n"
         "    print('locked', flush=True); time.sleep(60)\n"
     )
     process = subprocess.Popen(

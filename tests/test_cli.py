@@ -20,11 +20,11 @@ from click.testing import CliRunner
 
 import swimid as package
 from swimid.cli.main import SECTIONS, main
-from swimid.cli.main import Run as Running
-from swimid.commands import found
+from swimid.cli.main import CommandRun as Running
+from swimid.commands import find_commands
 from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
-from swimid.results.result import Result, formats
+from swimid.results.result import Result, list_result_formats
 from tests.conftest import ROOT, SAMPLES, Ran
 
 Run = Callable[..., Ran]
@@ -35,7 +35,7 @@ def test_every_command_is_in_a_section_and_explains_itself(swimid: Run) -> None:
     assert re.findall(r"^(\w[\w ]+):$", shown, re.M) == ["Options", *SECTIONS]
     for name in main.commands:
         assert re.search(rf"^  {name} ", shown, re.M), name
-    for spec in found().values():
+    for spec in find_commands().values():
         assert spec.section in SECTIONS, spec.command
         assert "Example" in swimid(*spec.command.split(), "--help").out, spec.command
 
@@ -192,7 +192,7 @@ def test_schema_and_doctor_write_over_nothing_of_others(
 def test_schema_lists_every_format(swimid: Run) -> None:
     listed = swimid("schema").out.split()
     assert listed[:6] == ["trials", "robot", "setup", "mapping", "points", "evidence"]
-    assert listed[6:-1] == formats()
+    assert listed[6:-1] == list_result_formats()
     assert listed[-1] == "answer"
 
 
@@ -336,7 +336,7 @@ class TestInterrupts:
         assert ran.stdout == ""
 
     def test_what_is_kept_is_named(self, tmp_path: Path) -> None:
-        keep = Checkpoint.beside(tmp_path / "out.yaml", "it")
+        keep = Checkpoint.of_output(tmp_path / "out.yaml", "it")
 
         def work() -> None:
             keep.put("one", np.ones(1))

@@ -15,7 +15,7 @@ from swimid.diagnosis.search import HypothesisSearch
 from swimid.diagnosis.study import GapStudy
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, RigInput, SwimInput, Trial
 from swimid.results import evidence
@@ -57,7 +57,7 @@ def swim(frequency_hz: float = 1.4) -> Trial:
     """A trial of which pose and heading are measured."""
     time = np.arange(51) / 25.0
     measured = {name: np.zeros(len(time)) for name in ("x_m", "y_m", "yaw_rad")}
-    return Trial("swim", "fit", time, measured, swim=SwimInput(Beat("sine", frequency_hz, 0.4)))
+    return Trial("swim", "fit", time, measured, swim=SwimInput(TailBeat("sine", frequency_hz, 0.4)))
 
 
 def experiment(robot: str | Path = "tfish", trials: list[Trial] | None = None) -> Experiment:
@@ -131,7 +131,7 @@ def test_effects_act_on_a_robot_in_another_reading(fish: Experiment, others: dic
 
 def test_a_finer_step_keeps_the_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
     acting = fish.model.with_effects([others["reading:areas=as-printed"]], fish.trials)
-    finer = acting.refined()
+    finer = acting.refine()
     assert finer is not None
     assert isinstance(finer, Swimmer)
     assert isinstance(fish.model, Swimmer)

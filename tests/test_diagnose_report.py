@@ -468,9 +468,9 @@ class Steady(Model):
     channels = ()
     offers = frozenset({"command"})
 
-    def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
+    def simulate_hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
         angle = np.sin(trial.time_s)
-        return {"angle_rad": hooks.actuated(trial.time_s, angle)}
+        return {"angle_rad": hooks.actuate(trial.time_s, angle)}
 
 
 def test_the_example_of_the_manual_works() -> None:

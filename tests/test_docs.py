@@ -23,7 +23,7 @@ from ruamel.yaml import YAML
 from docs import evidence
 from swimid.api import NAMES
 from swimid.cli.main import main
-from swimid.commands import found
+from swimid.commands import find_commands
 from tests.conftest import ROOT, SAMPLES, Ran
 
 DOCS = ROOT / "docs"
@@ -68,15 +68,15 @@ def test_commands_parse(line: str) -> None:
     command.make_context("swimid", words)  # raises for an unknown option or a missing argument
 
 
-def test_the_readme_shows_what_the_command_prints(
-    swimid: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("page", ["fit-drag", "fit-graybox"])
+def test_a_page_shows_what_its_command_prints(
+    page: str, swimid: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ROOT)
-    shown = re.search(
-        r"\$ swimid fit-drag (\S+) -o drag\.yaml\n(.*?)```", (ROOT / "README.md").read_text(), re.S
-    )
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    shown = re.search(rf"\$ swimid {page} ([^\n]*) -o \S+\.yaml\n(.*?)```", text, re.S)
     assert shown is not None
-    assert swimid("fit-drag", shown.group(1)).out.strip() == shown.group(2).strip()
+    assert swimid(page, *shlex.split(shown.group(1))).out.strip() == shown.group(2).strip()
 
 
 @pytest.mark.parametrize("name", sorted(evidence.TABLES))
@@ -169,7 +169,8 @@ def _alike(row: str, other: str) -> bool:
 @pytest.mark.parametrize("name", ["rig", "markers", "trials", "imu"])
 @pytest.mark.slow
 def test_the_tables_of_a_page_are_printed_by_its_command(name: str) -> None:
-    page = (DOCS / "learn" / f"{name}.md").read_text(encoding="utf-8")
+    place = DOCS if name == "imu" else DOCS / "learn"
+    page = (place / f"{name}.md").read_text(encoding="utf-8")
     command = f"docs.learn.{name}"
     assert f"`python -m {command}`" in page
     ran = subprocess.run(
@@ -201,7 +202,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert not re.search(foreign, whole)
     assert 'class="equation"' in (tmp_path / "site" / "equations.html").read_text(encoding="utf-8")
     assert "arithmatex" not in whole
-    for command in found():
+    for command in find_commands():
         assert f'id="{command.replace(" ", "-")}"' in whole
     for name in NAMES:
         assert f'id="{name.lower()}"' in whole

@@ -82,7 +82,7 @@ def test_own_effects_are_used(tmp_path):
     assert not catalogue.applicable(
         [e for e in catalogue.list_effects() if e.name in ("servo-lag", "current")], model, []
     )
-    seen = effect.hooks(np.array([0.5]), None, model).seen({"y": np.zeros(2)}, np.zeros(2))
+    seen = effect.hooks(np.array([0.5]), None, model).sense({"y": np.zeros(2)}, np.zeros(2))
     assert seen["y"].tolist() == [0.5, 0.5]
 
 

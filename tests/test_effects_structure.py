@@ -30,7 +30,8 @@ from swimid.fitting.model import CruiseInput, RigInput, Stroke, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import Hydrostatics, Input, Load
+from swimid.robots.joints import Input
+from swimid.robots.planar import PlanarHydrostatics, PlanarLoad
 from tests.effect_cases import (
     FORCE,
     INERTIA,
@@ -61,7 +62,7 @@ ALL = [
 ROLL = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
 RELEASED = Trial("d", "fit", TIME, {"roll_rad": 0.3 * np.cos(10 * TIME)}, rig=RigInput(inertia=0.01, x0=0.3))
 UNDAMPED = {"quadratic_damping": 0.0, "linear_damping": 0.0}
-TOW = rig.towed(mass_kg=INERTIA, force_N=0.2, area_known=False)
+TOW = rig.make_towed_model(mass_kg=INERTIA, force_N=0.2, area_known=False)
 TOWED = Trial(
     "t",
     "fit",
@@ -143,7 +144,7 @@ def test_weight_moves_with_the_centre_of_mass() -> None:
 
     def floating(body: Any) -> None:
         body.elements.append(
-            Hydrostatics(kind="hydrostatics", name="float", link="trunk", volume_m3=2.83 / 1000)
+            PlanarHydrostatics(kind="hydrostatics", name="float", link="trunk", volume_m3=2.83 / 1000)
         )
 
     model = changed(robots.read("dolphin"), floating)
@@ -231,7 +232,7 @@ def test_a_fin_that_bends_loses_thrust_by_its_load() -> None:
     effect = FinFlexibility(load=2e-4 * 0.3, inertia_kg_m2=1.0)
     cruise = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 2e-4})
     trial = Trial("a", "fit", np.arange(2.0), {})
-    bent = effect.hooks(np.array([0.5]), trial, cruise).beaten(stroke)
+    bent = effect.hooks(np.array([0.5]), trial, cruise).change_stroke(stroke)
     np.testing.assert_allclose(bent.thrust, [1 / 1.5, 1 / 3.0])
 
 
@@ -252,7 +253,7 @@ def test_null_and_tries_of_pulled_bodies(effect: Effect) -> None:
 def test_load_friction_leaves_the_commands_of_thrusters_alone() -> None:
     def thrust(body: Any) -> None:
         body.inputs["stern"] = Input(column="stern_N")
-        body.elements.append(Load(kind="load", link="head", input="stern", at_m=0.1, forward_N=1.0))
+        body.elements.append(PlanarLoad(kind="load", link="head", input="stern", at_m=0.1, forward_N=1.0))
 
     model, plain = changed(robots.read("tfish"), thrust), swimmer("tfish")
     pushed = swim(plain)
@@ -290,7 +291,7 @@ def test_a_decay_that_hardens_swings_in_duffings_period() -> None:
     period = 0.4 * quad(lambda p: 1 / np.sqrt(1 + 0.5 * h * size**2 * (1 + np.sin(p) ** 2)), 0, np.pi / 2)[0]
     time = period * np.arange(7)
     trial = replace(RELEASED, time_s=time, measured={"roll_rad": 0 * time})
-    seen = acted(ROLL.refined().refined(), trial, [(Hardening(), h)], **UNDAMPED)
+    seen = acted(ROLL.refine().refine(), trial, [(Hardening(), h)], **UNDAMPED)
     np.testing.assert_allclose(seen["roll_rad"], size, atol=2e-5)
 
 

@@ -19,7 +19,7 @@ from swimid.effects.base import Effect
 from swimid.effects.catalogue import list_effects
 from swimid.exporters.mjcf import water
 from swimid.files import yamlio
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.results import parameters
 from swimid.robots import file as robot
@@ -65,7 +65,7 @@ SWIMMING: Causes = {
     "water-ingress": {"mass_kg": 1.0, "along_m": -0.05},
 }
 TIME = np.arange(0.0, 3.0, 0.002)
-BEAT = Beat("sine", 1.4, math.radians(25.0))
+BEAT = TailBeat("sine", 1.4, math.radians(25.0))
 TRIAL = Trial("run", "fit", TIME, {}, swim=SwimInput(BEAT))
 GIVEN = ROOT / "sample_logs" / "gap" / "params.yaml"
 
@@ -130,7 +130,7 @@ def _followed(name: str, command: np.ndarray) -> np.ndarray:
     model = _model()
     form, values = _form(name, ACTUATION[name], model)
     hooks = form.hooks(values, TRIAL, model)
-    return np.array([hooks.actuated(TIME, command.copy(), k) for k in range(3)])
+    return np.array([hooks.actuate(TIME, command.copy(), k) for k in range(3)])
 
 
 def _command() -> np.ndarray:

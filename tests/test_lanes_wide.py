@@ -40,7 +40,7 @@ def fish() -> MultilinkModel:
 
 
 def given(model: MultilinkModel) -> np.ndarray:
-    return np.array([model.stated().get(p.name, p.start) for p in model.parameters])
+    return np.array([model.get_file_values().get(p.name, p.start) for p in model.parameters])
 
 
 def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
@@ -48,7 +48,7 @@ def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
     plain = MultilinkModel(model.robot)
     found = []
     for k in range(2):
-        swim = SwimInput(drives.Beat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k), pose=(0.3, -0.2 * k, 0.4 + k))
+        swim = SwimInput(drives.TailBeat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k), pose=(0.3, -0.2 * k, 0.4 + k))
         trial = Trial(f"run{k}", "fit", np.arange(0.5, 0.5 + duration_s, 0.02), {}, swim=swim)
         found.append(replace(trial, measured=plain.simulate(given(plain), trial)))
     return found
@@ -151,7 +151,7 @@ def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel)
 
 
 def test_models_with_another_step_share_the_kernels(fish: MultilinkModel) -> None:
-    assert fish.refined().kernels is fish.kernels
+    assert fish.refine().kernels is fish.kernels
     assert fish.coarser().kernels is fish.kernels
 
 

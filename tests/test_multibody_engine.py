@@ -15,24 +15,25 @@ from swimid.fitting import drives
 from swimid.fitting.model import SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
-from swimid.robots.spatial import Multibody
+from swimid.robots.spatial import MultibodyRobot
 from swimid.swimmer import drive, lanes
+from swimid.swimmer.assembly import spheroid_coefficients
 from swimid.swimmer.drive import joint_motion
-from swimid.swimmer.planar import engine as planar_engine
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.model import Assembly, MultibodyModel, full, spheroid_coefficients
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as engine
+from swimid.swimmer.spatial.model import MultibodyModel, SpatialTree, full
 from tests import lanes_forms
 from tests.lifted import Lifted
 
 WATER, G = 1000.0, 9.81
 
 
-def assembly(body: dict[str, Any]) -> Assembly:
-    return Assembly(Multibody.model_validate(body), Fluid(density_kg_m3=WATER, gravity_m_s2=G))
+def assembly(body: dict[str, Any]) -> SpatialTree:
+    return SpatialTree(MultibodyRobot.model_validate(body), Fluid(density_kg_m3=WATER, gravity_m_s2=G))
 
 
-def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+def derivative(model: SpatialTree, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
     """Return the rate of a state; ``motion`` has angle, rate and acceleration of every driven joint."""
     motion = np.zeros((len(model.driven), 3)) if motion is None else motion
     row = np.column_stack([motion, np.cos(motion[:, 0]), np.sin(motion[:, 0])])
@@ -40,26 +41,26 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     rate = np.empty(len(state))
     tables = model.tables(np.zeros(0))
     scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n)
-    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
+    engine.compute_rate(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
     kernel = lanes.Kernel(model)
     traced = lanes_forms.rate(kernel, state, row, tables)
     assert traced == pytest.approx(rate, rel=1e-9, abs=1e-11 * np.abs(rate).max())
     return rate
 
 
-def at_rest(model: Assembly) -> np.ndarray:
+def at_rest(model: SpatialTree) -> np.ndarray:
     state = np.zeros(13 + 2 * len(model.passive))
     state[3] = 1.0
     return state
 
 
-def random_state(model: Assembly, rng: np.random.Generator) -> np.ndarray:
+def random_state(model: SpatialTree, rng: np.random.Generator) -> np.ndarray:
     state = rng.normal(size=13 + 2 * len(model.passive))
     state[3:7] /= np.linalg.norm(state[3:7])
     return state
 
 
-def integrated(model: Assembly, start: np.ndarray, step: float, duration: float) -> np.ndarray:
+def integrated(model: SpatialTree, start: np.ndarray, step: float, duration: float) -> np.ndarray:
     table = np.zeros((2 * round(duration / step) + 1, len(model.driven), 5))
     table[:, :, 3] = 1.0
     return engine.integrate(start, step, table, tuple(model.tables(np.zeros(0)).values()), None, 0.0)[0]
@@ -139,7 +140,7 @@ def weighed(body: dict[str, Any]) -> dict[str, Any]:
     return {**body, "elements": [{"kind": "hydrostatics", "link": link["name"]} for link in body["links"]]}
 
 
-def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]:
+def put(model: SpatialTree, theirs: Any, data: Any, state: np.ndarray) -> list[int]:
     """Set MuJoCo's state to ours, and return the positions of its velocities for our unknowns."""
     p = len(model.passive)
     turn = Rotation.from_quat(np.roll(state[3:7], -1))
@@ -153,7 +154,7 @@ def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]
     return places
 
 
-def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+def accelerations(model: SpatialTree, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
     """Return accelerations of the base's origin, of its rotation, and of the passive joints."""
     p = len(model.passive)
     rate = derivative(model, state, motion)
@@ -230,7 +231,7 @@ def with_water(body: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]
     return {**body, "elements": elements}
 
 
-def momentum(model: Assembly, state: np.ndarray) -> tuple[np.ndarray, float]:
+def momentum(model: SpatialTree, state: np.ndarray) -> tuple[np.ndarray, float]:
     """Return linear and angular momentum in the world, and kinetic energy, by vector mechanics."""
     p = len(model.passive)
     tables = model.tables(np.zeros(0))
@@ -288,7 +289,7 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     values = np.array([c.value for c in body.coefficients.values()])
     step, steps = 0.005, 4000
     half = 0.5 * step * np.arange(2 * steps + 1)
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4, 0.1))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4, 0.1))
     motions = [joint_motion(axis, k, swim, half, 0.0) for k, axis in enumerate(planar.driven)]
     mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
     n = planar.unknowns
@@ -310,12 +311,12 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
 # ------------------------------------------------------------ elements
 
 
-def one_body(*elements: dict[str, Any], **link: Any) -> Assembly:
+def one_body(*elements: dict[str, Any], **link: Any) -> SpatialTree:
     own = {"name": "hull", "mass_kg": 2.0, "inertia_kg_m2": [0.02, 0.05, 0.05]} | link
     return assembly({"links": [own], "elements": [{"link": "hull", **e} for e in elements]})
 
 
-def wrench(model: Assembly, **at: Any) -> np.ndarray:
+def wrench(model: SpatialTree, **at: Any) -> np.ndarray:
     """Return force and moment at the origin of a body that moves without rotation."""
     state = at_rest(model)
     state[2] = at.get("z", 0.0)
@@ -475,7 +476,7 @@ def armed(base: str, at: list[float]) -> MultibodyModel:
 
 
 def beaten(model: MultibodyModel, time: np.ndarray, **values: float) -> dict[str, np.ndarray]:
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
     known = np.array([values.get(p.name, p.start) for p in model.parameters])
     return model.simulate(known, Trial("t", "fit", time, {}, swim=swim))
 

@@ -21,9 +21,9 @@ WAVEFORMS = [("sine", 0.0), ("hopf", 0.0), ("a-cpg", 0.0), ("a-cpg", 0.4), ("a-c
 
 @pytest.mark.parametrize(("waveform", "asymmetry"), WAVEFORMS)
 class TestBeat:
-    def beat(self, waveform: str, asymmetry: float, **others: float) -> drives.Beat:
+    def beat(self, waveform: str, asymmetry: float, **others: float) -> drives.TailBeat:
         given = {"bias_rad": 0.2, "ramp_s": 1.5, **others}
-        return drives.Beat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
+        return drives.TailBeat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
 
     def test_derivatives(self, waveform: str, asymmetry: float) -> None:
         """Rate and acceleration are derivatives of the angle, except where an asymmetric beat turns."""
@@ -108,7 +108,7 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
 
 
 def test_one_time_is_eased_like_many() -> None:
-    assert drives.eased(0.5, 1.0) == drives.eased(np.array([0.5]), 1.0)[0] == 0.5
+    assert drives.ease_in(0.5, 1.0) == drives.ease_in(np.array([0.5]), 1.0)[0] == 0.5
 
 
 def test_smoothstep() -> None:
@@ -253,7 +253,7 @@ class TestServo:
         model = MultilinkModel(_two_links({"servo": {"natural_frequency_hz": 4.0, "damping_ratio": 0.6}}))
         times = np.linspace(0.0, 10.0, 1001)
         values = np.array([p.start for p in model.parameters])
-        beat = drives.Beat("sine", 1.5, 0.4)
+        beat = drives.TailBeat("sine", 1.5, 0.4)
         found = model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))["joint1_rad"]
         s = 2j * math.pi * 1.5
         answer = self.OMEGA**2 / (s * s + 2 * self.DAMPING * self.OMEGA * s + self.OMEGA**2)
@@ -283,14 +283,14 @@ class TestInARobot:
 
     def test_share_lag_and_phase(self) -> None:
         model = MultilinkModel(_two_links({"gain": -0.5, "bias_gain": 0.25, "phase_lag_deg": 30.0}))
-        beat = drives.Beat("a-cpg", 0.8, 0.6, bias_rad=0.2, asymmetry=0.3, ramp_s=1.0)
+        beat = drives.TailBeat("a-cpg", 0.8, 0.6, bias_rad=0.2, asymmetry=0.3, ramp_s=1.0)
         found = self.run(model, SwimInput(beat), drive_phase=0.4)["joint1_rad"]
         expected = beat.motion(self.TIMES, gain=-0.5, bias_gain=0.25, phase_rad=0.4 - math.radians(30.0))[0]
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_turning_points_of_an_asymmetric_beat_may_lie_between_steps(self) -> None:
         """The error has second order in the step. Sampled accelerations with jumps would give first."""
-        beat = drives.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
+        beat = drives.TailBeat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
         fine = self.run(MultilinkModel(robot, max_step=1e-4), SwimInput(beat))
         errors = []
@@ -302,7 +302,7 @@ class TestInARobot:
     def test_a_measured_angle_gives_the_motion_of_the_beat(self) -> None:
         """A clean record of a joint, sampled every 10 ms, gives the motion that the command gave."""
         model = MultilinkModel(_two_links({}))
-        beat = drives.Beat("sine", 1.0, 0.5)
+        beat = drives.TailBeat("sine", 1.0, 0.5)
         told = self.run(model, SwimInput(beat))
         motion = drive.spline_motion(drive.fit_spline(self.TIMES, told["joint1_rad"]))
         seen = self.run(MultilinkModel(_two_links({})), SwimInput(joints=[motion]))

@@ -303,7 +303,7 @@ def test_driven_joint_without_its_column(tmp_path: Path) -> None:
 def _swim(model: experiment.MultilinkModel) -> np.ndarray:
     time = np.linspace(0.0, 0.2, 11)
     values = np.array([p.start for p in model.parameters])
-    trial = Trial("run", "fit", time, {}, swim=SwimInput(drives.Beat("sine", 1.0, 0.3)))
+    trial = Trial("run", "fit", time, {}, swim=SwimInput(drives.TailBeat("sine", 1.0, 0.3)))
     return np.column_stack(list(model.simulate(values, trial).values()))
 
 

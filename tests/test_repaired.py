@@ -278,7 +278,7 @@ def test_effects_act_on_an_affected_model_as_beside_its_effects(names: tuple[str
     )
     for one, other in (
         (both, nested),
-        (both.refined(), nested.refined()),
+        (both.refine(), nested.refine()),
         (both.coarser(), nested.coarser()),
     ):
         wanted = [one.run(values, trial) for trial in trials]
@@ -297,7 +297,7 @@ def test_copies_with_effects_or_another_step_keep_their_simulations_apart() -> N
     def models(model: MultilinkModel) -> list[Model]:
         known = effect_catalogue.applicable(effect_catalogue.list_effects(), model, [trial])
         affected = model.with_effects([e for e in known if e.name == "linear-drag"], [trial])
-        return [model, affected, model.refined(), affected.refined(), affected.coarser()]
+        return [model, affected, model.refine(), affected.refine(), affected.coarser()]
 
     def values(model: Model) -> np.ndarray:
         return np.array([p.start + p.scale * ("/" in p.name) for p in model.parameters])

@@ -11,15 +11,15 @@ import pytest
 
 from swimid.diagnosis import settings
 from swimid.diagnosis.settings import SettingValue
-from swimid.fitting.drives import Beat, Cycle, Motion
+from swimid.fitting.drives import Cycle, Motion, TailBeat
 from swimid.fitting.model import Array, CruiseInput, RigInput, SurgeInput, SwimInput, Trial
-from swimid.robots.spatial import Stroke
+from swimid.robots.spatial import StrokeTable
 
 TIME = np.arange(0.0, 12.0, 0.02)
-LAW = Stroke(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"flipper": [0.0, 30.0, 10.0, 0.0]})
+LAW = StrokeTable(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"flipper": [0.0, 30.0, 10.0, 0.0]})
 
 
-def beating(number: int, beat: Beat, **swim: object) -> Trial:
+def beating(number: int, beat: TailBeat, **swim: object) -> Trial:
     """A trial with a stated beat, as trials files give it: no coefficients of its own, unless it has."""
     return Trial(f"t{number}", "fit", TIME, {}, swim=SwimInput(**{"beat": beat, "coefficients": {}, **swim}))
 
@@ -92,7 +92,7 @@ def test_a_stroke_is_repeated_at_its_frequency_and_scale_only() -> None:
 
 
 def test_beats_are_one_setting_where_they_differ_by_less_than_a_stated_one_may() -> None:
-    beat = Beat("sine", 1.0, 0.3)
+    beat = TailBeat("sine", 1.0, 0.3)
     near = [replace(beat, frequency_hz=f, bias_rad=b) for f, b in ((1.0, 0.0), (1.03, 0.01), (0.98, 0.0))]
     trials = [beating(k, b) for k, b in enumerate(near)]
     assert repeats(trials) == 0

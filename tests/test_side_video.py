@@ -9,13 +9,13 @@ import pytest
 from click.testing import CliRunner
 from scipy.interpolate import CubicSpline
 
-from swimid.cli.main import track
+from swimid.cli.main import track_group
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.plane import plane_of
-from swimid.notices import recorded
+from swimid.notices import record_warnings
 from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
@@ -32,7 +32,7 @@ MOUNT = math.atan2(FRONT[1] - REAR[1], FRONT[0] - REAR[0])
 
 
 def run(*arguments, status=0):
-    result = CliRunner().invoke(track, [str(a) for a in arguments])
+    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
     assert result.exit_code == status, result.output
     return result
 
@@ -230,7 +230,7 @@ def posed(view, changes, *, places=True):
         }
     )
     track, truth = seen(view)
-    with recorded() as notices:
+    with record_warnings() as notices:
         ground = pose.orient_plane(track, rules, plane_of(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
         found = {c.name: c for c in checks_of(track, result, rules)}

@@ -11,20 +11,23 @@ import pytest
 import yaml
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import SwimInput, Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
 from tests.generators import three_link
 
-BEAT = Beat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
+BEAT = TailBeat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
 
 
 def _model(folder: Path, **drag: float) -> tuple[swimmer.Swimmer, np.ndarray]:
     _, model = swimmer.robot_model(str(three_link.robot(folder, **drag)))  # type: ignore[arg-type]
     values = np.array(
-        [{**{p.name: p.start for p in model.parameters}, **model.stated()}[p.name] for p in model.parameters]
+        [
+            {**{p.name: p.start for p in model.parameters}, **model.get_file_values()}[p.name]
+            for p in model.parameters
+        ]
     )
     return model, values
 
@@ -34,7 +37,9 @@ def test_a_run_from_rest_settles_on_the_steady_run(tmp_path: Path) -> None:
     time = np.arange(0.0, 60.0, 0.02)
     rest = model.simulate(values, Trial("rest", "fit", time, {}, swim=SwimInput(BEAT)))
     late = time > 58.0
-    steady = model.simulate(values, Trial("steady", "fit", time[late], {}, swim=SwimInput(BEAT).begun()))
+    steady = model.simulate(
+        values, Trial("steady", "fit", time[late], {}, swim=SwimInput(BEAT).make_steady())
+    )
     for name in ("u_m_s", "v_m_s", "yaw_rate_rad_s", "joint1_rad"):
         np.testing.assert_allclose(steady[name], rest[name][late], atol=1e-5)
     cruise = model.cruise(values, Trial("any", "fit", time[:2], {}, swim=SwimInput(BEAT)))
@@ -47,7 +52,7 @@ def test_a_run_from_rest_settles_on_the_steady_run(tmp_path: Path) -> None:
 def test_the_phase_of_the_drive_moves_a_steady_run_along_its_cycle(tmp_path: Path) -> None:
     model, values = _model(tmp_path, c_d=2.0, c_f=0.2)
     time = np.arange(0.0, 2.0, 0.02)
-    first = Trial("first", "fit", time, {}, swim=SwimInput(BEAT).begun())
+    first = Trial("first", "fit", time, {}, swim=SwimInput(BEAT).make_steady())
     later = replace(first, id="later", time_s=time + 0.2)
     moved = values.copy()
     moved[model.index("drive_phase")] = 2.0 * np.pi * BEAT.frequency_hz * 0.2
@@ -57,7 +62,7 @@ def test_the_phase_of_the_drive_moves_a_steady_run_along_its_cycle(tmp_path: Pat
 
 def test_without_drag_there_is_no_steady_swimming(tmp_path: Path) -> None:
     model, values = _model(tmp_path, c_d=0.0, c_f=0.0)
-    trial = Trial("steady", "fit", np.arange(0.0, 1.0, 0.02), {}, swim=SwimInput(BEAT).begun())
+    trial = Trial("steady", "fit", np.arange(0.0, 1.0, 0.02), {}, swim=SwimInput(BEAT).make_steady())
     assert not np.isfinite(model.simulate(values, trial)["u_m_s"]).any()
     cruise = model.cruise(values, trial)
     assert cruise is not None

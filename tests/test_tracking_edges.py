@@ -6,7 +6,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from swimid.cli.main import track as track_command
+from swimid.cli.main import track_group as track_command
 from swimid.results import evidence
 from swimid.tracking.setup import Setup
 from swimid.tracking.tracker import Follower

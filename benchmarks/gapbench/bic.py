@@ -67,7 +67,7 @@ def _nominal(bench: GapStudy) -> tuple[GapStudy, Hypothesis]:
         bench = bench.with_noise(NoiseModel([list(sds) for sds in problem.sd]))
         fit = bench.fit((), [theta], others=bench.begins(problem, theta))
         theta = fit.theta
-        sizes = sample_noise.estimate(problem, theta, dict(sizes))
+        sizes = sample_noise.estimate_noise(problem, theta, dict(sizes))
     return bench, fit
 
 

@@ -11,11 +11,11 @@ from typing import Annotated, Any, Literal, NotRequired, get_args
 from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
-from swimid.commands import found
+from swimid.commands import find_commands
 from swimid.notices import Notice
 
 
-class Verdict(TypedDict):
+class AnswerVerdict(TypedDict):
     """Verdict on a result, with the reasons of the checks that do not pass."""
 
     level: Literal["good", "caution", "bad"]
@@ -31,7 +31,7 @@ class Failure(TypedDict):
     exit_status: int
 
 
-class Answer(TypedDict):
+class CommandAnswer(TypedDict):
     """Answer of a command to --json."""
 
     schema: Literal[1]
@@ -39,7 +39,7 @@ class Answer(TypedDict):
     command: str
     result: NotRequired[dict[str, Any]]
     error: NotRequired[Failure]
-    verdict: Annotated[Verdict | None, Field(description="null if nothing was checked")]
+    verdict: Annotated[AnswerVerdict | None, Field(description="null if nothing was checked")]
     warnings: list[Notice]
     outputs: list[str]
     next: Annotated[list[str], Field(description="commands that can be typed")]
@@ -47,11 +47,11 @@ class Answer(TypedDict):
 
 def answer_schema() -> dict[str, Any]:
     """Return the JSON Schema of the answer of any command to ``--json``."""
-    document = TypeAdapter(Answer).json_schema()
-    document["properties"]["command"] = {"enum": list(found())}
+    document = TypeAdapter(CommandAnswer).json_schema()
+    document["properties"]["command"] = {"enum": list(find_commands())}
     document["allOf"] = []
-    for command, spec in found().items():
-        kinds = spec.returned()
+    for command, spec in find_commands().items():
+        kinds = spec.result_type()
         shown = []
         for kind in get_args(kinds) or (kinds,):
             name = kind.__name__

@@ -28,13 +28,13 @@ from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict
-from swimid.results.result import Result, class_of, formats
+from swimid.results.result import Result, class_of, list_result_formats
 
 # ---------------------------------------------------------------- import
 
 
 @takes(ImportLogOptions)
-def import_log(
+def import_file(
     file: Path, *, options: ImportLogOptions, output: Path | None, progress: Progress = silent
 ) -> Logged | Draft:
     """Import a recording of another program as a log, or draft the mapping that the import needs.
@@ -93,7 +93,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     UsageError
         If there is no such format. The hint names the most similar format.
     """
-    names = [*OTHERS, *formats(), ANSWER]
+    names = [*OTHERS, *list_result_formats(), ANSWER]
     if name is None:
         return Result("schema", "\n".join(names), {"formats": names})
     if name not in names:
@@ -101,7 +101,9 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     if name == ANSWER:
         content = answer_schema()
     else:
-        found: Any = getattr(class_of(name), "file_type", None) if name in formats() else _other(name)
+        found: Any = (
+            getattr(class_of(name), "file_type", None) if name in list_result_formats() else _other(name)
+        )
         content = TypeAdapter(found).json_schema()
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -201,7 +203,7 @@ def doctor(
         facts={
             "Python": findings["python"],
             "Platform": findings["platform"],
-            "Video decoding": numbers.number(findings["video_decoding"]),
+            "Video decoding": numbers.format_number(findings["video_decoding"]),
         },
         tables=[Table(id="packages", title="Packages", columns=["package", "state", "use"], rows=rows)],
     )

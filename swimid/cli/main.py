@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
-from swimid.commands import EVIDENCE, CommandSpec, found
-from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, naming
+from swimid.commands import EVIDENCE, CommandSpec, find_commands
+from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, name_arguments
 from swimid.files import atomic, provenance
-from swimid.notices import Notice, Progress, Step, recorded, silent
+from swimid.notices import Notice, Progress, Step, record_warnings, silent
 
 if TYPE_CHECKING:
     from swimid.options import Declared
@@ -62,7 +62,7 @@ class Bug(SwimidError):
 
 
 @dataclass
-class Run:
+class CommandRun:
     """Execution of one command, with the values of the options that all commands share."""
 
     command: str
@@ -97,7 +97,7 @@ class Run:
         written: list[Path] = []
         interrupts: list[Callable[[], None]] = []
 
-        def noted(interrupt: Callable[[], None]) -> None:
+        def note_interrupt(interrupt: Callable[[], None]) -> None:
             # Record the interrupt, because a search may catch its exception and return the best result so
             # far.
             interrupts.append(interrupt)
@@ -105,11 +105,11 @@ class Run:
 
         try:
             with (
-                atomic.on_interrupt(noted),
-                naming(None),
-                recorded() as notices,
-                atomic.noted() as written,
-                atomic.locked(self.output if self.lock else None),
+                atomic.on_interrupt(note_interrupt),
+                name_arguments(None),
+                record_warnings() as notices,
+                atomic.record_writes() as written,
+                atomic.hold_lock(self.output if self.lock else None),
             ):
                 outcome = work()
             if interrupts:
@@ -153,8 +153,9 @@ class Run:
         left = "nothing was written"
         if written:
             left = f"written before: {', '.join(map(str, written))}"
-        elif self.output is not None and atomic.place(self.output).is_file():
-            left = f"{atomic.place(self.output)} keeps what was computed: the same command goes on from there"
+        elif self.output is not None and atomic.checkpoint_path(self.output).is_file():
+            checkpoint = atomic.checkpoint_path(self.output)
+            left = f"{checkpoint} keeps what was computed: the same command goes on from there"
         return Interrupted(f"interrupted; {left}")
 
     def _print(
@@ -295,33 +296,33 @@ class Command(click.Command):
         # Mark the examples in the help with \b, so that click keeps their line breaks.
         help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)
         name = spec.command.split()[-1]
-        super().__init__(name, params=[output, *SHARED], callback=self._called, help=help)
+        super().__init__(name, params=[output, *SHARED], callback=self._run, help=help)
         self.spec = spec
 
     @cached_property
     def _own(self) -> list[click.Parameter]:
-        return [*_argument(self.spec.argument), *map(_option, self.spec.model().declared().values())]
+        return [*_argument(self.spec.argument), *map(_option, self.spec.model().declarations().values())]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return all parameters of the command: its argument, its own options and the shared options."""
         return [*self._own, *super().get_params(ctx)]
 
-    def _called(self, *, files: Any = None, place: Path | None = None, **typed: Any) -> None:
+    def _run(self, *, files: Any = None, place: Path | None = None, **typed: Any) -> None:
         """Execute the command with the arguments and options that the user typed."""
         if place is not None and typed["output"] is not None:
             raise click.UsageError(f"two outputs are named: {place} and {typed['output']}")
         typed["output"] = place or typed["output"]
-        shared = {one.name: typed.pop(one.name) for one in fields(Run) if one.name in typed}
-        run = Run(self.spec.command, lock=self.spec.lock, **shared)
+        shared = {one.name: typed.pop(one.name) for one in fields(CommandRun) if one.name in typed}
+        run = CommandRun(self.spec.command, lock=self.spec.lock, **shared)
         run(partial(self._outcome, run, files, typed))
 
-    def _outcome(self, run: Run, files: Any, typed: dict[str, Any]) -> Result:
+    def _outcome(self, run: CommandRun, files: Any, typed: dict[str, Any]) -> Result:
         """Call the function of the command with the typed options, and return its result.
 
         Before that, raise an error for an output file that must not be replaced.
         """
         spec = self.spec
-        declared = spec.model().declared()
+        declared = spec.model().declarations()
         options = {name: value_of(declared[name], text) for name, text in typed.items()}
         output = run.output
         if spec.stdout is not None and (output is None or str(output) == "-"):
@@ -363,7 +364,7 @@ def check_words(spec: CommandSpec, words: list[str]) -> None:
         If a value is not allowed.
     """
     context = Command(spec).make_context(spec.command, list(words))
-    declared = spec.model().declared()
+    declared = spec.model().declarations()
     given = {name: value_of(entry, context.params[name]) for name, entry in declared.items()}
     spec.model().of(given)
 
@@ -418,7 +419,7 @@ def _insist_distinct(places: list[Path]) -> None:
             raise UsageError(f"two outputs would be written to {place}", hint="name another file for one")
 
 
-def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
+def _protect_beside(output: Path, spec: CommandSpec, run: CommandRun) -> None:
     """Raise an error if a command would replace a foreign file next to its output.
 
     A foreign file is a file of another program, or the evidence of another result.
@@ -461,7 +462,7 @@ def value_of(entry: Declared, typed: Any) -> Any:
         return None
     kind = entry.kind
     if _is_mapping(kind):
-        return _named(typed, entry)
+        return _parse_named(typed, entry)
     if reads := getattr(next(iter(get_args(kind)), None), "of_text", None):
         return tuple(reads(text, entry.flag) for text in typed)
     if entry.separated:
@@ -517,7 +518,7 @@ def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> An
     return values if get_args(kind) else values[0]
 
 
-def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
+def _parse_named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
     """Convert the texts of an option of the form ``NAME=VALUE`` into a mapping of names to values."""
     kind, named = get_args(entry.kind)[1], {}
     for text in texts:
@@ -555,7 +556,7 @@ class Sectioned(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands to the help text, with a heading for each purpose."""
         sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
-        for spec in found().values():
+        for spec in find_commands().values():
             sections.setdefault(spec.section, set()).add(spec.command.split()[0])
         for title, names in sections.items():
             rows = [(name, self.commands[name].get_short_help_str(limit=88)) for name in sorted(names)]
@@ -595,8 +596,8 @@ class Tracking(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@main.group(cls=Tracking)
-def track() -> None:
+@main.group("track", cls=Tracking)
+def track_group() -> None:
     """Make logs: from videos with coloured markers, and from IMU recordings."""
 
 
@@ -605,8 +606,8 @@ def optimise() -> None:
     """Find the best stiffness for each frequency and amplitude, or the best gait."""
 
 
-for spec in found().values():
-    {"track": track, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
+for spec in find_commands().values():
+    {"track": track_group, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
 
 
 def entry() -> None:

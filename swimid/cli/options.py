@@ -10,7 +10,7 @@ class ImportLogOptions(
     ImportOptions,
     command="import",
     section="Make logs",
-    function="import_log",
+    function="import_file",
     module="commands",
     argument="FILE",
     output="The log, CSV or Parquet by its ending; with --guess the mapping.",

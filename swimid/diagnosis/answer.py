@@ -39,8 +39,8 @@ from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Trial
 from swimid.notices import Progress, silent
-from swimid.results.evidence import rms
-from swimid.results.numbers import listed
+from swimid.results.evidence import compute_rms
+from swimid.results.numbers import join_names
 from swimid.results.parameters import Estimate
 
 #: Significance level of the two-sided test that reports parameters as changed by a refit. It applies to all
@@ -123,7 +123,7 @@ def answer(
     study, nominal = search.study, search.null
     # A measured range of zero is replaced by 1.
     ranges = {c: float(np.ptp(values)) or 1.0 for c, values in nominal.collect_measured().items()}
-    if all(rms(left) > MAX_RELATIVE_ERROR * ranges[c] for c, left in nominal.by_channel().items()):
+    if all(compute_rms(left) > MAX_RELATIVE_ERROR * ranges[c] for c, left in nominal.by_channel().items()):
         raise NoTrustworthyResult(
             f"the refitted model is off by more than {MAX_RELATIVE_ERROR:g} times the range of every channel",
             hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
@@ -232,7 +232,7 @@ def _compute_unreproduced(study: GapStudy, fit: Hypothesis) -> dict[str, float |
         return {}
     outputs = fit.collect_measured()
     shares = {
-        channel: 1.0 - rms(left) / max(float(np.std(outputs[channel])), 1e-300)
+        channel: 1.0 - compute_rms(left) / max(float(np.std(outputs[channel])), 1e-300)
         for channel, left in fit.by_channel().items()
     }
     return {channel: share for channel, share in shares.items() if share < verdict.MIN_CLOSED_SHARE}
@@ -260,7 +260,7 @@ def _floor_text(noise: NoiseModel) -> str:
     said = "the noise of each channel, estimated with own parameters and smooth terms for each trial"
     slow = [f"{c} ({f.time_s:.2g} s)" for c, f in noise.forms.items() if f.time_s > 0.0]
     if slow:
-        said += f", with a memory in {listed(slow)}"
+        said += f", with a memory in {join_names(slow)}"
     return said
 
 
@@ -268,7 +268,7 @@ def _reasons(noise: NoiseModel) -> list[str]:
     differing = [f"{kind.name} ({kind.sd:.2g} of its typical size)" for kind in noise.random_effects]
     if not differing:
         return []
-    return [f"trials differ by chance in {listed(differing)}, of which each trial has its own value"]
+    return [f"trials differ by chance in {join_names(differing)}, of which each trial has its own value"]
 
 
 def _name_held_out(study: GapStudy, validation: Sequence[Trial]) -> HeldOut:
@@ -292,10 +292,10 @@ def _channels(
     return [
         ChannelGap(
             channel=channel,
-            nrmse=rms(left) / ranges[channel],
+            nrmse=compute_rms(left) / ranges[channel],
             floor=floor[channel] / ranges[channel],
             share=beyond[channel] / total,
-            rmse=rms(left),
+            rmse=compute_rms(left),
             unit=units.get(channel, "1"),
         )
         for channel, left in residuals.items()
@@ -374,7 +374,7 @@ def estimate_sizes(
         if not values:
             continue
         if p.per_trial:
-            found[f"{p.name}_rms"] = Value(value=rms(np.array(values)), unit=p.unit)
+            found[f"{p.name}_rms"] = Value(value=compute_rms(np.array(values)), unit=p.unit)
             continue
         # An estimate that is less than its standard error away from a bound counts as at the bound. This does
         # not apply to a bound that equals the null value of the effect.

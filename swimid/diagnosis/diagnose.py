@@ -26,11 +26,11 @@ from swimid.fitting.fit_common import TRIALS_FILE
 from swimid.fitting.model import Model
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
-from swimid.results.numbers import listed
+from swimid.results.numbers import join_names
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
@@ -122,7 +122,7 @@ def _write_outputs(
     made: Diagnosis, output: Path | None, place: Path | None, command: Path | None
 ) -> Diagnosis:
     """Write all outputs of a diagnosis or none, and return it with their paths."""
-    with atomic.together():
+    with atomic.write_together():
         if output is not None:
             made = made.save(output, place)
         elif place is not None:
@@ -211,7 +211,7 @@ def diagnose(
     >>> bool((swimid.compare(trials, params=gap.repaired).scores["nrmse"] < 0.002).all())
     True
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         loaded = experiment_catalogue.load(trials, options)
         experiment = loaded.experiment
         model = experiment.model
@@ -232,7 +232,7 @@ def diagnose(
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         origin = provenance.collect(inputs, settings=options.settings())
-        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        keep = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress, effects=True)
         jobs = options.jobs or os.cpu_count() or 1
         study = GapStudy(
@@ -242,7 +242,7 @@ def diagnose(
         given = experiment.values_from
         reasons = [NOT_GIVEN.format(given)]
         if options.params is not None:
-            given, reasons = str(parameters_format.place(options.params)), []
+            given, reasons = str(parameters_format.source_path(options.params)), []
         about: dict[str, Any] = {
             "model": model.name,
             "robot": experiment.robot.name,
@@ -257,7 +257,7 @@ def diagnose(
             keep.done()
             could = power.PowerFile(**about, effects=rows, left_out=without)
             shown = power.build_power_evidence(could, ev.notices(notices))
-            return DetectionPower.of(could, shown).saved(output)
+            return DetectionPower.of(could, shown).write_output(output)
         as_given = _as_given(loaded)
         others, alike = readings.list_readings(experiment, fitted)
         effects = [*applicable, *others, *begun.changes]
@@ -298,7 +298,7 @@ def diagnose(
         if asked is not None and c.name not in asked
     ]
     if omitted:
-        reasons.append(NOT_REQUESTED.format(listed(omitted)))
+        reasons.append(NOT_REQUESTED.format(join_names(omitted)))
     about |= {
         "reasons": [*file.reasons, *reasons],
         "left_out": left_out | file.left_out,

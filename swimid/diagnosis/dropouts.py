@@ -16,7 +16,7 @@ from swimid.diagnosis.held_out import compute_closed_share
 from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Array, Trial
 from swimid.logs.sampling import step_of
-from swimid.results.evidence import rms
+from swimid.results.evidence import compute_rms
 
 if TYPE_CHECKING:
     from swimid.diagnosis.search import HypothesisSearch
@@ -247,7 +247,7 @@ def add_failed_samples(
             continue
         own, span = sound[channel], ranges[channel]
         before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
-        after = rms(own) / span
+        after = compute_rms(own) / span
         known = closing.get(channel)
         if known is not None and known.after is not None:
             after = known.after

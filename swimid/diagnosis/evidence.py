@@ -32,7 +32,7 @@ from swimid.logs import log as log_format
 from swimid.logs.log import Log
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.numbers import listed, number, percent, probability_text
+from swimid.results.numbers import format_number, join_names, percent, probability_text
 from swimid.results.parameters import Fitted, ParameterFile
 from swimid.results.result import FileResult
 from swimid.simulators.repaired import SimulatorFile
@@ -90,7 +90,7 @@ def build_gap_evidence(
 
     Parameters
     ----------
-    worst : sequence of Piece
+    worst : sequence of HeldOutSeries
         Channels of the held-out trial with the largest errors.
     sources : sequence of str
         References of the robot.
@@ -98,9 +98,9 @@ def build_gap_evidence(
     tests = list(checks(file))
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
-        tests.insert(0, ev.check("logs agree with their metadata", "no", False, reason=against))
+        tests.insert(0, ev.make_check("logs agree with their metadata", "no", False, reason=against))
     said = format_answer(file)
-    verdict = ev.judged(said, tests)
+    verdict = ev.make_verdict(said, tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     tables = [
         _waterfall(file), _parts_held_out(file), _errors(file), _causes(file), _coefficients(file),
@@ -144,7 +144,7 @@ def _count_tried(file: GapFile) -> str:
         ("changed parameter", "changed parameters", changes),
         ("other reading", "other readings", other),
     )
-    return listed([f"{len(of)} {plural(one, several, of)}" for one, several, of in counted if of])
+    return join_names([f"{len(of)} {plural(one, several, of)}" for one, several, of in counted if of])
 
 
 # ---------------------------------------------------------------- checks
@@ -156,26 +156,26 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     passed: bool | None
     for row in verdict.list_rows(file.facts):
         otherwise = grades[row.otherwise == "unexplained"]
-        yield ev.check(
+        yield ev.make_check(
             row.question, row.found, row.passed, row.needed, otherwise=otherwise, reason=row.reason
         )
     if file.moved:
         said = format_changes(file.moved)
         reason = f"the parameters as given are others than those refitted: {said}"
-        yield ev.check("parameters as given", said, False, "within their errors", reason=reason)
+        yield ev.make_check("parameters as given", said, False, "within their errors", reason=reason)
     if file.at_bound:
-        said = listed([f"{name} at {number(bound, 3)}" for name, bound in file.at_bound.items()])
+        said = join_names([f"{name} at {format_number(bound, 3)}" for name, bound in file.at_bound.items()])
         text = "a coefficient that the refit without effects takes to its bound may stand in for a cause"
         passed = None if file.causes else False
         reason = f"bounds are hit: {said}"
-        yield ev.check("bounds without effects", said, passed, "inside", text, reason=reason)
+        yield ev.make_check("bounds without effects", said, passed, "inside", text, reason=reason)
     if file.setting_count is not None and file.setting_count < 2:
         said = "all trials have one setting, and nothing is tested at another"
-        yield ev.check("settings", "1", False, "≥ 2", reason=said)
+        yield ev.make_check("settings", "1", False, "≥ 2", reason=said)
     if file.odd_trials:
         said = "; ".join(f"{name}: {text}" for name, text in file.odd_trials.items())
         text = "a trial with parameters of its own is left out; check its entry in the trials file"
-        yield ev.check("trials agree", said, False, "all", text, reason=f"left out {said}")
+        yield ev.make_check("trials agree", said, False, "all", text, reason=f"left out {said}")
     passed = file.remaining.white
     if file.causes:
         yield from _of_causes(file)
@@ -183,27 +183,34 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     said = format_remaining(file)
     text = "whether a description without any physics still gains on held-out trials"
     otherwise = grades[file.verdict == "unexplained"]
-    yield ev.check("structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said)
+    yield ev.make_check(
+        "structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said
+    )
 
 
 def _of_causes(file: GapFile) -> Iterable[ev.Check]:
     first, *_ = file.causes
     for c in file.causes:
         if c.gain is not None and len(file.causes) > 1:
-            gain, passed = numbers.measured(c.gain, c.gain_stderr), c.gain > 2.0 * (c.gain_stderr or 0.0)
+            gain, passed = (
+                numbers.format_estimate(c.gain, c.gain_stderr),
+                c.gain > 2.0 * (c.gain_stderr or 0.0),
+            )
             reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
-            yield ev.check(f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason)
+            yield ev.make_check(
+                f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason
+            )
     ends = [f"{c.effect}/{n}" for c in file.causes for n, v in c.parameters.items() if v.status == "at-bound"]
     stuck = [a.coefficient for a in first.absorbed if a.with_effect.status == "at-bound"]
     for name, found in (("sizes of the causes", ends), ("coefficients with the causes", stuck)):
-        said = f"{listed(found)} at a bound" if found else "inside"
-        yield ev.check(name, said, not found, "inside their bounds", reason=said)
+        said = f"{join_names(found)} at a bound" if found else "inside"
+        yield ev.make_check(name, said, not found, "inside their bounds", reason=said)
     if file.facts.failed_samples and file.closed is not None:
         share = file.closed.share or 0.0
         said = f"{percent(share, 2)} {format_interval(file.closed)}".strip()
         name = "squared gap closed with the failed samples"
         reason = f"{said} of the squared gap closes with the failed samples"
-        yield ev.check(
+        yield ev.make_check(
             name,
             said,
             share >= verdict.MIN_CLOSED_SHARE,
@@ -230,7 +237,7 @@ def _waterfall(file: GapFile) -> ev.Table:
     channels = list(file.waterfall[0].rmse) if file.waterfall else []
     rows: Rows = []
     for step in file.waterfall:
-        errors = [number(step.rmse.get(c), 3, numbers.split_unit(c)[1]) for c in channels]
+        errors = [format_number(step.rmse.get(c), 3, numbers.split_unit(c)[1]) for c in channels]
         rows.append([step.label, step.squared, *errors])
     columns = " | ".join(["model", "squared error over expected", *channels])
     caption = (
@@ -276,7 +283,9 @@ def _errors(file: GapFile) -> ev.Table:
         return _table("errors", title, columns, rows, caption, folded=False)
     for c in file.where.channels:
         given = file.as_given[c.channel].nrmse if c.channel in file.as_given else None
-        rows.append([c.channel, *_percents(given, c.nrmse, c.floor, c.share), number(c.rmse, 3, c.unit)])
+        rows.append(
+            [c.channel, *_percents(given, c.nrmse, c.floor, c.share), format_number(c.rmse, 3, c.unit)]
+        )
     columns = "channel | as given (%) | refitted (%) | floor (%) | of the gap (%) | RMSE"
     caption = (
         "Errors over the measured range without any effect: the parameters as given in all trials, the "
@@ -294,7 +303,7 @@ def _causes(file: GapFile) -> ev.Table:
         for name, size in ({n: format_value(v) for n, v in c.parameters.items()} or {"": ""}).items():
             rows.append([c.effect, name, size, *about])
             about = [""] * len(about)
-    columns = "effect | parameter | value ± sd | probability | equivalent | stage | what it is"
+    columns = "effect | parameter | value ± standard error | probability | equivalent | stage | what it is"
     caption = (
         "Probability: that it, or one of its equivalents, closes most of the gap; "
         f"{format_otherwise(file.facts)}. Several causes act together."
@@ -343,14 +352,14 @@ def _scores(file: GapFile) -> ev.Table:
     for group in _twins(file):
         s, gain = group[0], ""
         if s.gain is not None:
-            gain = numbers.measured(s.gain, s.stderr)
+            gain = numbers.format_estimate(s.gain, s.stderr)
         probability = min(sum(one.probability or 0.0 for one in group), 1.0)
         stages = dict.fromkeys(one.stage for one in group if one.stage)
         names = " or ".join(dict.fromkeys(one.effect for one in group))
         about = [names, ", ".join(stages), s.variant, probability_text(probability), gain]
         rows.append([*about, *_percents(s.absorbed)])
     rows += [[name, "", why, "", "", None] for name, why in file.left_out.items()]
-    columns = "effect | stage | form | probability | held-out gain ± sd | imitated (%)"
+    columns = "effect | stage | form | probability | held-out gain ± standard error | imitated (%)"
     caption = (
         "Probability: that it is among the causes. Gain: decrease of minus twice the log predictive density "
         "of held-out data by the effect alone. Imitated: share of its signature that the "
@@ -396,7 +405,7 @@ def _steps(steps: Sequence[WaterfallStep]) -> list[ev.Figure]:
         "each cause in turn: of all channels over its expectation for a correct model, and of each channel "
         "over the noise variance."
     )
-    figure = ev.figure(
+    figure = ev.make_figure(
         "waterfall",
         "The gap on held-out data",
         caption,
@@ -417,7 +426,7 @@ def _residuals(worst: Sequence[HeldOutSeries], caused: bool) -> list[ev.Figure]:
         runs = {"refitted": p.before, "with causes": p.after} if caused else {"refitted": p.before}
         traces: list[ev.Trace] = []
         for label, simulated in runs.items():
-            x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
+            x, y = ev.thin_curve(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
             traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces), style="points"))
         y_label = f"residual of {numbers.quantity(p.channel)} ({numbers.unit_text(unit) or '1'})"
         panels.append(ev.panel("time (s)", y_label, traces, marks=[ev.Mark(at=0.0)]))
@@ -452,18 +461,18 @@ def format_answer(file: GapFile) -> str:
             said = "The refitted model describes these trials as well as their noise allows."
     elif file.verdict == "explained":
         alone = [_name_cause(c, rivals=False) for c in file.causes]
-        said = f"{listed(alone)} {plural('explains', 'together explain', names)} the gap."
-        alike = [f"{c.effect} from {listed(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
+        said = f"{join_names(alone)} {plural('explains', 'together explain', names)} the gap."
+        alike = [f"{c.effect} from {join_names(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
         if alike:
-            said += f" These trials do not separate {listed(alike)}."
+            said += f" These trials do not separate {join_names(alike)}."
     elif file.verdict == "ambiguous" and not names:
         said = "These trials do not tell whether the model has a gap."
     elif file.verdict == "ambiguous":
         cause = plural("cause is", "causes are", names)
-        said = f"The model has a gap whose likeliest {cause} {listed(names)}."
+        said = f"The model has a gap whose likeliest {cause} {join_names(names)}."
     elif file.verdict == "partial":
         closes = plural("closes", "close", names)
-        said = f"{listed(names)} {closes} part of the gap, and more remains than noise."
+        said = f"{join_names(names)} {closes} part of the gap, and more remains than noise."
     elif file.facts.unreproduced:
         said = "The model does not describe these trials, so that their gap cannot be separated from noise."
     elif (file.facts.no_gap or 0.0) > 0.5 and file.held_out == "validation":
@@ -478,9 +487,8 @@ def _format_closed(file: GapFile) -> str:
     closed, where = file.closed, HELD_OUT[file.held_out]
     if closed is None or closed.share is None:
         return ""
-    parts = (
-        f"goes from {number(closed.before, 3)} as given to {number(closed.after, 3)} times its expectation"
-    )
+    before, after = format_number(closed.before, 3), format_number(closed.after, 3)
+    parts = f"goes from {before} as given to {after} times its expectation"
     if closed.share > 0.0:
         parts += f": {percent(closed.share, 2)} of the gap closes {format_interval(closed)}".rstrip()
     if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= MIN_REFIT_SHARE:
@@ -502,7 +510,7 @@ def _name_cause(cause: Cause, *, rivals: bool = True) -> str:
     """Return text that names a cause, its parameter values and its equivalent effects."""
     sizes = [f"{name} {format_value(v)}" for name, v in list(cause.parameters.items())[:2]]
     name = f"{cause.effect} ({', '.join(sizes)})" if sizes else cause.effect
-    return listed([format_changes(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
+    return join_names([format_changes(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
 
 
 def format_changes(parameters: Mapping[str, Value]) -> str:
@@ -510,16 +518,16 @@ def format_changes(parameters: Mapping[str, Value]) -> str:
     said = []
     for name, v in parameters.items():
         if isinstance(v, ChangedValue):
-            change = f"{number(v.given)} → {numbers.measured(v.value, v.stderr, v.unit)}"
-            said.append(f"{name} {change} ({number(v.standard_errors, 2)} standard errors)")
-    return listed(said)
+            change = f"{format_number(v.given)} → {numbers.format_estimate(v.value, v.stderr, v.unit)}"
+            said.append(f"{name} {change} ({format_number(v.standard_errors, 2)} standard errors)")
+    return join_names(said)
 
 
 def format_value(value: Value) -> str:
     """Return text for an estimate with its standard error and unit."""
     if value.status == "unidentifiable":
         return "not identifiable"
-    text = numbers.measured(value.value, value.stderr, value.unit)
+    text = numbers.format_estimate(value.value, value.stderr, value.unit)
     if value.status == "at-bound":
         text += ", at its bound"
     return text
@@ -559,10 +567,10 @@ def notes(file: GapFile) -> list[str]:
         worst.setdefault(cell.kind, cell)
     if worst and file.verdict != "none":
         places = [
-            f"{c.kind} {c.label} ({number(c.ratio, 2)} times the noise)".removeprefix("time ")
+            f"{c.kind} {c.label} ({format_number(c.ratio, 2)} times the noise)".removeprefix("time ")
             for c in list(worst.values())[:MAX_PARTS]
         ]
-        said.append(f"the gap is largest at {listed(places)}")
+        said.append(f"the gap is largest at {join_names(places)}")
     for a in select_moved(file)[:1]:
         values = " without the cause and ".join(format_value(v) for v in (a.without, a.with_effect))
         said.append(f"the coefficient {a.coefficient} stood in for the cause: it is {values} with it")
@@ -648,7 +656,7 @@ class Diagnosis(FileResult[GapFile]):
         InputError, UsageError
             As for every result (:meth:`Result.save`).
         """
-        with atomic.together():
+        with atomic.write_together():
             made = self
             if repaired is not None or not atomic.is_device(Path(path)):
                 made = self.with_repaired(repaired or Path(path).with_name(REPAIRED))
@@ -666,7 +674,7 @@ class Diagnosis(FileResult[GapFile]):
         if self.repaired is None:
             return self
         shown = self.evidence or self.bare()
-        names = listed([c.effect for c in self.file.causes])
+        names = join_names([c.effect for c in self.file.causes])
         about = {
             "title": f"Model of {self.file.robot} with {names}",
             "tables": [], "figures": [], "methods": [], "notes": [],
@@ -679,7 +687,7 @@ class Diagnosis(FileResult[GapFile]):
             outputs.append(Path(path).with_suffix(ending))
             atomic.write_text(outputs[-1], text)
             said += f" The file of the simulator with it is {outputs[-1].name}"
-            said += f", without {listed(left_out)}." if left_out else "."
+            said += f", without {join_names(left_out)}." if left_out else "."
         noted = shown.model_copy(update={"notes": [*shown.notes, in_words_of_the_caller(said)]})
         return replace(self, evidence=noted, outputs=outputs)
 
@@ -737,4 +745,4 @@ class Diagnosis(FileResult[GapFile]):
         """Return the evidence that follows from the gap file only, if its evidence file is missing."""
         found = build_gap_evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
-        return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})
+        return found.model_copy(update={"verdict": found.verdict.lower_to("caution", text)})

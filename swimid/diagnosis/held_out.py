@@ -340,7 +340,7 @@ def _motion(fit: Hypothesis, trial: Trial, problem: Problem, k: int, known: Mapp
         [known.get(f"{p.name}[{trial.id}]", known.get(p.name, p.start)) for p in model.parameters]
     )
     simulated = model.run(values, trial)
-    return problem.stacked(k, simulated) * problem.sample_weights(k)
+    return problem.stack(k, simulated) * problem.sample_weights(k)
 
 
 # ---------------------------------------------------------------- tables of the answer

@@ -29,7 +29,7 @@ from swimid.diagnosis.settings import describe_setting
 from swimid.effects.base import Effect, parameter
 from swimid.fitting import uncertainty
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
-from swimid.fitting.noise import NoiseForm, Rows, compute_posterior
+from swimid.fitting.noise import NoiseForm, NoiseRows, compute_posterior
 from swimid.fitting.problem import Problem
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def estimate_weights(study: GapStudy) -> tuple[NoiseModel, Hypothesis]:
     fit = None
     for _ in range(1 + MAX_REWEIGHTINGS):
         if fit is not None:
-            previous = uncertainty.estimate(problem, fit.theta, previous)
+            previous = uncertainty.estimate_noise(problem, fit.theta, previous)
         known = NoiseModel([list(sds) for sds in problem.sd], channels=problem.channels)
         others = study.begins(problem, start) if fit is None else []
         fit = study.with_noise(known).fit((), [start], others=others, tolerance=1e-3, hold=fit)
@@ -258,7 +258,7 @@ def update_weights(study: GapStudy, fit: Hypothesis) -> NoiseModel:
     problem = study.problem(fit.effects)
     known: dict[str, tuple[float, float]] = {}
     for _ in range(1 + MAX_REWEIGHTINGS):
-        known = uncertainty.estimate(problem, fit.theta, known)
+        known = uncertainty.estimate_noise(problem, fit.theta, known)
     return replace(study.noise, sd=[list(sds) for sds in problem.sd])
 
 
@@ -369,7 +369,7 @@ def estimate_measurement_noise(
     return NoiseModel(problem.sd, forms, variance, channels=problem.channels)
 
 
-def _replace_slow(rows: Mapping[int, Rows], form: NoiseForm, variance: float) -> tuple[NoiseForm, float]:
+def _replace_slow(rows: Mapping[int, NoiseRows], form: NoiseForm, variance: float) -> tuple[NoiseForm, float]:
     """Return noise of short memory in place of much slower noise, which may be a part of the gap.
 
     Its level follows from the second differences of the residuals, to which low frequencies contribute
@@ -397,11 +397,11 @@ class _Series(NamedTuple):
     residual: Array
     sd: Array
 
-    def rows(self) -> Rows:
+    def rows(self) -> NoiseRows:
         """Return the rows, without combinations of the columns that change them by less than noise."""
         u, size, vt = np.linalg.svd(self.own, full_matrices=False)
         kept = size > 1.0
-        return Rows(self.time_s, self.place, u[:, kept], size[kept, None] * vt[kept], self.residual)
+        return NoiseRows(self.time_s, self.place, u[:, kept], size[kept, None] * vt[kept], self.residual)
 
     def at(self, index: NDArray[np.intp]) -> _Series:
         """Return the samples with the given indices."""
@@ -409,14 +409,14 @@ class _Series(NamedTuple):
         return _Series(time_s[index], place[index], own[index], residual[index], sd[index])
 
 
-def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[int, Rows]:
+def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[int, NoiseRows]:
     """Return orthogonal contrasts of the repeats of each setting, as rows of independent series of noise.
 
     A sample is compared with the sample of the other repeat that is nearest in time. The contrasts are those
     of Helmert: a repeat against the mean of those before it. They are empty if they have less than
     :data:`MIN_CONTRAST_SHARE` of the samples.
     """
-    found: dict[int, Rows] = {}
+    found: dict[int, NoiseRows] = {}
     for group in _repeats(trials, series):
         times = [series[k].time_s for k in group]
         paired = [series[k].at(at) for k, at in zip(group, _common(times), strict=True)]

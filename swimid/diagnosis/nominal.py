@@ -136,7 +136,7 @@ def prepare_diagnosis(loaded: Loaded) -> Preparation:
         known_logs = set((file.provenance.get("inputs") or {}).values())
         logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOG_ENDINGS]
         own_data = any(digest in known_logs for digest in digests_of(logs).values())
-    own = applied.fitted_per_trial()
+    own = applied.list_per_trial()
     if len(experiment.trials) >= MIN_RANDOM_TRIALS:
         # Do not free the per-trial parameters of RANDOM_PARAMETERS. They are random effects in a diagnosis,
         # and without a prior they would absorb any gap.

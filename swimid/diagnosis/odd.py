@@ -112,7 +112,7 @@ def _undo_mistakes(fit: Hypothesis) -> list[tuple[OddTrial, Array, float]]:
     trial, found = study.trials[owners.index(f)], []
     shared = {fit.labels[j]: float(fit.theta[j]) for j in study.select_shared(fit)}
     before = _fit_trials(study, fit, [trial], shared, iterations=MAX_FOLD_ITERATIONS)
-    for mistake in mistakes.catalogue(study.model, [trial]):
+    for mistake in mistakes.list_mistakes(study.model, [trial]):
         undone = mistake.undo(trial)
         if undone is None:
             continue
@@ -233,9 +233,8 @@ def describe(odd: OddTrial, differing: Sequence[RandomCandidate] = ()) -> str | 
             name = label.split("[")[0]
             unit = next(p.unit for p in one.problem.parameters if p.name == name)
             shown = name.removeprefix(BETWEEN).removesuffix("/deviation")
-            texts.append(
-                f"{shown} {numbers.measured(value, sd, unit)} in place of {numbers.number(before, 3)}"
-            )
+            changed = numbers.format_estimate(value, sd, unit)
+            texts.append(f"{shown} {changed} in place of {numbers.format_number(before, 3)}")
         return " and ".join(texts)
     return None
 

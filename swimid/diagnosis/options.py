@@ -74,7 +74,7 @@ class DiagnoseOptions(
         help="Write the trial that would separate rival causes best, as a log (.csv or .parquet) of commands."
         " It stays within 1.4 times the settings of the trials and the joint limits of the robot file.",
     )
-    robot: str | None = simulations.robot()
+    robot: str | None = simulations.other_robot()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step("max_step_s")
     tank_length_m: float | None = option(

@@ -76,11 +76,13 @@ def build_power_evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = (
         f"Of {len(file.effects)} effects these trials would show {seen}, {twins} of them never distinguished."
     )
     unseen = f"not seen at any size within their bounds: {', '.join(blind)}"
-    check = ev.check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
+    check = ev.make_check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
     rows = []
     for r in file.effects:
         imitated = None if r.absorbed is None else 100.0 * r.absorbed
-        rows.append([r.effect, r.parameter, numbers.number(r.size, 2, r.unit), imitated, ", ".join(r.alike)])
+        rows.append(
+            [r.effect, r.parameter, numbers.format_number(r.size, 2, r.unit), imitated, ", ".join(r.alike)]
+        )
     table = ev.Table(
         id="power",
         title="The smallest size of each effect that is seen with 90 % power",
@@ -91,7 +93,7 @@ def build_power_evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = (
     return ev.Evidence(
         command="diagnose",
         title=f"What trials could show: {file.robot}, {file.experiment}",
-        verdict=ev.judged(answer, [check]),
+        verdict=ev.make_verdict(answer, [check]),
         facts={"Trials": f"{len(file.trials)} against {file.params}"},
         notes=[f"{name}: {why}." for name, why in file.left_out.items()],
         checks=[check],

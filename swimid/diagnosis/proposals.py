@@ -18,9 +18,9 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.diagnosis import settings
-from swimid.fitting.drives import Beat, Cycle, eased, straight
+from swimid.fitting.drives import Cycle, TailBeat, ease_in, straight
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Rig, SurgeInput, SwimInput, Trial
+from swimid.fitting.model import Array, Model, RigCoordinate, SurgeInput, SwimInput, Trial
 from swimid.logs.experiments import Drive
 
 if TYPE_CHECKING:
@@ -181,16 +181,16 @@ def change_levels(time_s: Array, levels: Sequence[float], edges_s: Sequence[floa
     """
     found = np.full(len(time_s), levels[0], dtype=float)
     for change, at in zip(np.diff(levels), edges_s, strict=True):
-        found += change * eased(time_s - at, ramp_s)
+        found += change * ease_in(time_s - at, ramp_s)
     return found
 
 
 # ---------------------------------------------------------------- robots with links
 
 
-def _size(drive: Beat | Cycle) -> float:
+def _size(drive: TailBeat | Cycle) -> float:
     """Return the amplitude of a beat in degrees, or the scale of a stroke."""
-    if isinstance(drive, Beat):
+    if isinstance(drive, TailBeat):
         return math.degrees(drive.amplitude_rad)
     return drive.scale
 
@@ -324,7 +324,7 @@ class Swim:
             begin_s, ramp_s = drive.ramp_s, max(drive.ramp_s, 0.5 / max(f))
         frequency, size, bias = (change_levels(time_s, levels, edges, ramp_s) for levels in (f, a, b))
         if begin_s > 0.0:
-            size, bias = (series * eased(time_s, begin_s) for series in (size, bias))
+            size, bias = (series * ease_in(time_s, begin_s) for series in (size, bias))
         played_s = shift_s + cumulative_trapezoid(frequency / unit_hz, time_s, initial=0.0)
         size, bias = self.unit * size, self.unit * bias
         idle, full = (self._scale_drive(unit_hz, amplitude, 0.0, steady=True) for amplitude in (0.0, 1.0))
@@ -476,7 +476,7 @@ def cruise(
 
 
 def release(
-    rig: Rig, trials: Sequence[Trial], segments: Sequence[Segment], duration_s: float
+    rig: RigCoordinate, trials: Sequence[Trial], segments: Sequence[Segment], duration_s: float
 ) -> Proposal | None:
     """Return a free decay after a release from rest at another position or angle."""
     only, template = _constant(segments), _longest(trials)

@@ -21,7 +21,16 @@ from swimid.diagnosis.crossval import solve_normal
 from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import Effect
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
+from swimid.fitting.model import (
+    FORCE_SIGNATURE,
+    Array,
+    ExternalForce,
+    Hooks,
+    Model,
+    Parameter,
+    Trial,
+    traceable,
+)
 from swimid.fitting.problem import map_in_processes
 
 #: Candidates for the prior standard deviation of the terms that describe residuals without physics, in units
@@ -233,7 +242,7 @@ class ResidualForce(Description):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [FORCE_AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
-        return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
+        return Hooks(force=(ExternalForce(smooth_force, np.concatenate((known, values))),))
 
 
 class ResidualPush(Description):
@@ -250,7 +259,7 @@ class ResidualPush(Description):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [*_window(trial), self.speed, self.span]
-        return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
+        return Hooks(force=(ExternalForce(smooth_push, np.concatenate((known, values))),))
 
 
 class StrokeDeviation(Description):

@@ -20,8 +20,8 @@ from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
 from swimid.fitting.model import Array, Parameter
 from swimid.results import parameters as parameters_format
-from swimid.results.evidence import rms
-from swimid.results.numbers import listed
+from swimid.results.evidence import compute_rms
+from swimid.results.numbers import join_names
 from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
 from swimid.simulation.catalogue import Applied, Loaded
 from swimid.simulators.mjcf import MjcfModel
@@ -71,7 +71,7 @@ def build_repaired(
     model, experiment = loaded.experiment.model, loaded.experiment
     answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
     said = [
-        f"the trials cannot distinguish {c.effect} from {listed(c.equivalent, 'or')}"
+        f"the trials cannot distinguish {c.effect} from {join_names(c.equivalent, 'or')}"
         for c in file.causes
         if c.equivalent
     ]
@@ -190,7 +190,7 @@ def _fit_block(search: HypothesisSearch, fit: Hypothesis, loaded: Loaded) -> par
     for channel, left in fit.by_channel().items():
         if file is not None and file.fit is not None and channel not in file.fit.channels:
             continue
-        error, size = rms(left), float(np.ptp(samples[channel])) or 1.0
+        error, size = compute_rms(left), float(np.ptp(samples[channel])) or 1.0
         known = {"rmse": error, "nrmse": error / size, "samples": len(left), "unit": units.get(channel, "1")}
         channels[channel], noise[channel] = known, {"value_sd": error}
     about: dict[str, Any] = {"method": "diagnosis"}

@@ -37,7 +37,7 @@ from swimid.fitting.fit_common import step_check
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import map_in_processes
 from swimid.fitting.rivals import STRONG
-from swimid.fitting.steps import STEP_ERROR, Step, choose_step
+from swimid.fitting.steps import STEP_ERROR, StepChoice, choose_step
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
 
@@ -99,7 +99,7 @@ def choose_model_step(
     vectors: Sequence[Array],
     trials: Sequence[Trial],
     changes: Sequence[Mapping[str, float]] = (),
-) -> Step:
+) -> StepChoice:
     """Choose the integration step of a model for its simulations of the trials.
 
     Parameters
@@ -124,7 +124,7 @@ def choose_model_step(
     return choose_step(model, runs, allowances)
 
 
-def choose_search_step(study: GapStudy, fit: Hypothesis, effects: Sequence[Effect]) -> Step:
+def choose_search_step(study: GapStudy, fit: Hypothesis, effects: Sequence[Effect]) -> StepChoice:
     """Choose the integration step by the fitted model, and by the model with each effect on the commands.
 
     A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. The

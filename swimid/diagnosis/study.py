@@ -345,7 +345,7 @@ class GapStudy:
         """Return a study with the same trials and noise, whose model has a halved integration step."""
         model = self.model
         for _ in range(halvings):
-            model = model.refined() or model
+            model = model.refine() or model
         return self.copy_with(model, self.trials).with_noise(self.noise)
 
     def with_noise(self, noise: NoiseModel) -> GapStudy:
@@ -739,10 +739,10 @@ class GapStudy:
         ]
         without = self.build_model(base.effects).run_many(list(zip(own, self.trials, strict=True)))
         simulated = iter(model.run_many(runs))
-        unaffected = [base.problem.stacked(k, seen) for k, seen in enumerate(without)]
+        unaffected = [base.problem.stack(k, seen) for k, seen in enumerate(without)]
         return [
             [
-                (base.problem.stacked(k, next(simulated)) - unaffected[k]) * base.problem.sample_weights(k)
+                (base.problem.stack(k, next(simulated)) - unaffected[k]) * base.problem.sample_weights(k)
                 for k in range(len(self.trials))
             ]
             for _ in points

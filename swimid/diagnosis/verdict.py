@@ -1,9 +1,37 @@
-"""Decide the verdict of a diagnosis from one table.
+"""Definition of the verdicts of a diagnosis.
 
-Each row of the table asks one question. A row that does not pass states the strongest verdict that is then
-possible, and whether causes are still named. The verdict is the weakest of these. The table depends on the
-facts in the gap file only (:class:`~swimid.diagnosis.gap_file.Facts`), so that it can be computed again from
-the file.
+The verdict follows from the facts in the gap file (:class:`~swimid.diagnosis.gap_file.Facts`) alone, so that
+it can be computed again from the file. :func:`list_rows` compares the facts with thresholds, one row for each
+question. A row that does not pass states the strongest verdict that is then possible, and whether causes are
+still named. The verdict is the weakest one of all rows. From the strongest to the weakest:
+
+none
+    The fits propose no cause, because no gap has a probability above 50 %, and no held-out part has a squared
+    error above its limit.
+explained
+    The fits propose causes, and all rows pass. No gap has at most 10 %. Known causes have at least 80 % of
+    the probability of a gap, and the first cause has at least 80 % of the probability of itself and its
+    rivals. Held-out errors fall with a probability of at least 95 %, and not in one part alone. The causes
+    leave at most 22 % of the squared gap on held-out data, and make no part worse. The gap is that which a
+    refit without causes leaves, or that of the parameters as given if it is smaller. Changed parameters, and
+    causes that a refit imitates, are compared with the parameters as given. Failed samples alone are
+    explained as well.
+ambiguous
+    Causes are named, but no gap has more than 10 %, the first cause has less than 80 % of the probability of
+    itself and its rivals, a refit closes the gap as well, one held-out part alone carries the decrease of the
+    error, the causes make a part worse, or held-out data have no gap that could close.
+partial
+    Causes are named and held-out errors fall, but more than 22 % of the squared gap remains, or a cause
+    outside the catalogue has more than 20 % of the probability of a gap.
+unexplained
+    There is a gap, or a held-out part above its limit, and no cause that lowers the held-out errors clearly;
+    or the simulation of held-out data diverges with the causes; or a black-box model reproduces less than
+    half of an output.
+
+The exception: if no gap has more than 10 %, and noise explains the held-out errors without the causes, the
+verdict is ambiguous and not weaker. The level of the result is bad if a row that allows only ``unexplained``
+does not pass, caution if another check does not pass, and good otherwise. So ``none`` and ``explained`` are
+good unless a check warns, ``ambiguous`` and ``partial`` are cautions, and ``unexplained`` is bad.
 """
 
 from __future__ import annotations
@@ -19,7 +47,7 @@ from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import CALIBRATED, MAX_NO_GAP_PROBABILITY
 from swimid.fitting.rivals import STRONG
 from swimid.results import numbers
-from swimid.results.numbers import listed, number, percent, probability_text
+from swimid.results.numbers import format_number, join_names, percent, probability_text
 
 #: Verdicts from the strongest to the weakest.
 VERDICT_ORDER: tuple[Verdict, ...] = ("none", "explained", "ambiguous", "partial", "unexplained")
@@ -98,7 +126,7 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
 def list_rows(facts: Facts) -> Iterator[VerdictRow]:
     """Yield the rows of the table. A question that does not apply to the trials has no row."""
     if facts.unreproduced:
-        found = listed([f"{percent(v, 2)} of {c}" for c, v in facts.unreproduced.items()])
+        found = join_names([f"{percent(v, 2)} of {c}" for c, v in facts.unreproduced.items()])
         reason = f"the model reproduces {found}"
         yield VerdictRow("output reproduced", found, "≥ 50 %", False, "unexplained", False, reason)
     if facts.proposed:
@@ -132,15 +160,15 @@ def format_otherwise(facts: Facts) -> str:
 def _inside(facts: Facts) -> VerdictRow:
     """Return the row about held-out trials whose error noise does not explain."""
     off = {name: t for name, t in facts.held_out.items() if t.after > t.limit}
-    ratios = [f"{name} has {number(t.after / t.expected, 2)} times" for name, t in off.items()]
-    reason = f"{listed(ratios)} the squared error that noise and uncertain parameters explain"
-    found = listed(list(off)) or "all within noise"
+    ratios = [f"{name} has {format_number(t.after / t.expected, 2)} times" for name, t in off.items()]
+    reason = f"{join_names(ratios)} the squared error that noise and uncertain parameters explain"
+    found = join_names(list(off)) or "all within noise"
     return VerdictRow("held-out trials", found, "within noise", not off, "unexplained", False, reason)
 
 
 def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
     """Yield the rows of a model to which the fits add causes."""
-    names = listed(list(facts.proposed))
+    names = join_names(list(facts.proposed))
     name, first = next(iter(facts.proposed.items()))
     none = facts.no_gap or 0.0
     reason = f"no gap has a probability of {probability_text(none)}"
@@ -176,7 +204,7 @@ def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
         lowers,
         reason,
     )
-    rivals = listed(first.equivalent, "or")
+    rivals = join_names(first.equivalent, "or")
     reason = f"these trials cannot tell {name} from {rivals or 'other effects'}"
     passed = first.alone >= MIN_SURE_PROBABILITY and not first.crowded
     found = f"{probability_text(first.alone)} of the probability of cause and rivals"
@@ -233,9 +261,17 @@ def _of_errors(facts: Facts, names: str) -> Iterator[VerdictRow]:
     otherwise = "ambiguous" if left is None else "partial"
     yield VerdictRow("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, otherwise, True, reason)
     worse = [n for n, t in facts.held_out.items() if _is_worse(t, as_given)]
-    reason = f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {listed(worse)} larger"
+    reason = (
+        f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {join_names(worse)} larger"
+    )
     yield VerdictRow(
-        "held-out trials", listed(worse) or "none worse", "none worse", not worse, "ambiguous", True, reason
+        "held-out trials",
+        join_names(worse) or "none worse",
+        "none worse",
+        not worse,
+        "ambiguous",
+        True,
+        reason,
     )
 
 
@@ -358,8 +394,13 @@ def compute_refit_share(facts: Facts) -> float | None:
 
 
 def format_interval(s: Closed) -> str:
-    """Return the 95 % interval of a closed share as text, for example ``(81 … 94 %)``."""
+    """Return the 95 % interval of a closed share as text, for example ``(81 … 94 %)``.
+
+    The ends have at most one decimal.
+    """
     low, high = s.ci95
     if low is None or high is None:
         return ""
-    return f"({numbers.interval(100.0 * low, 100.0 * high, 100.0 * (high - low), '%')})"
+    if low >= 0.9995:
+        return "(at least 99.9 %)"
+    return f"({numbers.interval(100.0 * low, 100.0 * high, max(100.0 * (high - low), 1.0), '%')})"

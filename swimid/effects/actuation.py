@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from swimid.effects import base
 from swimid.effects.base import Parameters, Trials, parameter
 from swimid.files.kernels import numba
-from swimid.fitting.drives import eased
+from swimid.fitting.drives import ease_in
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Stroke, Trial, typical
 from swimid.swimmer.drive import apply_lag
 
@@ -71,7 +71,7 @@ class AmplitudeOffset(base.Actuation):
         laws = [] if model.body is None else [actuator.driven for actuator in model.body.actuators]
         still = [k for k, law in enumerate(laws) if law.gain == 0]
         begin = model.onset(trial)
-        trimmed = base.for_every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+        trimmed = base.for_every_joint(lambda time, angle: angle + offset * ease_in(time - begin, EASE_S))
 
         def command(time_s: Array, angle: Array, joint: int) -> Array:
             if joint in still:
@@ -342,6 +342,6 @@ class Slip(base.Actuation):
         first = float(trial.time_s[0]) + begin - 0.5 * ramp
 
         def command(time_s: Array, angle: Array) -> Array:
-            return angle * (1.0 - loss * eased(time_s - first, ramp))
+            return angle * (1.0 - loss * ease_in(time_s - first, ramp))
 
         return base.on_command(model, trial, base.for_every_joint(command))

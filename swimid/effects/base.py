@@ -25,7 +25,7 @@ from swimid.fitting.model import (
     POSITIONS,
     Array,
     Command,
-    Force,
+    ExternalForce,
     Hooks,
     Model,
     Parameter,
@@ -254,10 +254,10 @@ def add_to_coefficient(value: float, *names: str) -> Hooks:
     return Hooks(coefficients=(change,))
 
 
-def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
+def force_at_hull(body: Body, function: Any, constants: Array) -> ExternalForce:
     """Return a force that acts at the centre of mass of the heaviest link of a swimmer."""
     x, y = body.centre(body.hull)
-    return Force(function, constants, body.hull, x, y)
+    return ExternalForce(function, constants, body.hull, x, y)
 
 
 def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: int) -> Hooks:
@@ -274,7 +274,7 @@ def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: in
         for name, place in places.items():
             values[place] = coefficients[name]
 
-    return Hooks(coefficients=(take,), force=(Force(function, values),))
+    return Hooks(coefficients=(take,), force=(ExternalForce(function, values),))
 
 
 def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> Hooks:
@@ -342,7 +342,7 @@ class Actuation(Effect, ABC):
         """Return whether the effect applies: a command must drive joints or inputs in some trial."""
         if self.of_angles and model.swimmer is not None and not model.swimmer.driven:
             return False
-        return super().applies(model, trials) and any(model.commanded(t) for t in trials)
+        return super().applies(model, trials) and any(model.is_commanded(t) for t in trials)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the motion of a joint that follows the command ``angle`` with the effect, shape (n,).
@@ -371,7 +371,7 @@ def on_command(model: Model, trial: Trial, change: Command, *, of_angles: bool =
 
     A change of angles applies to the commands of joints, and not to the inputs of a robot.
     """
-    if not model.commanded(trial):
+    if not model.is_commanded(trial):
         return Hooks()
     joints = len(model.swimmer.actuators) if of_angles and model.swimmer is not None else math.inf
 
@@ -446,7 +446,7 @@ def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signa
 def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float]]:
     """Yield time, command and largest known rate of the command, for each driven joint of each trial."""
     for trial in trials:
-        if model.commanded(trial):
+        if model.is_commanded(trial):
             yield from model.commands(trial)
 
 
@@ -517,7 +517,7 @@ class ClockError(Effect, ABC):
         Joint angles that drive the simulation do not count, because the clock of the log is relative to them.
         """
         forms = [*super().variants(model, trials)]
-        measured = {c for t in trials for c in t.measured if c not in model.given(t)}
+        measured = {c for t in trials for c in t.measured if c not in model.list_input_channels(t)}
         aboard = any(c.endswith(("_rad", "_rate_rad_s")) for c in measured - set(POSES))
         if "output" in model.offers and aboard and measured & set(POSES):
             forms.append(type(self)(camera=True))

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from swimid.effects import base
 from swimid.effects.base import SIZES, Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Parameter, traceable, typical
+from swimid.fitting.model import FORCE_SIGNATURE, ExternalForce, Hooks, Parameter, traceable, typical
 
 
 @traceable(on="hull", constants=2)
@@ -271,10 +271,10 @@ class Tether(Effect):
         line, anchor, (x, y) = list(values), (trial.rig.x0, 0.0), (0.0, 0.0)
         if model.body is not None:
             *line, behind = values
-            start_x, start_y, heading = trial.swim.posed()
+            start_x, start_y, heading = trial.swim.get_pose()
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
             x, y = model.body.reference_m
-        return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
+        return Hooks(force=(ExternalForce(pull_back, np.array([*line, *anchor]), x=x, y=y),))
 
 
 def _reach(model: Model, trials: Trials) -> float:

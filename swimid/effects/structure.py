@@ -13,7 +13,7 @@ import numpy as np
 from swimid.effects import base
 from swimid.effects.base import Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Stroke, traceable, typical
+from swimid.fitting.model import FORCE_SIGNATURE, ExternalForce, Hooks, Stroke, traceable, typical
 
 
 class ComOffset(Effect):
@@ -144,7 +144,9 @@ class FinFlexibility(Effect):
             def read(tables: dict[str, Any]) -> None:
                 constants[1:3] = body.fin(tables)[:2]
 
-            return Hooks(tables=(read,), force=(Force(add_bent_fin_force, constants, body.last, x, y),))
+            return Hooks(
+                tables=(read,), force=(ExternalForce(add_bent_fin_force, constants, body.last, x, y),)
+            )
 
         def weaken(stroke: Stroke) -> Stroke:
             inertia = stroke.inertia_kg_m2 if math.isfinite(stroke.inertia_kg_m2) else self.inertia_kg_m2
@@ -488,7 +490,7 @@ class Friction(Effect, ABC):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the effect applies: a command must drive the joints in some trial."""
-        return "command" in model.offers and any(model.commanded(t) for t in trials)
+        return "command" in model.offers and any(model.is_commanded(t) for t in trials)
 
 
 class LoadFriction(Friction):
@@ -645,7 +647,7 @@ class Stribeck(Friction):
         if model.rig is not None:
             if not (trial.rig.pulley or self.everywhere):
                 return Hooks()
-            spared = Force(add_stribeck_friction, np.array([rise, slow]))
+            spared = ExternalForce(add_stribeck_friction, np.array([rise, slow]))
             return Hooks(coefficients=base.add_to_coefficient(rise, "dry").coefficients, force=(spared,))
 
         def stuck(time_s: Array, angle: Array) -> Array:

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from swimid.errors import InputError
 from swimid.files.yamlio import ASK
-from swimid.fitting.fit_common import Experiment, read_log
+from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import SurgeInput, Trial
 from swimid.logs.beat import find_beat, stated_against_found
 from swimid.logs.experiments import (
@@ -34,7 +34,7 @@ from swimid.propulsion.trials import beat_averages
 from swimid.swimmer import trials as swimmer
 
 #: Minimum number of complete tail beats in a trial that the surge model describes.
-MIN_BEATS = 4
+MIN_WHOLE_BEATS = 4
 #: Keys of a trials file that the surge model uses. The keys of stroke drives are included, although strokes
 #: are not supported, so that they get a specific error message.
 SURGE_KEYS = (
@@ -129,7 +129,7 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
                 column="drive",
                 hint="give its waveform, frequency_hz and amplitude_deg",
             )
-        log = read_log(
+        log = read_trial_log(
             entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
         )
         logs.append(log.source)
@@ -153,10 +153,10 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
         full = time - 0.5 / frequency >= ramp - 1e-9
         time, speed = time[full], speed[full]
         whole = int(np.isfinite(speed).sum())
-        if whole < MIN_BEATS:
+        if whole < MIN_WHOLE_BEATS:
             after = f" after the drive's ramp of {ramp:g} s" * (not full.all())
             raise InputError(
-                f"holds {whole} whole beats{after}; at least {MIN_BEATS} are needed", file=log.path
+                f"holds {whole} whole beats{after}; at least {MIN_WHOLE_BEATS} are needed", file=log.path
             )
         steady = SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
         trials.append(Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady))
@@ -179,7 +179,7 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
         )
     if any(t.surge.amplitude_rad <= 0 for t in trials):
         raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
-    trials = _pooled_frequencies(trials)
+    trials = _pool_frequencies(trials)
     model = SurgeModel(
         amplitudes_rad=[t.surge.amplitude_rad for t in trials],
         frequencies_hz=[t.surge.frequency_hz for t in trials],
@@ -200,7 +200,7 @@ def _waveform(drive: Drive) -> tuple[str, float]:
     return "sine", 0.0
 
 
-def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
+def _pool_frequencies(trials: list[Trial]) -> list[Trial]:
     """Replace the beat frequency of each trial by the median over trials with nearly the same frequency."""
     values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]

@@ -21,16 +21,18 @@ from swimid.errors import InputError
 from swimid.exporters import filters
 from swimid.exporters.filters import Filter
 from swimid.files.templates import environment
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.results.parameters import ParameterFile
-from swimid.simulation.catalogue import constants_of, form_of, named_effects
+from swimid.simulation.catalogue import constants_of, form_of, load_effects
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.tree import Actuated
 
 #: Trial for which the changes by an effect are computed, in place of the trials of the fit. It begins at the
 #: origin and has a sine command.
-EXPORT_TRIAL = Trial("export", "fit", np.linspace(0.0, 1.0, 51), {}, swim=SwimInput(Beat("sine", 1.0, 0.3)))
+EXPORT_TRIAL = Trial(
+    "export", "fit", np.linspace(0.0, 1.0, 51), {}, swim=SwimInput(TailBeat("sine", 1.0, 0.3))
+)
 #: Effects that depend on quantities of the fitted trials. Each has a function that returns whether the
 #: constants of the effect in the parameter file contain these quantities, and the reason for which the effect
 #: is left out if they do not.
@@ -89,7 +91,7 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
         be.
     """
     causes = []
-    for effect in named_effects(file, path):
+    for effect in load_effects(file, path):
         name = effect.name
         own = {parameter: e.value for parameter, e in file.of_effect(name).items()}
         contained, reason = OF_TRIALS.get(name, (None, ""))

@@ -28,7 +28,7 @@ from swimid.results.parameters import Estimate
 from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import drawn
+from swimid.simulation.draws import draw_parameters
 
 FORMAT = "swimid-export/1"
 #: Key of the list of force elements in the JSON document, for each kind of force element.
@@ -146,7 +146,7 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
     if options.draws:
         rows = samples[: options.draws]
         files[out.with_name(f"{out.stem}_draws.csv")] = _table(source, rows, options.seed)
-    with atomic.together():
+    with atomic.write_together():
         for path, written in files.items():
             atomic.write_text(path, written)
         if not filters and beside.exists() and is_own(beside):
@@ -197,7 +197,7 @@ def load(params: parameters.Source) -> ExportSource:
     InputError
         A file is invalid, no robot is named, or the parameters are those of another robot.
     """
-    path = parameters.place(params)
+    path = parameters.source_path(params)
     file = parameters.read(params, model=("multilink", "multibody"))
     kind = ExportSource
     if file.model == "multibody":
@@ -282,7 +282,7 @@ def _samples(source: ExportSource, count: int, seed: int) -> list[dict[str, floa
     if not applied.uncertain()[0]:
         raise UsageError("no parameter of the file has a standard error to draw from")
     applied.warn_without_error("the random samples")
-    vectors, inside = drawn(applied, count, seed)
+    vectors, inside = draw_parameters(applied, count, seed)
     if inside < 1.0 - NOTABLE:
         share = numbers.percent(1.0 - inside)
         warn("SWM069", f"{share} of the random samples lay outside the bounds, and were drawn again")

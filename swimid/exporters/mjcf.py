@@ -19,8 +19,8 @@ from swimid.effects.catalogue import list_effects
 from swimid.exporters.causes import FILTERS, ExportedCause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
-from swimid.fitting.model import TRACEABLE, Force
-from swimid.notices import recorded
+from swimid.fitting.model import TRACEABLE, ExternalForce
+from swimid.notices import record_warnings
 from swimid.swimmer.tree import SYMMETRIC
 
 TITLE = "MuJoCo MJCF"
@@ -114,7 +114,7 @@ def export(source: ExportSource, options: ExportOptions) -> Exported:
     )
 
 
-def _site(force: Force) -> str:
+def _site(force: ExternalForce) -> str:
     """Return the name of the MuJoCo site at which the force of an effect acts."""
     return CAUSE + next(name for name, known in TRACEABLE.items() if known.function is force.function)
 
@@ -236,7 +236,7 @@ def compare_with_mujoco(source: ExportSource, params: Any, text: str) -> dict[st
     columns = [axis.column for axis in source.model.driven]
     if source.causes or not columns or not source.model.free_base:
         return None
-    with recorded():
+    with record_warnings():
         log = simulate(params=params, sample_rate_hz=1.0 / MJCF_STEP_S, **COMPARED).frame
     before = mujoco.get_mjcb_passive()
     mujoco.set_mjcb_passive(None)
@@ -281,10 +281,10 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     Install the callback after loading the model, because MuJoCo compiles no model while a Python callback is
     set.
 
-    The forces are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each axis
-    (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing edges
-    (Lighthill 1971). The forces of effects are the functions in :mod:`swimid.effects`. The water moves with
-    the ``wind`` of the model.
+    The forces are those of :func:`swimid.swimmer.planar.engine.compute_planar_rate`: Morison drag along each
+    axis (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing
+    edges (Lighthill 1971). The forces of effects are the functions in :mod:`swimid.effects`. The water moves
+    with the ``wind`` of the model.
     """
     import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
 

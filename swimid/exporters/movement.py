@@ -35,7 +35,7 @@ class Dataset(Result):
     keys = {"target": str}
 
     def _write(self, path: Path) -> list[Path]:
-        with atomic.replacing(path) as temporary:
+        with atomic.replace_file(path) as temporary:
             self.document.to_netcdf(temporary, engine="h5netcdf")
         return [path]
 
@@ -70,7 +70,7 @@ def export(source: LogLike, output: str | Path | None) -> Dataset:
     points, frames = (data.sizes[name] for name in ("keypoint", "time"))
     text = f"{record.path.name} as a dataset of movement: points {points}, frames {frames}"
     found = {"target": "movement", "points": data["keypoint"].values.tolist(), "frames": frames}
-    return Dataset("export", text, found, document=data).saved(output)
+    return Dataset("export", text, found, document=data).write_output(output)
 
 
 def _content(record: Log, path: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:

@@ -37,7 +37,7 @@ ADDRESS = "https://raw.githubusercontent.com"
 #: Environment variable that states another address or folder.
 VARIABLE = "SWIMID_DOWNLOADS"
 #: Maximum time to wait for an answer of a server, s.
-TIMEOUT_S = 30
+SERVER_TIMEOUT_S = 30
 #: Names of the files that are written beside the downloaded ones.
 LICENCE, CITATION = "LICENSE", "CITATION.md"
 
@@ -130,7 +130,7 @@ def fetch(
         SHA-256 of a file is not the stated one.
     """
     if not isinstance(dataset, RemoteFiles):
-        dataset = yamlio.validated(dataset, RemoteFiles)
+        dataset = yamlio.read_document(dataset, RemoteFiles)
     source = address or os.environ.get(VARIABLE) or ADDRESS
     with tempfile.TemporaryDirectory() as scratch, progress("downloading", total=len(dataset.files)) as step:
         found: dict[str, Path] = {}
@@ -178,7 +178,7 @@ def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> tu
     for place in places:
         url = f"{source.rstrip('/')}/{place}"
         try:
-            pooch.HTTPDownloader(timeout=TIMEOUT_S)(url, str(file), None)
+            pooch.HTTPDownloader(timeout=SERVER_TIMEOUT_S)(url, str(file), None)
         except requests.HTTPError as error:
             if error.response.status_code == requests.codes.not_found and place != places[-1]:
                 continue
@@ -221,13 +221,13 @@ def _write(dataset: RemoteFiles, found: dict[str, Path], folder: Path) -> list[P
         ),
     ]
     written = []
-    with atomic.together():
+    with atomic.write_together():
         atomic.make_folder(folder)
         for name, file in found.items():
             target = folder / name
             for parent in reversed(PurePosixPath(name).parents[:-1]):
                 atomic.make_folder(folder / parent)
-            with atomic.replacing(target) as temporary:
+            with atomic.replace_file(target) as temporary:
                 shutil.copyfile(file, temporary)
             written.append(target)
         for name, text in ((LICENCE, dataset.licence_text), (CITATION, "\n".join(page) + "\n")):

@@ -7,11 +7,11 @@ from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.files.provenance import Input
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.model import Model, Trial, chosen
+from swimid.fitting.model import Model, Trial, choose_parameters
 from swimid.fitting.options import FitOptions
 from swimid.logs.experiments import read_experiments
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, automatic, recorded, silent
+from swimid.notices import Progress, automatic, record_warnings, silent
 from swimid.options import takes
 from swimid.results.parameters import Fitted
 
@@ -57,7 +57,7 @@ def fit(
     >>> import numpy as np
     >>> import pandas as pd
     >>> import swimid
-    >>> from swimid.fitting.fit_common import Experiment, read_log
+    >>> from swimid.fitting.fit_common import Experiment, read_trial_log
     >>> from swimid.logs.experiments import TrialEntry
     >>> class CoastingModel(swimid.Model):
     ...     name = "coasting"
@@ -73,14 +73,14 @@ def fit(
     ...     trials: list[TrialEntry]
     ...
     ...     def load(self, path, **options):
-    ...         logs = [read_log(one, path.parent, required=("x_m",)) for one in self.trials]
+    ...         logs = [read_trial_log(one, path.parent, required=("x_m",)) for one in self.trials]
     ...         trials = [swimid.Trial(log.path.name, "fit", log.time_s, {"x_m": log["x_m"]}) for log in logs]
     ...         return Experiment.of(self, path, CoastingModel(), trials, [log.source for log in logs])
     >>> t = np.arange(200) / 50
     >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
     >>> log = pd.DataFrame({"t_s": t, "x_m": way})
     >>> trials = swimid.load([{"log": log}], experiment=Coasting, robot="boxfish")
-    >>> round(fit(trials)["drag_per_m"].value, 2)
+    >>> round(fit_output_error(trials)["drag_per_m"].value, 2)
     0.5
     """
     if not isinstance(trials, TrialSet):
@@ -142,7 +142,7 @@ def fit_model(
     -------
     Fitted
         ``.parameters`` has the value, standard error and 95 % interval of each parameter, in its unit.
-        ``.correlation``, ``.converged`` and ``.verdict`` show whether the parameters can be trusted.
+        ``.correlation``, ``.has_converged`` and ``.verdict`` show whether the parameters can be trusted.
 
     Raises
     ------
@@ -184,10 +184,10 @@ def fit_model(
     if not any(trial.role == "fit" for trial in trials):
         raise UsageError("there is no trial to fit")
     target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
-    with recorded(repeat=True) as notices:
-        parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
-        result = output_error.fit(model, trials, parameters=parameters, progress=progress)
-        result = output_error.complete(result)
+    with record_warnings(repeat=True) as notices:
+        parameters = choose_parameters(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
+        result = output_error.fit_output_error(model, trials, parameters=parameters, progress=progress)
+        result = output_error.complete_fit(result)
         settings = {
             "fixed": dict(fixed or {}),
             "freed": list(freed),
@@ -202,8 +202,8 @@ def fit_model(
     if robot:
         title += f" of {robot}"
     said = (
-        f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
-        f"by output-error maximum likelihood with the model {model.name}."
+        f"{', '.join(result.common_labels)} were estimated from {fitted_trials} trial(s) ({result.samples} "
+        f"samples) by output-error maximum likelihood with the model {model.name}."
     )
     shown = {"figures": fit_common.figures(result), "methods": [said, fit_common.COVARIANCE]}
     return fit_common.finish("fit", file, tested, notices, target, title=title, **shown)

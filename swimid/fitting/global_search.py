@@ -22,7 +22,7 @@ from swimid.fitting.problem import Problem, map_in_threads
 from swimid.notices import Progress, show, silent
 
 #: Maximum relative difference between the costs of two fits that count as the same minimum.
-SAME = 1e-3
+SAME_COST_RTOL = 1e-3
 
 
 class Start(NamedTuple):
@@ -56,7 +56,7 @@ def multistart(
     Parameters
     ----------
     model, trials, parameters, jobs, max_iterations
-        As in :func:`swimid.fitting.output_error.fit`.
+        As in :func:`swimid.fitting.output_error.fit_output_error`.
     starts : int
         Number of starting points. The first ones are ``begins``. The others are uniform random samples of
         :meth:`swimid.fitting.problem.Problem.search_range`.
@@ -71,8 +71,9 @@ def multistart(
     Returns
     -------
     best : FitResult
-        Fit of the lowest cost. If several fits have the same minimum (:data:`SAME`), a converged one is
-        preferred. A converged fit is tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
+        Fit of the lowest cost. If several fits have the same minimum (:data:`SAME_COST_RTOL`), a converged
+        one is preferred. A converged fit is tested as in
+        :func:`swimid.fitting.output_error.check_by_restarts`.
     ends : list of Start
         Starting points and end points in the order of the searches. After Ctrl-C the remaining searches are
         left out.
@@ -97,7 +98,7 @@ def multistart(
     with progress("starts", total=starts) as step, searched as begun:
         for k, (begin, nearer) in enumerate(zip(points, begun, strict=True)):
             try:
-                found = {0: first}.get(k) or output_error.fit(
+                found = {0: first}.get(k) or output_error.fit_output_error(
                     model, trials, parameters=parameters,
                     jobs=jobs, begin=nearer, tested=False, max_iterations=max_iterations,
                 )  # fmt: skip
@@ -115,7 +116,7 @@ def multistart(
                     break
             step()
             least = min((end.cost for end in ends), default=math.inf)
-            show(step, f"least cost {least:.5g}, reached {agreeing(ends)} times")
+            show(step, f"least cost {least:.5g}, reached {count_agreeing(ends)} times")
     if not results:
         raise failures[0]
     best = found = functools.reduce(_better, results)
@@ -125,17 +126,17 @@ def multistart(
     return replace(best, evaluations=evaluations), ends
 
 
-def agreeing(ends: Sequence[Start]) -> int:
+def count_agreeing(ends: Sequence[Start]) -> int:
     """Return the number of searches of a multistart fit that ended at the lowest cost.
 
     Only costs are compared. End points of equal cost may differ in directions that the data do not determine.
 
     >>> where = np.zeros(1)
-    >>> agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
+    >>> count_agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
     2
     """
     least = min((e.cost for e in ends), default=math.inf)
-    return sum(e.cost <= least * (1 + SAME) for e in ends)
+    return sum(e.cost <= least * (1 + SAME_COST_RTOL) for e in ends)
 
 
 def _better(best: FitResult, other: FitResult) -> FitResult:
@@ -143,7 +144,7 @@ def _better(best: FitResult, other: FitResult) -> FitResult:
 
     If their costs belong to the same minimum, a converged fit is preferred.
     """
-    same = max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME)
+    same = max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME_COST_RTOL)
     return min(best, other, key=lambda result: (same and not result.converged, result.cost))
 
 
@@ -256,7 +257,7 @@ def nsga2(
         def objectives_of(points: Array = points) -> Array:
             return np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE).ravel()
 
-        found = keep.kept(f"{name}: generation {generation}", objectives_of).reshape(-1, objectives)
+        found = keep.get_or_compute(f"{name}: generation {generation}", objectives_of).reshape(-1, objectives)
         Evaluator().eval(StaticProblem(problem, F=found), asked)
         algorithm.tell(infills=asked)
         evaluations += len(points)

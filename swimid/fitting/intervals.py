@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from swimid.fitting.model import Array
-from swimid.fitting.noise import RANK_RTOL, NoisePosterior, Rows, compute_posterior, compute_rows
+from swimid.fitting.noise import DERIVATIVE_RTOL, NoisePosterior, NoiseRows, compute_posterior, compute_rows
 from swimid.fitting.problem import Problem
 from swimid.fitting.uncertainty import VAGUE, orthogonal_part
 
@@ -214,10 +214,10 @@ def compute_errors(
         columns = part[:, np.searchsorted(numbers, np.concatenate((shared, mine)))]
         parts.append(columns)
         common = columns[:, : len(shared)]
-        rest = orthogonal_part(columns[:, len(shared) :], common, RANK_RTOL)
+        rest = orthogonal_part(columns[:, len(shared) :], common, DERIVATIVE_RTOL)
         # What remains of a column that the own unknowns can replace is rounding error.
         norms = np.linalg.norm(common, axis=0)
-        apart.append(np.where(np.linalg.norm(rest, axis=0) > RANK_RTOL * norms, rest, 0.0))
+        apart.append(np.where(np.linalg.norm(rest, axis=0) > DERIVATIVE_RTOL * norms, rest, 0.0))
     frame = Coordinates(apart)
     if not len(frame.forward):
         nothing = np.full((len(theta),) * 2, np.nan)
@@ -244,7 +244,7 @@ class _Scores:
 
     Parameters
     ----------
-    series : dict of channel to dict of trial index to Rows
+    series : dict of channel to dict of trial index to NoiseRows
     backward : ndarray, shape (s, q)
         Changes of the shared unknowns by the whitened coordinates.
     own : sequence of int
@@ -266,7 +266,9 @@ class _Scores:
         Memory of the noise, s: the longest of all channels.
     """
 
-    def __init__(self, series: Mapping[str, Mapping[int, Rows]], backward: Array, own: Sequence[int]) -> None:
+    def __init__(
+        self, series: Mapping[str, Mapping[int, NoiseRows]], backward: Array, own: Sequence[int]
+    ) -> None:
         self.series, self.backward = series, backward
         self.posteriors = [compute_posterior(parts) for parts in series.values()]
         self.degrees = sum(posterior.degrees for posterior in self.posteriors)

@@ -22,32 +22,32 @@ from swimid.fitting.drives import Motion
 from swimid.fitting.fit_common import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.output_error import FitResult, Series
-from swimid.notices import recorded
+from swimid.notices import record_warnings
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
 #: Factors between units of length that are often confused in recordings.
-FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
-DEGREE = math.pi / 180.0
+UNIT_FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
+RAD_PER_DEGREE = math.pi / 180.0
 #: Factors that undo common mistakes in the amplitude of a drive (AMPLITUDES) and in the motion of all driven
 #: joints (JOINTS), by the description of the correction.
 AMPLITUDES = {
     "twice the amplitude of the drive": 2.0,
     "half the amplitude of the drive": 0.5,
-    "the amplitude of the drive taken as radians": 1.0 / DEGREE,
-    "the amplitude of the drive multiplied by pi/180": DEGREE,
+    "the amplitude of the drive taken as radians": 1.0 / RAD_PER_DEGREE,
+    "the amplitude of the drive multiplied by pi/180": RAD_PER_DEGREE,
 }
 JOINTS = {
     "the signs of all driven joints changed": -1.0,
-    "the driven joints taken as degrees": DEGREE,
-    "the driven joints multiplied by 180/pi": 1.0 / DEGREE,
+    "the driven joints taken as degrees": RAD_PER_DEGREE,
+    "the driven joints multiplied by 180/pi": 1.0 / RAD_PER_DEGREE,
     "the driven joints multiplied by 2": 2.0,
     "the driven joints multiplied by 0.5": 0.5,
 }
 #: Maximum number of recording mistakes whose correction is tested by a new fit.
 MAX_REFITS = 4
 #: Relative tolerance of the cost when initial states are estimated during the search for mistakes.
-START_TOLERANCE = 1e-3
+SCREEN_START_RTOL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ TrialSeries = Mapping[str, Sequence[Series]]
 # ------------------------------------------------------------ catalogue
 
 
-def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
+def list_mistakes(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     """Return all recording mistakes that can occur in the trials of a model."""
     names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
     pose = fit_common.pose_channels(model)
@@ -124,15 +124,15 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
         changes["the film mirrored"] = {"z_m": (-1.0, 0.0), "pitch_rad": (-1.0, 0.0)}
     changes |= {f"the sign of {name} changed": {name: (-1.0, 0.0)} for name in known if name not in pose}
     for name in (n for n in known if units[n] == "rad"):
-        changes[f"{name} taken as degrees"] = {name: (DEGREE, 0.0)}
-        changes[f"{name} multiplied by 180/pi"] = {name: (1.0 / DEGREE, 0.0)}
+        changes[f"{name} taken as degrees"] = {name: (RAD_PER_DEGREE, 0.0)}
+        changes[f"{name} multiplied by 180/pi"] = {name: (1.0 / RAD_PER_DEGREE, 0.0)}
     groups = [place, *([name] for name in known if name not in place)]
     for group in (group for group in groups if group and units[group[0]] != "rad"):
-        for factor in FACTORS:
+        for factor in UNIT_FACTORS:
             says = f"{' and '.join(group)} multiplied by {factor:g}"
             changes[says] = dict.fromkeys(group, (factor, 0.0))
-    found = [Mistake(says, partial(_changed, pose, change)) for says, change in changes.items()]
-    found += [Mistake(says, partial(_driven, factor)) for says, factor in AMPLITUDES.items()]
+    found = [Mistake(says, partial(_change_channels, pose, change)) for says, change in changes.items()]
+    found += [Mistake(says, partial(_scale_amplitude, factor)) for says, factor in AMPLITUDES.items()]
     joints = max((len(t.swim.joints) for t in trials if t.swim.joints is not None), default=0)
     for k in range(joints):
         found.append(Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, -1.0, [k])))
@@ -141,13 +141,15 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     swimmer = model.swimmer
     columns = {} if swimmer is None else {name: law.column for name, law in swimmer.inputs.items()}
     for name in dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units):
-        found.append(Mistake(f"the sign of {columns.get(name, name)} changed", partial(_reversed, name)))
+        found.append(Mistake(f"the sign of {columns.get(name, name)} changed", partial(_reverse_input, name)))
     if swimmer is not None and not swimmer.in_space:
         found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
     return found
 
 
-def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], trial: Trial) -> Trial | None:
+def _change_channels(
+    pose: Sequence[str], change: Mapping[str, tuple[float, float]], trial: Trial
+) -> Trial | None:
     """Return a copy of the trial with channels and initial pose changed to ``factor * value + offset``.
 
     Return None if the trial has none of these channels.
@@ -155,16 +157,16 @@ def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], tri
     if not any(name in trial.measured for name in change):
         return None
 
-    def changed(name: str, values: Any) -> Any:
+    def convert(name: str, values: Any) -> Any:
         factor, offset = change.get(name, (1.0, 0.0))
         return factor * values + offset
 
     swim = trial.swim
     if swim.pose is not None:
-        moved = [changed(name, at) for name, at in zip(pose, swim.pose, strict=False)]
+        moved = [convert(name, at) for name, at in zip(pose, swim.pose, strict=False)]
         swim = replace(swim, pose=(*moved, *swim.pose[len(moved) :]))
     measured, inputs = (
-        {name: changed(name, values) for name, values in series.items()}
+        {name: convert(name, values) for name, values in series.items()}
         for series in (trial.measured, trial.inputs)
     )
     # Discard the initial velocities, which were estimated from the uncorrected channels.
@@ -172,7 +174,7 @@ def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], tri
     return replace(trial, measured=measured, inputs=inputs, swim=swim, starts=starts)
 
 
-def _driven(factor: float, trial: Trial) -> Trial | None:
+def _scale_amplitude(factor: float, trial: Trial) -> Trial | None:
     """Return a copy of the trial with the amplitude of its beat multiplied by a factor.
 
     Return None if the trial has no beat.
@@ -193,11 +195,11 @@ def _joint(factor: float, numbers: Sequence[int], trial: Trial) -> Trial | None:
         return None
     joints = list(trial.swim.joints)
     for k in (k for k in numbers if k < len(joints)):
-        joints[k] = partial(_scaled, joints[k], factor)
+        joints[k] = partial(_scale_motion, joints[k], factor)
     return replace(trial, swim=replace(trial.swim, joints=joints))
 
 
-def _reversed(name: str, trial: Trial) -> Trial | None:
+def _reverse_input(name: str, trial: Trial) -> Trial | None:
     """Return a copy of the trial with the sign of one input changed; None if it has no such input."""
     inputs, given = dict(trial.inputs), dict(trial.swim.inputs)
     if name in given:
@@ -214,7 +216,7 @@ def _negative(value: Callable[[Array], Array], time_s: Array) -> Array:
     return -value(time_s)
 
 
-def _scaled(motion: Callable[[Array], Motion], factor: float, time_s: Array) -> Motion:
+def _scale_motion(motion: Callable[[Array], Motion], factor: float, time_s: Array) -> Motion:
     """Return angle, rate and acceleration of a joint at given times, multiplied by a factor."""
     angle, rate, bend = motion(time_s)
     return factor * angle, factor * rate, factor * bend
@@ -227,7 +229,7 @@ def _steady(trial: Trial) -> Trial | None:
     """
     if trial.swim.drive is None or trial.swim.steady:
         return None
-    return replace(trial, swim=trial.swim.begun())
+    return replace(trial, swim=trial.swim.make_steady())
 
 
 # ------------------------------------------------------------ search
@@ -243,12 +245,12 @@ def series_of(trial: Trial, simulated: Mapping[str, Array]) -> list[Series]:
     ]
 
 
-def compute_errors(series: Sequence[Series]) -> dict[str, float]:
+def compute_trial_errors(series: Sequence[Series]) -> dict[str, float]:
     """Return the errors of the channels of a trial in its own axes, divided by their measured ranges."""
     measured, simulated = fit_common.own_axes(
         {s.channel: s.measured for s in series}, {s.channel: s.simulated for s in series}
     )
-    errors = {name: fit_common.score(measured[name], simulated[name]).nrmse for name in measured}
+    errors = {name: fit_common.compute_score(measured[name], simulated[name]).nrmse for name in measured}
     return {name: error for name, error in errors.items() if math.isfinite(error)}
 
 
@@ -311,7 +313,7 @@ def _correct(
     changed = replace(changed, id=f"{trial.id} ({mistake.says})")
     try:
         # Ignore a correction with which the trial cannot be simulated.
-        with recorded():
+        with record_warnings():
             found = [series_of(changed, simulated) for simulated in simulate(changed)]
     except (NoTrustworthyResult, np.linalg.LinAlgError):
         return None
@@ -348,7 +350,7 @@ def _explain(
     if not corrected:
         return None
     score = _compute_gain(list(after), before, after) - 2.0 * math.log(alternatives)
-    errors = [(compute_errors(before[name]), compute_errors(after[name])) for name in corrected]
+    errors = [(compute_trial_errors(before[name]), compute_trial_errors(after[name])) for name in corrected]
     if score <= rivals.STRONG or any(error > GOOD for _, late in errors for error in late.values()):
         return None
     falls = {}
@@ -363,16 +365,16 @@ def _explain(
     return Explanation(mistake.says, where, channel, first, last, score)
 
 
-def check(found: Explanation | None, count: int) -> ev.Check:
+def check_mistakes(found: Explanation | None, count: int) -> ev.Check:
     """Return a check with the result of the search for recording mistakes.
 
     The argument ``count`` is the number of mistakes that were tested.
     """
     if found is None:
-        return ev.check("usual mistakes", f"none of {count} found", None)
+        return ev.make_check("usual mistakes", f"none of {count} found", None)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"
     reason = f"a usual mistake explains the error: {found.says}"
-    return ev.check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
+    return ev.make_check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
 
 
 def is_suspect(checks: Iterable[ev.Check], before: TrialSeries) -> bool:
@@ -381,5 +383,5 @@ def is_suspect(checks: Iterable[ev.Check], before: TrialSeries) -> bool:
     A search is worth while if a check fails, or if the error of a trial exceeds ``USABLE``.
     """
     return any(c.verdict == "fail" for c in checks) or any(
-        error > USABLE for series in before.values() for error in compute_errors(series).values()
+        error > USABLE for series in before.values() for error in compute_trial_errors(series).values()
     )

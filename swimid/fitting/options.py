@@ -20,6 +20,6 @@ class FitOptions(Options, command="fit", section="Identify", makes="parameters")
     """
 
     own_experiments: tuple[Path, ...] = fits.own_experiments()
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()
     bounds: Mapping[str, tuple[float, float]] = fits.bounds()

@@ -30,11 +30,11 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 WORTH_A_THREAD = 3e-4
 #: Maximum step of a search, in standard errors, after which the earlier derivatives are used again. The
 #: resulting error of the optimum is much smaller than this step.
-NEAR = 0.01
+REUSE_DISTANCE = 0.01
 #: Value of the weighted residual of a sample that the model cannot simulate.
-BROKEN = 1e6
+BROKEN_RESIDUAL = 1e6
 #: Number of latest points of a search whose simulations are cached.
-KEPT = 12
+MAX_CACHED_POINTS = 12
 #: Maximum number of columns of a block of derivatives whose products are computed without BLAS. For few
 #: columns, waking the threads of BLAS takes longer than the multiplication.
 FEW_COLUMNS = 8
@@ -71,7 +71,7 @@ class Blocks:
         kept = [(own, at[chosen[at]], part[:, chosen[at]]) for own, at, part in self.parts]
         return Blocks((self.shape[0], int(chosen.sum())), [(own, index[at], part) for own, at, part in kept])
 
-    def factored(self, scale: Array) -> tuple[list[Array], list[Array]]:
+    def factorise(self, scale: Array) -> tuple[list[Array], list[Array]]:
         """Return a QR factorisation of the block of each trial, with its columns multiplied by ``scale``.
 
         The first list has the orthonormal columns of each block, shape (n_k, m_k), and the second the
@@ -86,7 +86,7 @@ class Blocks:
             factors.append(whole)
         return bases, factors
 
-    def scaled(self, scale: Array) -> Blocks:
+    def scale_columns(self, scale: Array) -> Blocks:
         """Return the derivatives multiplied by one factor for each unknown."""
         return Blocks(self.shape, [(own, at, part * scale[at]) for own, at, part in self.parts])
 
@@ -111,7 +111,7 @@ class Blocks:
             found[at[:, None], at] += _product(part, part)
         return found
 
-    def updated(self, off: Array, step: Array, weights: Array) -> Blocks:
+    def update_secant(self, off: Array, step: Array, weights: Array) -> Blocks:
         """Return the derivatives after a secant update of each block.
 
         Parameters
@@ -171,7 +171,7 @@ class Problem:
     evaluations : int
         Number of simulations of single trials so far.
     near : float
-        Maximum step after which derivatives are used again, as in :data:`NEAR`.
+        Maximum step after which derivatives are used again, as in :data:`REUSE_DISTANCE`.
     prior : tuple of ndarray, shapes (p,) and (m, p)
         Prior of the unknowns: mean, and square root of the precision matrix. They add the rows ``root @
         (theta - mean)`` to the residuals. The default is no prior.
@@ -188,7 +188,7 @@ class Problem:
         self.parameters = list(parameters)
         self.trials = list(trials)
         self.jobs = jobs
-        self.near = NEAR
+        self.near = REUSE_DISTANCE
         self.evaluations = 0
         self.channels = [
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
@@ -228,7 +228,7 @@ class Problem:
         self.prior = mean, np.zeros((0, len(own)))
         self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
         self.start = np.clip(starts, self.lower, self.upper)
-        self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
+        self._measured = [self.stack(k, t.measured) for k, t in enumerate(self.trials)]
         self.counts = [len(values) for values in self._measured]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
@@ -264,29 +264,29 @@ class Problem:
         return values
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
-        """Return the simulated channels of every trial. Those of the last :data:`KEPT` points are cached."""
+        """Return the simulated channels of every trial, which :data:`MAX_CACHED_POINTS` points cache."""
         key = np.asarray(theta, dtype=float).tobytes()
         if key not in self._simulated:
-            found = self.simulated([(theta, k) for k in range(len(self.trials))])
-            while len(self._simulated) >= KEPT:
+            found = self.simulate_points([(theta, k) for k in range(len(self.trials))])
+            while len(self._simulated) >= MAX_CACHED_POINTS:
                 del self._simulated[next(iter(self._simulated))]
             self._simulated[key] = found
         return self._simulated[key]
 
-    def broken(self, theta: Array) -> list[str]:
+    def find_broken(self, theta: Array) -> list[str]:
         """Return the ids of trials in which a measured sample cannot be simulated."""
         return [
             self.trials[k].id
             for k, simulated in enumerate(self.simulations(theta))
-            if not np.isfinite(self.stacked(k, simulated)).all()
+            if not np.isfinite(self.stack(k, simulated)).all()
         ]
 
     def trial_residuals(self, theta: Array, k: int) -> Array:
         """Return the weighted residuals of a trial, channel after channel, without missing samples."""
         with np.errstate(over="ignore", invalid="ignore"):
-            error = self._measured[k] - self.stacked(k, self.simulations(theta)[k])
+            error = self._measured[k] - self.stack(k, self.simulations(theta)[k])
             values = error * self.sample_weights(k)
-        return np.where(np.isfinite(values), values, BROKEN)
+        return np.where(np.isfinite(values), values, BROKEN_RESIDUAL)
 
     def residuals(self, theta: Array) -> Array:
         """Return the whitened residuals of all trials, followed by those of the prior, shape (n,)."""
@@ -374,7 +374,7 @@ class Problem:
             known = self._weights[k] = list(self.sd[k]), self.at_samples(k, each)
         return known[1]
 
-    def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
+    def stack(self, k: int, series: Mapping[str, Array]) -> Array:
         """Return the samples of all channels of a trial as one array, shape (n_k,).
 
         Missing samples are left out, so that the order is that of the residuals.
@@ -417,7 +417,7 @@ class Problem:
             if (was_central or not central) and self._near(theta, where, known):
                 return known
         size = np.maximum(np.abs(theta), self.scale)
-        here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
+        here = [self.stack(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
         steps = (1e-6, 1e-5)[central] * size
         # Use a backward difference if a forward step would exceed the upper bound.
         steps = np.where(theta + steps > self.upper, -steps, steps)
@@ -429,7 +429,7 @@ class Problem:
         for k, numbers in enumerate(self.taken):
             for j in (j for j in numbers if self.labels[j] not in self._held[k]):
                 points += [(moved[j], k) for moved in (ahead, back)[: 1 + both[j]]]
-        moves = iter(self.simulated(points))
+        moves = iter(self.simulate_points(points))
         width = (theta + steps) - np.where(both, theta - steps, theta)
         slopes = []
         for k, numbers in enumerate(self.taken):
@@ -438,8 +438,8 @@ class Problem:
                 if self.labels[j] in self._held[k]:
                     column[:] = self._held[k][self.labels[j]]
                     continue
-                column[:] = self.stacked(k, next(moves))
-                column -= self.stacked(k, next(moves)) if both[j] else here[k]
+                column[:] = self.stack(k, next(moves))
+                column -= self.stack(k, next(moves)) if both[j] else here[k]
                 column /= width[j]
             columns[~np.isfinite(columns)] = 0.0
             slopes.append(np.ascontiguousarray(columns.T))
@@ -457,7 +457,7 @@ class Problem:
         # Compare with a step of one standard error, which changes the cost by the variance of the residuals.
         return moved * sum(map(len, slopes)) <= self.near**2 * left
 
-    def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
+    def simulate_points(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
         """Simulate trials at given points, and return the measured channels of each simulation.
 
         Each item of ``points`` has the values of the unknowns and the index of the trial.
@@ -469,7 +469,7 @@ class Problem:
         if self.jobs > 1 and len(runs) > 1 and WORTH_A_THREAD < self._typical_s < math.inf:
             threads = self.jobs
             # Give each thread whole batches of the size that the model simulates at once.
-            together = self.model.together
+            together = self.model.batch_size
             share = math.ceil(len(runs) / threads / together) * together
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
             with map_in_threads(self.model.run_many, parts, threads) as batches:
@@ -504,7 +504,7 @@ MAX_SECANT_STEPS = 5
 #: Reasons why a search ended. ``STILL``: the step or the decrease of the cost is below the tolerance.
 #: ``STUCK``: no step lowers the cost, and the predicted decrease is negligible. ``KINKED``: no step lowers
 #: the cost, and the predicted decrease is not negligible; such a search has failed.
-STILL = "cost and parameters no longer change"
+NO_CHANGE = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 KINKED = "no step lowers the cost though the gradient does not vanish"
 
@@ -595,7 +595,7 @@ def minimise(
     damping, growth, age, renew = 1e-3, 2.0, 0, True
     for iteration in range(1, max_iterations + 1):
         if renew:
-            rows, age = jacobian(x).scaled(scale), 0
+            rows, age = jacobian(x).scale_columns(scale), 0
         renew = True
         gradient, normal = rows.gradient(r), rows.normal()
         blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
@@ -615,7 +615,7 @@ def minimise(
             if secant and short:
                 bend = rows.gradient(tried.residuals - r - rows.along(taken))
                 bent = solve(bend, low=low - taken, high=high - taken)
-                tried = _corrected(attempt, x, tried, bent, size)
+                tried = _correct_step(attempt, x, tried, bent, size)
             small = bool(np.all(np.abs(tried.step) <= tolerance * (np.abs(x / scale) + tolerance)))
             if tried.cost < cost:
                 lowered, off = cost - tried.cost, tried.residuals - r - rows.along(tried.step)
@@ -627,16 +627,16 @@ def minimise(
                 reason = tell(x, cost, iteration)
                 # End only with new derivatives, because a secant update may be the reason for a small step.
                 if still and not age:
-                    reason = STILL
-                if reason is STILL and undamped:
-                    rest = _undamped(attempt, rows.gradient(r), normal, box, x, cost, blocked)
-                    reason = STILL if cost - rest.cost <= MIN_REST else None
+                    reason = NO_CHANGE
+                if reason is NO_CHANGE and undamped:
+                    rest = _try_undamped(attempt, rows.gradient(r), normal, box, x, cost, blocked)
+                    reason = NO_CHANGE if cost - rest.cost <= MIN_REST else None
                     x, r, cost = min((x, r, cost), (rest.x, rest.residuals, rest.cost), key=lambda t: t[-1])
                     damping *= LESS_DAMPED
                 if reason is not None:
                     return Solution(x, cost, True, reason, iteration)
                 if secant and gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still:
-                    rows, age, renew = rows.updated(off, tried.step, size**2), age + 1, False
+                    rows, age, renew = rows.update_secant(off, tried.step, size**2), age + 1, False
                 break
             if age:
                 # Compute new derivatives, because the secant updates may be the reason why the cost does not
@@ -657,7 +657,7 @@ def _attempt(residuals: Callable[[Array], Array], box: Box, x: Array, step: Arra
     return _Tried(step, there, r, float(np.nan_to_num(r @ r, nan=math.inf, posinf=math.inf)))
 
 
-def _corrected(
+def _correct_step(
     attempt: Callable[[Array, Array], _Tried], x: Array, tried: _Tried, bent: Array, size: Array
 ) -> _Tried:
     """Return a step corrected for curvature if the correction is short and lowers the cost."""
@@ -690,7 +690,7 @@ def _step(
     return step
 
 
-def _undamped(
+def _try_undamped(
     attempt: Callable[[Array, Array], _Tried],
     gradient: Array,
     normal: Array,

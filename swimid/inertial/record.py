@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from swimid.errors import InputError, UsageError, extra_needed
 from swimid.files.provenance import path_of
-from swimid.files.tabular import missing_column
+from swimid.files.tabular import column_error
 from swimid.inertial.options import TrackImuOptions
 from swimid.logs import log, mapping, tracks
 from swimid.logs.clocks import BAND as BAND
@@ -189,7 +189,7 @@ def read_record(
         lacking = [name for name in names if name not in columns]
         if lacking and (names != MAGNETIC or len(lacking) < len(names)):
             text = f"an inertial log needs all of {', '.join(names)}"
-            raise missing_column(lacking[0], list(columns), named, None, text)
+            raise column_error(lacking[0], list(columns), named, None, text)
     if len(mapped) < MIN_RECORD_SAMPLES:
         text = f"has {len(mapped)} samples; at least {MIN_RECORD_SAMPLES} are needed"
         raise InputError(text, file=path)

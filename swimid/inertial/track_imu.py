@@ -23,10 +23,20 @@ from swimid.logs import beat, log, mapping
 from swimid.logs.beat import Rhythm
 from swimid.logs.log import Log, LogLike
 from swimid.logs.tracks import Logged
-from swimid.notices import Notice, Progress, recorded, silent, warn
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
-from swimid.results.evidence import Check, Evidence, Figure, Panel, Table, Trace, check, judged, leaf_table
+from swimid.results.evidence import (
+    Check,
+    Evidence,
+    Figure,
+    Panel,
+    Table,
+    Trace,
+    leaf_table,
+    make_check,
+    make_verdict,
+)
 
 
 class Integrated(Logged):
@@ -109,7 +119,7 @@ def track_imu(
     if options.method == "paper" and other is not None:
         hint = "leave out --with, or take --method smoother"
         raise UsageError("--method paper fuses with nothing", hint=hint)
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         named = given[0 if rules is None else 1]
         record, notes = recording.read_record(unread, rules, provenance.path_of(named), progress)
         record, findings = faults.repair(record)
@@ -121,7 +131,7 @@ def track_imu(
             warn("SWM004", f"{record.name}: {note}")
         origin = provenance.collect(given, settings=options.settings())
         result = _result(made, notices, origin)
-    return result.saved(output)
+    return result.write_output(output)
 
 
 # ---------------------------------------------------------------- motion
@@ -410,7 +420,7 @@ def _result(run: ImuRun, notices: Sequence[Notice], provenance: dict[str, Any]) 
     evidence = Evidence(
         command="track imu",
         title=f"Motion of {record.name}",
-        verdict=judged(_answer(run), checks),
+        verdict=make_verdict(_answer(run), checks),
         facts={"Attitude": run.setup.source.kind, "Mounting": run.setup.mount.by},
         checks=checks,
         tables=_tables(run),
@@ -518,7 +528,7 @@ def _checks(run: ImuRun) -> list[Check]:
         if code and not passed:
             warn(code, f"{name}: {reason}")
         otherwise: Literal["warn", "fail"] = "fail" if title in FAIL else "warn"
-        checks.append(check(title, value, passed, limit, otherwise=otherwise, reason=reason))
+        checks.append(make_check(title, value, passed, limit, otherwise=otherwise, reason=reason))
     return checks
 
 

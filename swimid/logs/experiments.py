@@ -29,7 +29,7 @@ from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 
 if TYPE_CHECKING:
-    from swimid.fitting.fit_common import Experiment, Run
+    from swimid.fitting.fit_common import Experiment, SimulationRun
 
 FORMAT = "swimid-trials/1"
 #: Type of a parameter file: its path, for messages, and its content.
@@ -230,7 +230,7 @@ class Trials(yamlio.Document):
         """
 
     @classmethod
-    def prepare_run(cls, options: Any, params: Params, time_s: Any) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Any) -> SimulationRun:
         """Return a simulation without a recording.
 
         Parameters

@@ -25,11 +25,11 @@ from swimid.logs.point_files import Request
 from swimid.logs.points import Posed, pose_of
 from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, may_freeze
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
-from swimid.notices import Notice, Progress, recorded, silent, warn
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, check, judged
+from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, make_check, make_verdict
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def import_log(
         inputs += request.inputs
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         read = mapping.apply(rules, given, options.stated, every=options.every or 1, progress=progress)
         found = examine(read, options, request)
         settings = options.settings(clean=found.cleaned)
@@ -108,7 +108,7 @@ def import_log(
         proof = _evidence(found, origin, notices)
     name = found.log.path.with_suffix(".csv").name if output is None else output.name
     made = replace(found.log, path=Path(name))
-    return Logged("import", "", _data(found, proof), evidence=proof, document=made).saved(output)
+    return Logged("import", "", _data(found, proof), evidence=proof, document=made).write_output(output)
 
 
 # ---------------------------------------------------------------- examination
@@ -448,7 +448,7 @@ MIN_SAMPLES_PER_STROKE = 6.0
 #: Maximum fraction of the rows of a log that are left out because of a missing or repeated time, and of its
 #: duration in which a channel is frozen. With a larger fraction the log is not usable. Frozen samples stay in
 #: the log: a fraction of them changes an amplitude or a mean speed by at most as much, and one per cent is
-#: the accuracy of both in a track (docs/tracking-method.md).
+#: the accuracy of both in a track (docs/tracking.md).
 MAX_DROPPED, MAX_FROZEN = 0.1, 0.01
 #: Pattern of the columns whose values are compared with the limits of a swimmer
 #: (:func:`swimid.logs.log.doubts`).
@@ -481,7 +481,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         checks += _all_rows_checks(found.mapped.all_rows)
         methods.insert(0, MEAN_METHOD.format(found.mapped.all_rows.every))
         notes.append(MEAN_NOTE.format(found.mapped.all_rows.rows, len(found.mapped)))
-    with recorded(repeat=True) as drawn:
+    with record_warnings(repeat=True) as drawn:
         shown = figures_of([found.log], found=found.stroke)
     if found.posed is not None:
         checks += point_evidence.checks(found.posed)
@@ -491,7 +491,9 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
     return Evidence(
         command="import",
         title=f"Log imported from {found.log.path.name}",
-        verdict=judged(f"{len(found.log.time_s)} samples in {len(found.log.columns) - 1} channels.", checks),
+        verdict=make_verdict(
+            f"{len(found.log.time_s)} samples in {len(found.log.columns) - 1} channels.", checks
+        ),
         facts=_facts(found),
         checks=checks,
         tables=_tables(found),
@@ -521,10 +523,10 @@ def _check(
     if the check passes. A check that does not pass is a warning, or a failure with ``fails``.
     """
     if passed and not made:
-        return check(name, "not judged", None, limit, "no channel allows it, or the samples are too few")
+        return make_check(name, "not judged", None, limit, "no channel allows it, or the samples are too few")
     text = "" if passed or value in reason else reason
     value = value or (limit if passed else reason)
-    return check(name, value, passed, limit, text, otherwise="fail" if fails else "warn", reason=reason)
+    return make_check(name, value, passed, limit, text, otherwise="fail" if fails else "warn", reason=reason)
 
 
 def _amount_checks(found: Examined) -> list[Check]:
@@ -550,7 +552,7 @@ def _amount_checks(found: Examined) -> list[Check]:
         remarks = f"{dropped} of {rows} rows have no time of their own: is the time complete?"
     names = ", ".join(found.mapped.unknown)
     open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
-    least, longest = str(min(counts.values())), numbers.number(pause_s, 3, "s")
+    least, longest = str(min(counts.values())), numbers.format_number(pause_s, 3, "s")
     checks = [
         _check(
             "Samples", not scarce, f"≥ {MIN_SAMPLES} in a channel", few, least, fails=not any(counts.values())
@@ -624,7 +626,7 @@ def _track_checks(found: Examined) -> list[Check]:
         jumps += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
     lossy = lost > MAX_JUMPED * seen or not found.cleaned
     longest_s = max((end - start for start, end in cleaning.gaps), default=0.0)
-    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(longest_s, 3, 's')}"
+    gaps = f"{len(cleaning.gaps)}, longest {numbers.format_number(longest_s, 3, 's')}"
     kept, value = f"the track has gaps ({gaps}), which are kept", f"{repeats} of {seen} {done}"
     return [
         _check("Repeated pictures", found.cleaned or not repeats, "none kept", held, value),
@@ -647,7 +649,7 @@ def _stroke_checks(found: Examined) -> list[Check]:
     checks = []
     if found.speed is not None and found.cleaning is not None:
         count = float(found.cleaning.good.sum()) / found.speed.covered_s / stroke.beat.frequency_hz
-        value, limit = numbers.number(count, 3), f"≥ {MIN_SAMPLES_PER_STROKE:g}"
+        value, limit = numbers.format_number(count, 3), f"≥ {MIN_SAMPLES_PER_STROKE:g}"
         why = f"the track has {value} samples a stroke, too few to know the path between them"
         checks.append(_check("Samples a stroke", count >= MIN_SAMPLES_PER_STROKE, limit, why, value))
     value = " against ".join(f"{b.frequency_hz:.4g} Hz" for b in (stroke.beat, *stroke.rivals.values()))
@@ -674,7 +676,7 @@ def _facts(found: Examined) -> dict[str, str]:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"
     for name, one in found.log.metadata.get("clock_offsets", {}).items():
-        offset = numbers.measured(one["offset_s"], one["sd_s"], "s")
+        offset = numbers.format_estimate(one["offset_s"], one["sd_s"], "s")
         facts[f"Clock of {name}"] = f"{offset} added, by {one['by']}, with any lag between them"
     if found.posed is not None:
         facts |= point_evidence.facts(found.posed)
@@ -689,7 +691,7 @@ def _tables(found: Examined) -> list[Table]:
             ["along the path", speed.path.value, speed.path.low, speed.path.high],
             ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
         ]
-        noise = numbers.number(speed.noise_m, 3, unit)
+        noise = numbers.format_number(speed.noise_m, 3, unit)
         caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
@@ -717,7 +719,7 @@ def _all_rows_table(all_rows: RowStatistics) -> Table:
 
 
 def _frequency(stroke: Rhythm) -> str:
-    return numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
+    return numbers.format_estimate(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
 
 
 def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from pydantic_core import to_json
 
 from swimid.errors import InputError, Named, extra_needed, file_errors, first_line
 from swimid.files import atomic, isolated, memory, tabular, yamlio
-from swimid.files.tabular import column_names, head, missing_column, number, number_hint
+from swimid.files.tabular import column_error, column_names, head, number_hint, parse_number
 from swimid.notices import warn
 from swimid.options import LARGEST, SMALLEST
 from swimid.results import numbers as texts
@@ -121,7 +121,7 @@ class Log:
         path, given = Path(name), arrays(frame, name)
         for column in (TIME, *required):
             if column not in given:
-                raise missing_column(column, list(given), path, None)
+                raise column_error(column, list(given), path, None)
         columns = _columns({TIME: given[TIME]} | given, {TIME, *required}, lambda row: {"row": row}, path)
         log = cls(path, dict(metadata or {}), columns, None)
         _check(log, required)
@@ -331,7 +331,7 @@ def read(path: str | Path, *, required: Sequence[str] = (), optional: Sequence[s
         not increase, or a required column has no sample. The error names file, line and column.
     """
     path = Path(path)
-    reader = _read_parquet if path.suffix.lower() in tabular.PARQUET else _read_csv
+    reader = _read_parquet if path.suffix.lower() in tabular.PARQUET_ENDINGS else _read_csv
     with file_errors(path):
         log = reader(path, required, optional)
     _check(log, required)
@@ -350,7 +350,7 @@ def _wanted(
     """
     for column in (TIME, *required):
         if column not in names:
-            raise missing_column(column, names, path, line)
+            raise column_error(column, names, path, line)
     if names[0] != TIME:
         raise InputError(f"the first column must be {TIME}", file=path, line=line, column=names[0])
     return [name for name in names if optional is None or name in {TIME, *required, *optional}]
@@ -368,7 +368,7 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     comments, header, header_line = head(path)
     metadata = metadata_of(comments, path)
     names = column_names(header, path, header_line)
-    if all(number(name) is not None for name in names):
+    if all(parse_number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
     wanted = _wanted(names, required, optional, path, header_line)
     size = path.stat().st_size
@@ -630,8 +630,8 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
     path, frame = Path(path), pd.DataFrame(dict(columns))
     lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
     pieces = [frame.iloc[start : start + ROWS] for start in range(0, len(frame), ROWS)]
-    with atomic.replacing(path) as temporary, temporary.open("wb") as stream:
-        if path.suffix.lower() in tabular.PARQUET:
+    with atomic.replace_file(path) as temporary, temporary.open("wb") as stream:
+        if path.suffix.lower() in tabular.PARQUET_ENDINGS:
             pyarrow = tabular.pyarrow()
             schema = pyarrow.Schema.from_pandas(frame, preserve_index=False)
             schema = schema.with_metadata({**(schema.metadata or {}), b"swimid": "\n".join(lines).encode()})

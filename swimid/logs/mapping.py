@@ -1,4 +1,4 @@
-"""Mapping of a foreign log to the log format (``swimid-mapping/1``, ``docs/mapping.md``).
+"""Mapping of a foreign log to the log format (``swimid-mapping/1``, ``docs/import.md``).
 
 A mapping assigns a source column of the file to each target column of the log, with the unit of the source.
 :func:`apply` returns the target columns in SI units, in the row order of the file. The times may still
@@ -23,7 +23,7 @@ from pydantic import Field, PositiveFloat, PrivateAttr, field_validator, model_v
 from swimid.errors import InputError, suggestion
 from swimid.files import isolated, memory, yamlio
 from swimid.files.provenance import path_of
-from swimid.files.tabular import repeated
+from swimid.files.tabular import find_repeated
 from swimid.files.yamlio import ASK
 from swimid.logs import foreign, log
 from swimid.logs.averaging import Averager, RowStatistics
@@ -231,7 +231,7 @@ class Mapping(TableSource):
     def _consistent(self) -> Mapping:
         columns = [*self.columns, *(column for one in self.join for column in one.columns)]
         targets = [column.target for column in columns]
-        twice = repeated(targets)
+        twice = find_repeated(targets)
         if twice:
             raise ValueError(f"two columns have the target '{twice}'")
         targets = [column.target for column in self.columns]
@@ -311,7 +311,7 @@ def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
         return given
     if isinstance(given, dict):
         return yamlio.validate({"format": FORMAT} | given, Mapping, "mapping")
-    found = yamlio.validated(given, Mapping)
+    found = yamlio.read_document(given, Mapping)
     found._folder = Path(given).parent
     return found
 
@@ -1299,7 +1299,7 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
         return Draft("import", text.rstrip("\n"), data, document=text)
     todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
     said = f"{path.name}: mapping drafted; {todo} of {output}"
-    return Draft("import", said, data, document=text).save(output)
+    return Draft("import", said, data, document=text).write_output(output)
 
 
 def _of_profile(table: Table) -> list[str]:

@@ -17,11 +17,21 @@ from swimid.logs.beat import MAX_RATE_HZ, PUSHED, SIDEWAYS, Rhythm, find_stroke,
 from swimid.logs.log import Log, LogLike, runs
 from swimid.logs.options import PlotOptions
 from swimid.logs.sampling import longest_even, pauses
-from swimid.notices import recorded, warn
+from swimid.notices import record_warnings, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.evidence import MAX_POINTS, Evidence, Figure, Mark, Panel, Span, Trace, Verdict, thinned
+from swimid.results.evidence import (
+    MAX_TRACE_POINTS,
+    Evidence,
+    Figure,
+    Mark,
+    Panel,
+    Span,
+    Trace,
+    Verdict,
+    thin_curve,
+)
 from swimid.results.result import Result
 
 Array = NDArray[np.float64]
@@ -97,7 +107,7 @@ def plot(
         paths = [one for one in logs if isinstance(one, str | Path)]
         output = atomic.check_writable(_picture(Path(output)), inputs=paths)
     records: list[log.Log] = []
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         for number, given in enumerate(logs, start=1):
             name = "log"
             if len(logs) > 1:
@@ -115,7 +125,7 @@ def plot(
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
     told = "\n".join(f"{record.name}: {len(record)} samples, drawn as logged" for record in records)
     drawn = Drawn("plot", told, data, evidence=proof, document=records)
-    return drawn.saved(output)
+    return drawn.write_output(output)
 
 
 def _picture(path: Path) -> Path:
@@ -186,7 +196,7 @@ def channels(logs: Sequence[Log]) -> Figure:
     for channel in order[:MAX_PANELS]:
         traces, gaps = [], []
         for number, record, values in by_channel[channel]:
-            x, y = thinned(*_broken(record.time_s, values, after[number]))
+            x, y = thin_curve(*_broken(record.time_s, values, after[number]))
             label, group, lacking = ("", None, "missing")
             if several:
                 label, group, lacking = names[number], number, f"missing in {names[number]}"
@@ -201,8 +211,8 @@ def channels(logs: Sequence[Log]) -> Figure:
         title = "Channels of several logs"
         caption += " Each log is on its own clock: a constant shift along the axis is their offset."
     for record in logs:
-        if len(record) > MAX_POINTS:
-            text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
+        if len(record) > MAX_TRACE_POINTS:
+            text = f"{len(record)} samples drawn as their envelope of {MAX_TRACE_POINTS} points"
             warn("SWM051", f"{record.path.name}: {text}")
     if len(order) > MAX_PANELS:
         caption += f" {len(order) - MAX_PANELS} further channels are not drawn."
@@ -231,7 +241,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
         if several:
             path, arrows = name, f"heading, {name}"
         x, y = record["x_m"], record[up]
-        step, after = len(x) // MAX_POINTS + 1, pauses(record.time_s)
+        step, after = len(x) // MAX_TRACE_POINTS + 1, pauses(record.time_s)
         line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
         traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
@@ -244,7 +254,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
     caption, y_label = "The path.", numbers.column_title(across)
     if any(trace.style == "arrows" for trace in traces):
         caption = "The path, with arrows along the heading."
-    return ev.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
+    return ev.make_figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
@@ -275,7 +285,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         track = swing(record.columns)
         if stroke.channel in track:
             signals = {f"{stroke.channel}_m": track[stroke.channel], **signals}
-        frequency = numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
+        frequency = numbers.format_estimate(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
         caption = f"The stroke in {stroke.channel} is {frequency}."
         labels = ("stroke", "2 ×, 3 ×", "2 ×, 3 ×")
         beats = [(label, k * stroke.beat.frequency_hz) for k, label in enumerate(labels, start=1)]
@@ -312,4 +322,4 @@ def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array,
     if not np.any(amplitude[shown] > 0):
         return None
     floor = 1e-5 * float(amplitude[shown].max())
-    return thinned(frequency[shown], np.maximum(amplitude[shown], floor))
+    return thin_curve(frequency[shown], np.maximum(amplitude[shown], floor))

@@ -32,13 +32,13 @@ def _scale(posed: Posed) -> str:
     if posed.scale is None:
         return posed.scale_source
     value, error = (1e3 * one for one in posed.scale)
-    return f"{numbers.measured(value, error)} mm/px {posed.scale_source}"
+    return f"{numbers.format_estimate(value, error)} mm/px {posed.scale_source}"
 
 
 def facts(posed: Posed) -> dict[str, str]:
     """Return the facts on the points, their noise and the scale."""
     fit, count = posed.fit, len(posed.fit.linkage.names)
-    noise = [numbers.number(float(value), 2) for value in (fit.noise.min(), fit.noise.max())]
+    noise = [numbers.format_number(float(value), 2) for value in (fit.noise.min(), fit.noise.max())]
     unit = posed.noise_unit
     text = f"{count} on {len(fit.linkage.parent)} links, noise {' to '.join(dict.fromkeys(noise))} {unit}"
     if fit.exponent:
@@ -48,7 +48,7 @@ def facts(posed: Posed) -> dict[str, str]:
         found["Scale"] = _scale(posed)
     swings = []
     for name, one in posed.swings.items():
-        text = numbers.measured(math.degrees(one.amplitude.value), math.degrees(one.stderr), "deg")
+        text = numbers.format_estimate(math.degrees(one.amplitude.value), math.degrees(one.stderr), "deg")
         swings.append(f"{name} {text} at {one.frequency_hz:.4g} Hz")
     if swings:
         found["Amplitudes"] = ", ".join(swings)
@@ -62,11 +62,11 @@ def checks(posed: Posed) -> Iterator[Check]:
         kinds[kind] += count
     named = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
     reason = f"points at fault in frames: {named}"
-    yield ev.check("Points at fault", named or "0", not named, "0", reason=reason)
+    yield ev.make_check("Points at fault", named or "0", not named, "0", reason=reason)
     text = ", ".join(f"{name} in {count}" for name, count in posed.empty.items() if count)
     value, reason = f"{rows - max(posed.empty.values())} of {rows}", f"the points leave frames empty: {text}"
     name, reason = "Frames that the points determine", f"{reason} of {rows} frames"
-    yield ev.check(name, value, not text, "all", reason=reason)
+    yield ev.make_check(name, value, not text, "all", reason=reason)
     if posed.distances:
         wrong = [
             f"{' and '.join(one.names)} {one.measured:.4g} {posed.unit} for {one.stated:.4g} {posed.unit}"
@@ -78,21 +78,21 @@ def checks(posed: Posed) -> Iterator[Check]:
         if not posed.robot:
             reason = f"distances on the chain change within the film: {', '.join(wrong)}"
         value = f"{len(wrong)} of {len(posed.distances)} wrong"
-        yield ev.check("Distances of points", value, not wrong, limit, reason=reason)
+        yield ev.make_check("Distances of points", value, not wrong, limit, reason=reason)
     value, passed = f"{100 * posed.perspective:.2g} %", posed.perspective <= MAX_PERSPECTIVE
     limit, reason = f"<= {100 * MAX_PERSPECTIVE:g} %", posed.perspective_text
-    yield ev.check("Distances along the path", value, passed, limit, reason=reason)
+    yield ev.make_check("Distances along the path", value, passed, limit, reason=reason)
     if posed.robot:
         reason = "the picture is mirrored: its mirror image fits the places of the points better"
         value, passed = ("no", "yes")[int(posed.fit.mirrored)], not posed.fit.mirrored
-        yield ev.check("Mirrored picture", value, passed, "no", otherwise="fail", reason=reason)
+        yield ev.make_check("Mirrored picture", value, passed, "no", otherwise="fail", reason=reason)
         names = ", ".join(posed.misplaced)
         reason = f"points do not sit at their places: {names}"
-        yield ev.check("Places of points", names or "as stated", not names, "as stated", reason=reason)
+        yield ev.make_check("Places of points", names or "as stated", not names, "as stated", reason=reason)
     if "places" in posed.fit.linkage.free:
         names = posed.undetermined_text
         reason = f"the film does not determine the places of {names}"
-        yield ev.check("Places not determined", names or "none", not names, "none", reason=reason)
+        yield ev.make_check("Places not determined", names or "none", not names, "none", reason=reason)
 
 
 def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:
@@ -146,7 +146,7 @@ def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:
             {"link": name, f"length, {posed.unit}": -float(rear), "standard error": float(errors[k])}
             for k, (name, rear) in enumerate(zip(linkage.links, linkage.rear.real, strict=True))
         ]
-        made.append(ev.table("lengths", "Links of the chain", rows))
+        made.append(ev.make_table("lengths", "Links of the chain", rows))
     if "places" in linkage.free:
         made.append(_places(posed, errors[len(names) - 2 * len(linkage.names) :]))
     return made
@@ -180,11 +180,11 @@ def _places(posed: Posed, errors: Array) -> Table:
         "not show the zero of a joint angle or of the heading: a rotation of all points of a link about its "
         "only joint is that of the stated places, and its uncertainty is part of the standard errors."
     )
-    return ev.table("places", "Places of points, estimated from the film", rows, caption)
+    return ev.make_table("places", "Places of points, estimated from the film", rows, caption)
 
 
 def _folded(id: str, title: str, rows: list[dict[str, Any]], caption: str = "") -> Table:
-    return ev.table(id, title, rows, caption).model_copy(update={"folded": True})
+    return ev.make_table(id, title, rows, caption).model_copy(update={"folded": True})
 
 
 # ---------------------------------------------------------------- body wave
@@ -250,7 +250,7 @@ def _wave_table(beat: wave.Wave, unit: str) -> Table:
         else:
             rows.append([f"{name}, {of}", one.value, one.low, one.high])
     for behind, size, lag in zip(beat.behind, beat.amplitude, beat.phase, strict=True):
-        place = f"{numbers.number(float(behind), 3)} {unit} behind the front"
+        place = f"{numbers.format_number(float(behind), 3)} {unit} behind the front"
         rows.append([f"amplitude {place}, {unit}", size.value, size.low, size.high])
         rows.append([f"phase lag {place}, rad", lag.value, lag.low, lag.high])
     caption = (

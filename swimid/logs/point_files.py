@@ -19,7 +19,7 @@ from pydantic import model_validator
 
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import yamlio
-from swimid.files.tabular import repeated
+from swimid.files.tabular import find_repeated
 from swimid.logs.foreign import safe
 from swimid.logs.linkage import Array, Complex, Flags, Linkage
 from swimid.logs.log import TIME
@@ -27,6 +27,7 @@ from swimid.logs.scale import Camera, Positive, Scale
 from swimid.logs.tracks import mean_of_blocks
 from swimid.robots import file as robot_format
 from swimid.robots import planar
+from swimid.robots.quantities import Polynomial
 
 FORMAT: Literal["swimid-points/1"] = "swimid-points/1"
 
@@ -75,7 +76,7 @@ class PointsFile(yamlio.Document):
     @model_validator(mode="after")
     def _consistent(self) -> PointsFile:
         names = [safe(name) for name in (self.chain or self.points)]
-        twice = repeated(names)
+        twice = find_repeated(names)
         if twice is not None:
             raise ValueError(f"the point '{twice}' stands twice")
         if self.chain and self.points:
@@ -98,7 +99,7 @@ def of(given: str | Path | PointsFile | Mapping[str, Any]) -> PointsFile:
     if isinstance(given, PointsFile):
         return given
     if isinstance(given, str | Path):
-        return yamlio.validated(given, PointsFile)
+        return yamlio.read_document(given, PointsFile)
     return yamlio.validate(dict(given), PointsFile, "points")
 
 
@@ -114,7 +115,7 @@ class View:
 # ---------------------------------------------------------------- linkage of a robot
 
 
-def linkage_of(body: planar.Multilink, points: Mapping[str, planar.TrackedPoint], where: str) -> Linkage:
+def linkage_of(body: planar.MultilinkRobot, points: Mapping[str, planar.TrackedPoint], where: str) -> Linkage:
     """Return the linkage of a robot in a plane with tracked points.
 
     Links on rigid joints become a part of their parent. The coefficients have the values of the file.
@@ -136,8 +137,8 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.TrackedPoint]
     columns = {joint.name: f"joint{k}_rad" for k, joint in enumerate(moving, 1)}
 
     def value(quantity: float | str) -> float:
-        number, names = planar.factors(quantity)
-        return number * math.prod(body.coefficients[name].value for name in names)
+        values = {name: coefficient.value for name, coefficient in body.coefficients.items()}
+        return Polynomial.of(quantity).at(values)
 
     #: Index of the moving link of each link, its direction and its front end in the axes of that link.
     frames: dict[str, tuple[int, complex, complex]] = {body.links[0].name: (0, 1 + 0j, 0j)}
@@ -204,7 +205,7 @@ class Request:
             found.append(robot_format.locate(self.robot))
         return found
 
-    def read(self) -> tuple[PointsFile, planar.Multilink | None, str, str]:
+    def read(self) -> tuple[PointsFile, planar.MultilinkRobot | None, str, str]:
         """Return the points file, links and name of the robot, and the file that places the points.
 
         Raises

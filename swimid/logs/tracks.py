@@ -644,8 +644,8 @@ class Logged(Result):
         span = float(self.log.time_s[-1] - self.log.time_s[0])
         return {
             "Samples": str(len(self.log)),
-            "Duration": numbers.number(span, unit="s"),
-            "Sampling rate": numbers.number(1.0 / rate(self.log.time_s).step_s, unit="Hz"),
+            "Duration": numbers.format_number(span, unit="s"),
+            "Sampling rate": numbers.format_number(1.0 / rate(self.log.time_s).step_s, unit="Hz"),
         }
 
     def _own_tables(self) -> list[Table]:

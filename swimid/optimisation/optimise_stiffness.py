@@ -18,7 +18,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Rows
 from swimid.fitting.model import Array
-from swimid.notices import Notice, Progress, recorded, silent
+from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.problem import GaitProblem
@@ -221,7 +221,7 @@ def optimise_stiffness(
     >>> rule.stiffness_for(2.5) < rule.stiffness_for(3.5)
     True
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         performance = Performance.of_options(options)
         problem = _problem(performance, options)
         (coefficient,), (between,) = problem.vary, problem.vary.values()
@@ -238,7 +238,9 @@ def optimise_stiffness(
         reference = float(performance.values[performance.model.index(coefficient)])
 
         def front(k: int) -> Array:
-            return keep.kept(f"front {k}", lambda: _front_at(problems[k], k, reference, options).ravel())
+            return keep.get_or_compute(
+                f"front {k}", lambda: _front_at(problems[k], k, reference, options).ravel()
+            )
 
         fronts = in_parallel(front, len(points), options.jobs, "fronts", progress)
         optima = [_optimum(one, found.reshape(-1, 3)) for one, found in zip(problems, fronts, strict=True)]
@@ -406,10 +408,10 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     text = "the optima do not follow a quadratic function there" * (worst > MAX_LOSS)
     value, limit = f"at most {numbers.percent(worst, 2)}", f"≤ {numbers.percent(MAX_LOSS)}"
     name = "loss of the rule against its own optima"
-    checks.append(ev.check(name, value, worst <= MAX_LOSS, limit, text))
+    checks.append(ev.make_check(name, value, worst <= MAX_LOSS, limit, text))
     if file.objective == "speed":
         ruled, fixed = _column(file, "ruled"), _column(file, "reference")
-        name = f"the rule is as fast as {numbers.number(file.reference, 3, file.unit)}"
+        name = f"the rule is as fast as {numbers.format_number(file.reference, 3, file.unit)}"
         as_fast = int((ruled >= (1.0 - MAX_LOSS) * fixed).sum())
         checks.append(studies.count_check(name, as_fast, count, "use the fixed stiffness at the others"))
         checks += studies.forwards_check([one.best["mean_surge_from_start_m_s"] for one in file.optima])
@@ -423,52 +425,55 @@ def _checks(file: RuleFile) -> list[ev.Check]:
         return [*checks, studies.make_undefined_check("uncertainty of the rule")]
     name, text = "uncertainty of the rule", "optimise gait gives the interval of the stiffness at one gait"
     reason = "the standard errors of the coefficients are not in the rule"
-    return [*checks, ev.check(name, "not computed", False, text=text, reason=reason)]
+    return [*checks, ev.make_check(name, "not computed", False, text=text, reason=reason)]
 
 
 def answer(file: RuleFile) -> str:
     """Return a sentence with the range of the optimal stiffnesses and, if it is the goal, the speed."""
     stiffness = [one.stiffness for one in file.optima]
-    ends = f"{numbers.number(min(stiffness), 3)} to {numbers.number(max(stiffness), 3, file.unit)}"
+    ends = (
+        f"{numbers.format_number(min(stiffness), 3)} to {numbers.format_number(max(stiffness), 3, file.unit)}"
+    )
     text = f"{file.coefficient} {ends} over frequency"
     if file.objective == "speed":
         speeds = [float(np.nanmax(_column(file, way))) for way in ("ruled", "reference")]
-        ruled, fixed = (numbers.number(speed, 3, "m/s") for speed in speeds)
-        text += f"; highest speed {ruled} against {fixed} with {numbers.number(file.reference, 3, file.unit)}"
+        ruled, fixed = (numbers.format_number(speed, 3, "m/s") for speed in speeds)
+        reference = numbers.format_number(file.reference, 3, file.unit)
+        text += f"; highest speed {ruled} against {fixed} with {reference}"
     return f"{text}."
 
 
 def _curve_table(file: RuleFile) -> ev.Table:
     rows = []
     for c in file.curves:
-        row: dict[str, ev.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
-        row |= {f"c{k}": numbers.number(value, 6) for k, value in enumerate(c.coefficients)}
-        rows.append({**row, "RMS of residuals": numbers.number(c.rms, 2, file.unit)})
+        row: dict[str, ev.Cell] = {"amplitude": numbers.format_number(c.amplitude_deg, 3, "deg")}
+        row |= {f"c{k}": numbers.format_number(value, 6) for k, value in enumerate(c.coefficients)}
+        rows.append({**row, "RMS of residuals": numbers.format_number(c.rms, 2, file.unit)})
     caption = (
         f"{file.coefficient} = c0 + c1 f + c2 f², f in Hz, held within {numbers.interval(*file.between)}; "
         "linear interpolation between amplitudes."
     )
-    return ev.table("rule", "The rule", rows, caption)
+    return ev.make_table("rule", "The rule", rows, caption)
 
 
 def _optima_table(file: RuleFile) -> ev.Table:
     rows: list[dict[str, ev.Cell]] = [
         {
-            "frequency": numbers.number(o.frequency_hz, 3, "Hz"),
-            "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
-            file.coefficient: numbers.number(o.stiffness, 3, file.unit),
-            "speed": numbers.number(o.best[SPEED], 3, "m/s"),
-            "with the rule": numbers.number(o.ruled[SPEED], 3, "m/s"),
-            "with the reference": numbers.number(o.reference[SPEED], 3, "m/s"),
+            "frequency": numbers.format_number(o.frequency_hz, 3, "Hz"),
+            "amplitude": numbers.format_number(o.amplitude_deg, 3, "deg"),
+            file.coefficient: numbers.format_number(o.stiffness, 3, file.unit),
+            "speed": numbers.format_number(o.best[SPEED], 3, "m/s"),
+            "with the rule": numbers.format_number(o.ruled[SPEED], 3, "m/s"),
+            "with the reference": numbers.format_number(o.reference[SPEED], 3, "m/s"),
             "loss of the rule": numbers.percent(float(lost), 2),
-            "cost": numbers.number(o.best[COST], 3, "J/m"),
-            "settles in": numbers.number(o.best["settling_time_s"], 3, "s"),
+            "cost": numbers.format_number(o.best[COST], 3, "J/m"),
+            "settles in": numbers.format_number(o.best["settling_time_s"], 3, "s"),
         }
         for o, lost in zip(file.optima, _loss(file), strict=True)
     ]
-    reference = numbers.number(file.reference, 3, file.unit)
+    reference = numbers.format_number(file.reference, 3, file.unit)
     caption = f"The reference is {reference}. A run without a settling time still gains speed at its end."
-    return ev.table("optima", "Optima over the grid", rows, caption)
+    return ev.make_table("optima", "Optima over the grid", rows, caption)
 
 
 def _rule_figure(file: RuleFile) -> ev.Figure:
@@ -476,12 +481,14 @@ def _rule_figure(file: RuleFile) -> ev.Figure:
     x = np.linspace(*file.frequency_hz, 60)
     for group, c in enumerate(file.curves):
         optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
-        label = f"{numbers.number(c.amplitude_deg, 3)} deg"
+        label = f"{numbers.format_number(c.amplitude_deg, 3)} deg"
         y = [file.stiffness_for(float(f), c.amplitude_deg, outside="hold") for f in x]
         traces += [
-            ev.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
+            ev.make_point_trace(
+                optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group
+            ),
             ev.Trace(x=x, y=y, group=group),
         ]
     caption = "Points are the optima, curves the rule."
     y_label = f"{file.coefficient} ({numbers.unit_text(file.unit) or '1'})"
-    return ev.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
+    return ev.make_figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)

@@ -22,7 +22,7 @@ from swimid.files.yamlio import Rows
 from swimid.fitting.model import Array
 from swimid.logs.kinematics import UNSTEADY
 from swimid.logs.log import to_xarray
-from swimid.notices import Notice, Progress, recorded, silent
+from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
 from swimid.optimisation.study import BATCH_GAITS, BEAT, STROKE, Performance, Point, StudyFile, points_of
@@ -30,7 +30,7 @@ from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
-from swimid.simulation.cases import value_text
+from swimid.simulation.cases import format_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -159,7 +159,7 @@ def performance_map(
     >>> float(found.frame.loc[found.frame["mean_speed_m_s"].idxmax(), "frequency_hz"])
     4.0
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         performance = Performance.of_options(options)
         if len(options.over) > 2:
             raise UsageError("a map has one axis or two")
@@ -247,7 +247,7 @@ def _simulate(
             compute, jobs = partial(rebuilt.call, "compute"), executors.WAITING
 
         def one(k: int) -> Array:
-            return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
+            return checkpoint.get_or_compute(f"points {k}", lambda: compute(parts[k]))
 
         found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
     return np.concatenate([rows.reshape(-1, len(cells.performance.units), 2) for rows in found])
@@ -259,10 +259,10 @@ def _simulate(
 def make_map_evidence(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a map, with checks, tables and figures."""
     axes = " and ".join(f"{axis.name} ({len(axis.values)} values)" for axis in file.axes)
-    grid = [
-        f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} × {len(a.values)}"
-        for a in file.axes
-    ]
+    grid = []
+    for axis in file.axes:
+        first, last = numbers.format_number(axis.values[0]), numbers.format_number(axis.values[-1])
+        grid.append(f"{axis.name} {first} to {last} × {len(axis.values)}")
     methods = [
         f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
         "rest and was judged by its last whole beats. The power of driven joints is that of their "
@@ -283,7 +283,9 @@ def _checks(file: MapFile) -> list[ev.Check]:
     region = {n: ends for n, ends in file.identified.items() if n in axes or n in BEAT | STROKE}
     broken = f"{file.broken} of {len(points)}"
     checks = [
-        ev.check("runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"),
+        ev.make_check(
+            "runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"
+        ),
         studies.steady_check(len(points) - file.unsettled, len(points)),
         studies.region_check(region, points),
     ]
@@ -303,8 +305,8 @@ def answer(file: MapFile) -> str:
         values = np.array(file.quantities[name].values, dtype=float)
         at = np.unravel_index(int(np.nanargmax(sign * values)), values.shape)[: len(file.axes)]
         on_axes = list(zip(file.axes, at, strict=True))
-        place = ", ".join(f"{axis.name} {numbers.number(axis.values[i], 3)}" for axis, i in on_axes)
-        best = numbers.number(sign * float(np.nanmax(sign * values)), 3, file.quantities[name].unit)
+        place = ", ".join(f"{axis.name} {numbers.format_number(axis.values[i], 3)}" for axis, i in on_axes)
+        best = numbers.format_number(sign * float(np.nanmax(sign * values)), 3, file.quantities[name].unit)
         edge = any(i in (0, len(axis.values) - 1) for axis, i in on_axes)
         parts.append(f"{word} {best} at {place}" + ", on the edge of the map" * edge)
     text = "; ".join(parts) or "mapped"
@@ -319,7 +321,7 @@ def _best_table(file: MapFile) -> ev.Table:
     """
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):
-        row: dict[str, ev.Cell] = {first.name: numbers.number(at)}
+        row: dict[str, ev.Cell] = {first.name: numbers.format_number(at)}
         if len(file.axes) == 1:
             row |= {name: _cell(file, name, i, 0) for name in _select_plotted(file)}
         for name in BEST if len(file.axes) == 2 else ():
@@ -327,17 +329,17 @@ def _best_table(file: MapFile) -> ev.Table:
                 word, sign = BEST[name]
                 values = sign * np.array(file.quantities[name].values[i], dtype=float)
                 j = int(np.argmax(np.nan_to_num(values, nan=-np.inf)))
-                row[f"{word} at {file.axes[1].name}"] = numbers.number(file.axes[1].values[j])
+                row[f"{word} at {file.axes[1].name}"] = numbers.format_number(file.axes[1].values[j])
                 row[word] = _cell(file, name, i, j)
         rows.append(row)
-    return ev.table("best", f"Best points at each {first.name}", rows)
+    return ev.make_table("best", f"Best points at each {first.name}", rows)
 
 
 def _cell(file: MapFile, name: str, row: int, column: int) -> str:
     q, sd = file.quantities[name], None
     if q.stderr is not None:
         sd = q.stderr[row][column]
-    return value_text(q.values[row][column], q.unit, sd)
+    return format_quantity(q.values[row][column], q.unit, sd)
 
 
 def _select_plotted(file: MapFile) -> list[str]:
@@ -384,7 +386,7 @@ def _axis_title(axis: MapAxis) -> str:
 
 def _heat(file: MapFile, name: str) -> ev.Panel:
     values, title = _to_plot_unit(file, name)
-    rows, columns = ([numbers.number(v, 3) for v in axis.values] for axis in file.axes)
+    rows, columns = ([numbers.format_number(v, 3) for v in axis.values] for axis in file.axes)
     cells = [[float(f"{v:.3g}") for v in row] for row in values]
     heat = ev.Heat(rows=rows, columns=columns, values=cells, scale="linear")  # type: ignore[arg-type]
     down, along = (_axis_title(axis) for axis in file.axes)
@@ -403,7 +405,7 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
         found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]
         if found:
             x, y = np.vstack(found).T
-            traces.append(ev.Trace(x=x, y=y, label=numbers.number(float(level), 3), group=k))
+            traces.append(ev.Trace(x=x, y=y, label=numbers.format_number(float(level), 3), group=k))
     if all(axis.name in file.identified for axis in file.axes):
         (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in (along, down))
         frame = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}

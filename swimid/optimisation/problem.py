@@ -224,7 +224,7 @@ class GaitProblem:
         """Simulate gaits at points of the unit cube, and return their quantities, shape (n, quantities)."""
         gaits = [{**self.fixed, **self.at(x)} for x in points]
         self.calls += 1
-        found = self.checkpoint.kept(
+        found = self.checkpoint.get_or_compute(
             f"runs {self.calls}", lambda: self.performance.many(gaits, values).ravel()
         )
         return found.reshape(-1, len(self.performance.units))

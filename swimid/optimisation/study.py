@@ -33,7 +33,7 @@ from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.robots import file as robot_format
 from swimid.simulation import cases, catalogue
-from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_drive, swim_input
+from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, list_drive_options, swim_input
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.model import Swimmer
 
@@ -97,7 +97,7 @@ class Performance:
             file, _ = catalogue.read_parameters(options.params)
             if file.model not in ("multilink", "multibody"):
                 raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
-        made = cls(catalogue.load_robot(options, file), given_drive(options), options)
+        made = cls(catalogue.load_robot(options, file), list_drive_options(options), options)
         if not made.model.driven:
             raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
         return made
@@ -189,7 +189,7 @@ class Performance:
     def run(self, point: Point) -> SwimRun:
         """Return the simulation of a gait from rest, before it is computed."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
-        return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
+        return SwimRun.simulate_drive(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
         """Return the parameter vector of the model with the coefficients of a gait."""
@@ -306,8 +306,8 @@ class OptimisationStudy:
     def save(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
         """Write file content and evidence to the output, if there is one; return them as a result."""
         file.verdict = evidence.verdict.level
-        result = made.of(file, evidence).saved(self.output)
-        self.checkpoint.done()
+        result = made.of(file, evidence).write_output(self.output)
+        self.checkpoint.finish()
         return result
 
 
@@ -324,7 +324,7 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
     name, folder, params = options.robot, None, None
     if given is not None:
         inputs.append(parameters_format.origin(given))
-        place = parameters_format.place(given)
+        place = parameters_format.source_path(given)
         params = place.name
         if name is None and applied.file is not None:
             name, folder = applied.file.robot, place.parent
@@ -346,7 +346,7 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
         "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
     }
     return OptimisationStudy(
-        output, Checkpoint.beside(output, [origin["inputs"], origin["settings"]]), origin, head
+        output, Checkpoint.of_output(output, [origin["inputs"], origin["settings"]]), origin, head
     )
 
 
@@ -388,12 +388,12 @@ def make_evidence(
     doubts = "; ".join(n.text for n in notices if n.code in DOUBTFUL_CODES)
     if doubts:
         name, limit = "coefficients are those of a sound fit", "converged, identified, within bounds"
-        checks = [*checks, ev.check(name, "no", False, limit, reason=doubts)]
+        checks = [*checks, ev.make_check(name, "no", False, limit, reason=doubts)]
     robot = {"Robot": file.robot, "Parameters": file.params or "the robot file's"}
     return ev.Evidence(
         command=command,
         title=f"{file.kind.removesuffix(' file').capitalize()} of {file.robot}",
-        verdict=ev.judged(answer, checks),
+        verdict=ev.make_verdict(answer, checks),
         facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},
         checks=list(checks),
         notices=ev.notices(notices),
@@ -406,7 +406,7 @@ def make_evidence(
 def count_check(name: str, passed: int, count: int, text: str, reason: str = "") -> ev.Check:
     """Return a check that passes if all of ``count`` items pass. ``text`` is shown if some do not."""
     value, text = f"{passed} of {count}", text * (passed < count)
-    return ev.check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
+    return ev.make_check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
 
 
 def draws_check(inside: float) -> ev.Check:
@@ -414,12 +414,12 @@ def draws_check(inside: float) -> ev.Check:
     value, passed = numbers.percent(inside, 2), inside >= MIN_INSIDE
     text = "the coefficients have large standard errors: add trials that identify them" * (not passed)
     name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
-    return ev.check(name, value, passed, "half or more", text, reason=reason)
+    return ev.make_check(name, value, passed, "half or more", text, reason=reason)
 
 
 def make_undefined_check(name: str) -> ev.Check:
     """Return an entry of the evidence which states that the uncertainty named ``name`` is not known."""
-    return ev.check(name, "not known", None, text="give a parameter file with standard errors: --params")
+    return ev.make_check(name, "not known", None, text="give a parameter file with standard errors: --params")
 
 
 def steady_check(steady: int, count: int) -> ev.Check:
@@ -434,7 +434,7 @@ def region_check(
     """Check that gaits lie inside the range of each drive parameter in the identification trials."""
     name = "inside the range of the identification trials"
     if not region:
-        return ev.check(name, "not known", None, text="give the parameter file of a fit: --params")
+        return ev.make_check(name, "not known", None, text="give the parameter file of a fit: --params")
     outside = [find_outside(region, at) for at in points]
     names = ", ".join(name for name in region if any(name in one for one in outside))
     text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"

@@ -27,7 +27,7 @@ from swimid.logs.mapping import FORMAT as MAPPING
 from swimid.logs.mapping import guess_mapping
 from swimid.logs.point_files import tracked_points
 from swimid.notices import Progress, silent
-from swimid.projects.survey import Recording, several
+from swimid.projects.survey import SurveyedFile, several
 from swimid.robots.file import list_built_in_robots
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup
@@ -50,7 +50,7 @@ UNSTATED = {"id", "log", "drive", "coefficients"}
 
 
 @dataclass
-class Group:
+class RecordingGroup:
     """Recordings that were made in the same way.
 
     Attributes
@@ -73,17 +73,17 @@ class Group:
     """
 
     name: str
-    recordings: list[Recording]
+    recordings: list[SurveyedFile]
     columns: tuple[str, ...] = ()
     steps: list[dict[str, Any]] = field(default_factory=list)
     rates_hz: dict[Path, float] = field(default_factory=dict)
-    companions: list[Group] = field(default_factory=list)
+    companions: list[RecordingGroup] = field(default_factory=list)
     fitting: list[str] = field(default_factory=list)
     experiment: str = ASK
     robot: str = ASK
 
     @property
-    def first(self) -> Recording:
+    def first(self) -> SurveyedFile:
         """First recording of the group, from which its files are drafted."""
         return self.recordings[0]
 
@@ -121,7 +121,7 @@ class Project:
     experiment: str | None
     kinds: Mapping[str, type[Trials]]
     experiment_file: Path | None = None
-    groups: list[Group] = field(default_factory=list)
+    groups: list[RecordingGroup] = field(default_factory=list)
     files: dict[str, str] = field(default_factory=dict)
     pictures: dict[str, SetupDraft] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
@@ -134,7 +134,7 @@ class Project:
         """Return a path relative to the folder of the project, with slashes."""
         return relative(path, self.folder)
 
-    def fitting(self, group: Group) -> list[str]:
+    def fitting(self, group: RecordingGroup) -> list[str]:
         """Return the experiments whose columns the logs of a group have; all if the columns are unknown.
 
         Those that need most columns come first.
@@ -147,7 +147,7 @@ class Project:
         names = [name for name, kind in found.items() if not known or kind.has_columns(group.columns)]
         return sorted(names, key=lambda name: -len(found[name].usual))
 
-    def all_groups(self) -> list[Group]:
+    def all_groups(self) -> list[RecordingGroup]:
         """Return the groups, each followed by its companions."""
         return [one for group in self.groups for one in (group, *group.companions)]
 
@@ -160,12 +160,12 @@ class Project:
         return found
 
 
-def groups_of(recordings: Iterable[Recording]) -> list[Group]:
+def groups_of(recordings: Iterable[SurveyedFile]) -> list[RecordingGroup]:
     """Return the groups of recordings that were made in the same way, films last.
 
     A film of which a tracker's table is there is not tracked again.
     """
-    found: dict[Any, list[Recording]] = {}
+    found: dict[Any, list[SurveyedFile]] = {}
     order = ("", "log", "points", "table", "choice", "film")
     usable = [one for one in recordings if one.is_alone or one.kind in order]
     rates: dict[Path, float] = {}
@@ -182,16 +182,16 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
         if one.path not in tracked:
             alone = one.path if one.is_alone or one.kind == "choice" else None
             found.setdefault((one.alike, alone), []).append(one)
-    groups: list[Group] = []
+    groups: list[RecordingGroup] = []
     for members in found.values():
         kind = members[0].kind
         number = sum(group.first.kind == kind for group in groups) + 1
         known = {one.path: rates[one.path] for one in members if rates.get(one.path)}
-        groups.append(Group(f"{kind}-{number}", members, rates_hz=known))
+        groups.append(RecordingGroup(f"{kind}-{number}", members, rates_hz=known))
     return groups
 
 
-def _namesake(table: Recording, others: Iterable[Recording]) -> Recording | None:
+def _namesake(table: SurveyedFile, others: Iterable[SurveyedFile]) -> SurveyedFile | None:
     """Return the recording with whose name that of a table begins; of several, the one beside the table."""
     name, found = table.path.stem, []
     for other in others:
@@ -201,13 +201,13 @@ def _namesake(table: Recording, others: Iterable[Recording]) -> Recording | None
     return max(found, key=lambda entry: entry[:2])[2] if found else None
 
 
-def pair_groups(groups: list[Group]) -> list[Group]:
+def pair_groups(groups: list[RecordingGroup]) -> list[RecordingGroup]:
     """Return the groups that need trials of their own; tables of the same trials become their companions.
 
     ``swim1_servo.csv`` belongs to ``swim1.mp4`` if each table like it has its film, log or points.
     """
     bases = [group for group in groups if group.first.kind in ("film", "points", "log")]
-    kept: list[Group] = []
+    kept: list[RecordingGroup] = []
     for group in groups:
         others = [one for base in bases if base is not group for one in base.recordings]
         names = [_namesake(one, others) for one in group.recordings]
@@ -222,7 +222,9 @@ def pair_groups(groups: list[Group]) -> list[Group]:
     return kept
 
 
-def draft(project: Project, groups: list[Group], notes: list[Recording], progress: Progress = silent) -> None:
+def draft(
+    project: Project, groups: list[RecordingGroup], notes: list[SurveyedFile], progress: Progress = silent
+) -> None:
     """Add the files for all groups to a project: setups, mappings, points, trials, plan and robot."""
     groups = project.groups = pair_groups(groups)
     for group in groups:
@@ -245,7 +247,7 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
             project.files["robot.yaml"] = project.robot_text
             project.missing += project.robot_asks
             return
-        project.files["robot.yaml"] = rendered(
+        project.files["robot.yaml"] = render_template(
             "robot.yaml", rigid="body" in forms, linked="links" in forms, links=links
         )
 
@@ -253,7 +255,7 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
 # ---------------------------------------------------------------- logs
 
 
-def _of_film(project: Project, group: Group, progress: Progress) -> None:
+def _of_film(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add the setup of a camera, drafted from the first film in which two markers, or else one, are found."""
     name = f"{group.name}.setup.yaml"
     group.columns = ("x_m", "y_m", "yaw_rad")
@@ -261,7 +263,7 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
     if group.first.rate_hz == 0:
         options["fps"] = ASK
     group.steps = [{"track video": options}]
-    found: list[tuple[Recording, SetupDraft]] = []
+    found: list[tuple[SurveyedFile, SetupDraft]] = []
     for film in group.recordings:
         try:
             made = track_setup(film.path, fps=None if film.rate_hz else 1.0, progress=progress)
@@ -296,7 +298,7 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
     )
 
 
-def _of_points(project: Project, group: Group, progress: Progress) -> None:
+def _of_points(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add a points file: places on a robot if the robot is known, and a chain otherwise."""
     name = f"{group.name}.points.yaml"
     points = list(tracked_points({name: np.empty(0) for name in group.first.columns}))
@@ -325,7 +327,7 @@ def _of_points(project: Project, group: Group, progress: Progress) -> None:
     group.columns = ("x_m", "y_m", "yaw_rad", "joint1_rad")
 
 
-def _of_table(project: Project, group: Group, progress: Progress) -> None:
+def _of_table(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add a mapping of a table."""
     name = f"{group.name}.map.yaml"
     group.steps = [{"import": {"map": name}}]
@@ -335,14 +337,14 @@ def _of_table(project: Project, group: Group, progress: Progress) -> None:
             open_table(group.first.path)
         except InputError as error:
             if several(error):
-                text += f"# join: may add columns of another topic (docs/mapping.md). {error.hint}\n"
+                text += f"# join: may add columns of another topic (docs/import.md). {error.hint}\n"
     project.files[name] = text
     group.columns = tuple(re.findall(r"(?m)^ *- .*target: (\w+)", text))
     if not group.columns:
         group.columns = group.first.columns
 
 
-def _of_choice(project: Project, group: Group, progress: Progress) -> None:
+def _of_choice(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Note that the user must choose one of several topics, tracks or sheets before a mapping is drafted."""
     name = f"{group.name}.map.yaml"
     group.steps = [{"import": {"map": name}}]
@@ -353,7 +355,7 @@ def _of_choice(project: Project, group: Group, progress: Progress) -> None:
     )
 
 
-def _of_log(project: Project, group: Group, progress: Progress) -> None:
+def _of_log(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Note the columns of a log, which needs no further file."""
     group.columns = group.first.columns
 
@@ -367,7 +369,7 @@ DRAFTS = {
 }
 
 
-def _add_companions(project: Project, group: Group, progress: Progress) -> None:
+def _add_companions(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add the mapping that joins the tables of the same trials to the logs of a group, by their names.
 
     The clock of each table is aligned by a commanded joint angle and the heading. An inertial log is not
@@ -425,7 +427,7 @@ def _add_plan(project: Project) -> None:
     project.files["plan.yaml"] = head + yamlio.dumps(plan)
 
 
-def _patterns(project: Project, group: Group) -> list[str]:
+def _patterns(project: Project, group: RecordingGroup) -> list[str]:
     """Return the patterns of the files of a group: one for a folder all of whose files belong to it."""
     members = {one.path for one in group.recordings}
     patterns: dict[str, None] = {}
@@ -458,7 +460,7 @@ def _logs_of(project: Project) -> dict[Path, str]:
     return {path: made.get(name, name) for path, name in own.items()}
 
 
-def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Recording]) -> None:
+def _add_trials(project: Project, group: RecordingGroup, logs: list[str], notes: list[SurveyedFile]) -> None:
     """Add the trials file of a group, whose recordings have these logs."""
     fitting, kinds = project.fitting(group), project.kinds
     group.experiment = experiment = _choose_experiment(project, group, fitting, notes)
@@ -491,13 +493,15 @@ def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Rec
             lines.append(f"# The drive is in the logs: {', '.join(commands)}.")
             entries = [{key: entry[key] for key in entry if key != "drive"} for entry in entries]
         files = {one.path.name for group in project.all_groups() for one in group.recordings}
-        lines += [*_unused(notes, kind, files), "trials:"]
+        lines += [*_list_unused(notes, kind, files), "trials:"]
         for log, ident, entry in zip(logs, _idents(group), entries, strict=True):
             lines.append(f"  - {_flow({'id': ident, 'log': log, **entry})}")
     project.files[f"{group.name}.trials.yaml"] = "\n".join(lines) + "\n"
 
 
-def _choose_experiment(project: Project, group: Group, fitting: list[str], notes: list[Recording]) -> str:
+def _choose_experiment(
+    project: Project, group: RecordingGroup, fitting: list[str], notes: list[SurveyedFile]
+) -> str:
     """Return the experiment of a group among those that its columns fit; ``ASK`` if it is not known.
 
     The logs or the user state it, or they state the keys that only one experiment asks for.
@@ -518,7 +522,7 @@ def _choose_experiment(project: Project, group: Group, fitting: list[str], notes
     return complete[0] if len(complete) == 1 else ASK
 
 
-def _idents(group: Group) -> list[str]:
+def _idents(group: RecordingGroup) -> list[str]:
     """Return an id of a trial for each recording: the stem of its name, with its folder if stems repeat."""
     stems = [one.path.stem for one in group.recordings]
     if len(set(stems)) == len(stems):
@@ -554,7 +558,7 @@ def _key_of(header: str, keys: Iterable[str]) -> tuple[str, float] | None:
     return None
 
 
-def _unused(notes: list[Recording], kind: type[Trials] | None, files: set[str]) -> list[str]:
+def _list_unused(notes: list[SurveyedFile], kind: type[Trials] | None, files: set[str]) -> list[str]:
     """Return a comment line for each table of recordings that has columns which are no keys of the trials."""
     lines = []
     for table in notes:
@@ -567,7 +571,7 @@ def _unused(notes: list[Recording], kind: type[Trials] | None, files: set[str]) 
     return lines
 
 
-def _keys_of(one: Recording, notes: list[Recording], kind: type[Trials] | None) -> dict[str, Any]:
+def _keys_of(one: SurveyedFile, notes: list[SurveyedFile], kind: type[Trials] | None) -> dict[str, Any]:
     """Return the keys of a trial that the metadata of its log, or a table of recordings, states."""
     keys = sorted(_keys(kind))
     found = {key: value for key, value in one.metadata.items() if key in keys and value is not None}
@@ -596,7 +600,7 @@ def relative(path: Path, folder: Path) -> str:
     return Path(relpath(path, folder)).as_posix()
 
 
-def rendered(template: str, **variables: Any) -> str:
+def render_template(template: str, **variables: Any) -> str:
     """Return the text of a template of this package with its variables filled in."""
     environment = Environment(
         loader=PackageLoader("swimid.projects"),

@@ -18,13 +18,13 @@ from swimid.projects import drafts
 from swimid.projects.drafts import RUN, Project
 from swimid.projects.options import InitOptions
 from swimid.projects.robot import find_robot
-from swimid.projects.survey import Recording, survey
+from swimid.projects.survey import SurveyedFile, survey
 from swimid.results.evidence import Table
 from swimid.results.result import Result, table_text
 from swimid.robots import file as robot_format
 
 #: Maximum number of questions and of files that the terminal shows. The README of the project has all.
-MAX_SHOWN = 12
+MAX_LISTED_ENTRIES = 12
 #: Maximum number of questions of one file that the terminal shows one by one.
 MAX_LINES = 4
 
@@ -111,15 +111,15 @@ def init(
     if robot is None:
         _add_robot(project, source)
     written: list[Path] = []
-    with atomic.together():
+    with atomic.write_together():
         if output is not None:
             # Paths of the plan are looked up from the folder, which is removed again after an error.
             atomic.make_folder(target)
-        data = _drafted(project, source, recordings, progress)
+        data = _draft_files(project, source, recordings, progress)
         if output is not None:
             written = _write(project)
             data["next"] = f"cd {shlex.quote(str(target))}"
-    return Drafted("init", _told(project, data), data, written, document=project)
+    return Drafted("init", _describe_project(project, data), data, written, document=project)
 
 
 def _add_robot(project: Project, source: Path) -> None:
@@ -135,8 +135,8 @@ def _add_robot(project: Project, source: Path) -> None:
         project.robot_asks = [f"{words}: {ask}" for ask in asks] or [f"{words}: check it"]
 
 
-def _drafted(
-    project: Project, source: Path, recordings: list[Recording], progress: Progress
+def _draft_files(
+    project: Project, source: Path, recordings: list[SurveyedFile], progress: Progress
 ) -> dict[str, Any]:
     """Add all files to a project, and return what was found, the questions and the commands as plain data."""
     notes = [one for one in recordings if one.kind == "notes"]
@@ -145,7 +145,7 @@ def _drafted(
     grouped = {one.path for group in shown for one in group.recordings}
     commands, questions = _commands(project), project.questions()
     others = [one for one in recordings if one.path not in grouped]
-    project.files["README.md"] = drafts.rendered(
+    project.files["README.md"] = drafts.render_template(
         "README.md", folder=source.resolve().name, groups=shown, others=others,
         missing=project.missing, questions=questions, commands=commands,
     )  # fmt: skip
@@ -197,7 +197,7 @@ def _commands(project: Project) -> list[str]:
     return commands
 
 
-def _told(project: Project, data: dict[str, Any]) -> str:
+def _describe_project(project: Project, data: dict[str, Any]) -> str:
     """Return the text that the command prints: groups, other files, and what is to be answered."""
     rows = [
         [group.name, str(len(group.recordings)), group.first.path.name, group.first.about]
@@ -217,7 +217,11 @@ def _told(project: Project, data: dict[str, Any]) -> str:
             asked += [f"{name}, line {one['line']}: {one['text']}" for one in lines_of]
     for title, entries in (("Other files", data["others"]), ("To answer", asked)):
         if entries:
-            lines += ["", f"{title} ({len(entries)}):", *(f"  {entry}" for entry in entries[:MAX_SHOWN])]
-        if len(entries) > MAX_SHOWN:
-            lines.append(f"  and {len(entries) - MAX_SHOWN} more in README.md")
+            lines += [
+                "",
+                f"{title} ({len(entries)}):",
+                *(f"  {entry}" for entry in entries[:MAX_LISTED_ENTRIES]),
+            ]
+        if len(entries) > MAX_LISTED_ENTRIES:
+            lines.append(f"  and {len(entries) - MAX_LISTED_ENTRIES} more in README.md")
     return "\n".join(lines)

@@ -20,7 +20,7 @@ INDEX, ALL = "samples.yaml", "all"
 #: File of a sample that lists the recordings to download.
 DOWNLOAD = "download.yaml"
 #: Folder of the samples in an installed package, and in the source.
-PLACES = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
+SAMPLE_FOLDERS = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
 
 
 class Sample(Result):
@@ -77,7 +77,7 @@ def sample(
     >>> list(sample().data["samples"])[:3]
     ['rig', 'cruise', 'tfish']
     """
-    source = next((place for place in PLACES if place.is_dir()), None)
+    source = next((place for place in SAMPLE_FOLDERS if place.is_dir()), None)
     if source is None:
         raise InputError("the samples are not part of this installation", hint="reinstall swimid")
     known = yamlio.load(source / INDEX)
@@ -96,7 +96,7 @@ def sample(
     described = origin / DOWNLOAD
     if options.address is not None and not described.is_file():
         raise UsageError(f"nothing of the sample '{name}' is downloaded", hint="leave --from out")
-    with atomic.together():
+    with atomic.write_together():
         atomic.make_folder(folder)
         if described.is_file():
             copies += download.fetch(described, folder, address=options.address, progress=progress)
@@ -107,7 +107,7 @@ def sample(
             if path.is_dir():
                 atomic.make_folder(copy)
             elif path.name not in (INDEX, DOWNLOAD):
-                with atomic.replacing(copy) as temporary:
+                with atomic.replace_file(copy) as temporary:
                     shutil.copyfile(path, temporary)
                 copies.append(copy)
     command = " ".join(str(known[name]["command"]).split()).format(folder=shlex.quote(folder.as_posix()))

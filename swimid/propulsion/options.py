@@ -21,5 +21,5 @@ class FitPropulsionOptions(Options, command="fit-propulsion", section="Identify"
 
     drag: Source = option(None, help="Drag file of the rig (fit-drag); needed for a cruise.", recorded=False)
     keep_departures: bool = option(False, help="Keep frequencies that depart from the law in the fit.")
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from swimid.files import atomic
 from swimid.files.provenance import SOFTWARE
 from swimid.results import numbers
-from swimid.results.evidence import MAX_POINTS, Figure, Heat, Panel, Trace, thinned
+from swimid.results.evidence import MAX_TRACE_POINTS, Figure, Heat, Panel, Trace, thin_curve
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ WIDTH, HEIGHT = 3.5, 2.3
 #: Total height of a figure of three or more panels, and minimum height of one panel, inches.
 TALLEST, LOW = 5.1, 1.2
 #: Space that labels and title need around the axes of a panel, in width and in height, inches.
-FRAME = 0.6
+AXES_MARGIN_INCH = 0.6
 #: Font size of figures, points, as in the style file ``figure.mplstyle``.
 FONT = 8.0
 #: Approximate width of a letter as a fraction of the font size. It is used to estimate the width of a text.
@@ -184,8 +184,8 @@ def _trace(
         if not np.any(y):  # A trace that is zero everywhere is a band without a line.
             band.set_label(trace.label)
             return
-    elif len(x) > MAX_POINTS:
-        x, y = thinned(x, y)
+    elif len(x) > MAX_TRACE_POINTS:
+        x, y = thin_curve(x, y)
     if trace.y_error is not None:
         axes.errorbar(x, y, yerr=_array(trace.y_error), fmt="none", ecolor=colour, lw=0.9, capsize=2)
     if trace.style in ("points", "stems"):
@@ -221,13 +221,13 @@ def _scales(axes: Axes, panel: Panel) -> None:
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
         if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
             getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
-            axis.set_major_formatter(FuncFormatter(partial(_scaled, 1.0)))
+            axis.set_major_formatter(FuncFormatter(partial(_format_tick, 1.0)))
             axis.set_minor_formatter(NullFormatter())
             continue
         largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
         power = math.floor(math.log10(largest or 1.0))
         if not -3 <= power < 5:
-            axis.set_major_formatter(FuncFormatter(partial(_scaled, 10.0**power)))
+            axis.set_major_formatter(FuncFormatter(partial(_format_tick, 10.0**power)))
             axis.set_label_text(f"{axis.get_label_text()}, × {numbers.power_of_ten(power)}")
     for names, axis in ((panel.x_categories, axes.xaxis), (panel.y_categories, axes.yaxis)):
         if names is not None:
@@ -247,7 +247,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
         axes.invert_yaxis()
 
 
-def _scaled(factor: float, value: float, _: int | None) -> str:
+def _format_tick(factor: float, value: float, _: int | None) -> str:
     return f"{value / factor:.4g}".replace("-", "−")
 
 
@@ -304,7 +304,7 @@ def _heat(axes: Axes, heat: Heat) -> None:
     if heat.scale == "log":
         low, high = 0.0, max(high, math.log(3.0))
     rows = [_cut(name) for name in heat.rows]
-    texts = [[numbers.number(float(value), 2) for value in row] for row in values]
+    texts = [[numbers.format_number(float(value), 2) for value in row] for row in values]
     letters = max((len(text) for row in texts for text in row), default=1) + 1
     room = 72 * WIDTH - LETTER * FONT * max((len(row) for row in rows), default=0)
     size = min(FONT, room / max(len(heat.columns), 1) / (letters * LETTER))
@@ -333,7 +333,7 @@ def _height(panel: Panel, panels: int = 1) -> float:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
     if not is_to_scale(panel):
         return max(min(HEIGHT, TALLEST / panels), LOW)
-    return min(max((WIDTH - FRAME) * _shape(panel), 0.8), 4.0) + FRAME
+    return min(max((WIDTH - AXES_MARGIN_INCH) * _shape(panel), 0.8), 4.0) + AXES_MARGIN_INCH
 
 
 def is_to_scale(panel: Panel) -> bool:
@@ -399,13 +399,13 @@ def canvas(
                         place.tick_params(labelbottom=False)
                         shared = place
                 place = drawn.add_subplot(next(grid), sharex=shared)
-                shown = panel.model_copy(update={"title": _lettered(figure, index, heading)})
+                shown = panel.model_copy(update={"title": _panel_title(figure, index, heading)})
                 paint(place, shown, slots, legend=legend)
                 step(1)
     return drawn
 
 
-def _lettered(figure: Figure, index: int, heading: str = "") -> str:
+def _panel_title(figure: Figure, index: int, heading: str = "") -> str:
     """Return the title of a panel of a figure, with a letter such as ``(a)`` if there are several panels.
 
     ``heading`` is used as the title of a panel that has none.
@@ -442,13 +442,15 @@ def write(
     metadata = {"svg": {"Date": None, "Creator": SOFTWARE}, "png": {"Software": SOFTWARE}}[kind]
     with mpl.rc_context({**style(), "svg.fonttype": "path"}):
         drawn = canvas(figures, title=title, step=step)
-        with atomic.replacing(path) as temporary:
+        with atomic.replace_file(path) as temporary:
             drawn.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
             if kind == "svg":
-                temporary.write_text(_numbered(temporary.read_text(encoding="utf-8"), ""), encoding="utf-8")
+                temporary.write_text(
+                    _number_clips(temporary.read_text(encoding="utf-8"), ""), encoding="utf-8"
+                )
 
 
-def _numbered(text: str, prefix: str) -> str:
+def _number_clips(text: str, prefix: str) -> str:
     """Derive the ids of the clip paths in the text of an SVG file from a prefix and their order.
 
     matplotlib derives them from addresses in memory, which differ between runs.
@@ -482,14 +484,14 @@ def for_page(figure: Figure, prefix: str) -> list[str]:
         page: Any = {"svg.fonttype": "none", "figure.facecolor": "none", "svg.hashsalt": f"{prefix}{index}"}
         with mpl.rc_context({**style(), **page}):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
-            shown = panel.model_copy(update={"title": _lettered(figure, index)})
+            shown = panel.model_copy(update={"title": _panel_title(figure, index)})
             paint(drawn.add_subplot(), shown, slots, compact=True)
             file = io.StringIO()
             drawn.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
         names = ", ".join(trace.label for trace in panel.traces if trace.label)
         title = ": ".join(filter(None, [figure.title, panel.title]))
         about = f"{title}. {panel.y_label} over {panel.x_label}. {names}"
-        drawings.append(_inline(_numbered(file.getvalue(), f"{prefix}{index}-"), about))
+        drawings.append(_inline(_number_clips(file.getvalue(), f"{prefix}{index}-"), about))
     return drawings
 
 

@@ -21,18 +21,18 @@ from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
 from swimid.files.templates import environment
-from swimid.notices import Progress, read_codes, recorded, silent, warn
+from swimid.notices import Progress, read_codes, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.results.options import Kind, ReportOptions
-from swimid.results.parameters import Fitted, value_text
+from swimid.results.parameters import Fitted, estimate_text
 from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
 #: Symbol and word that a report shows for each level of a verdict, so that it is legible without colour.
-LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
-CHECKS = {
+LEVEL_SYMBOLS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
+CHECK_SYMBOLS = {
     "pass": ("✓", "pass", "good"),
     "warn": ("!", "warn", "caution"),
     "fail": ("✕", "fail", "bad"),
@@ -106,7 +106,7 @@ def report(
         if isinstance(source, Path):
             source = _read(source)
         results.append(source)
-    contents = _titled(results)
+    contents = _make_titles(results)
     heading = options.title or "Identification report"
     if options.title is None and len(contents) == 1:
         heading = contents[0].title
@@ -163,7 +163,7 @@ def _read(path: Path) -> Result:
     SWM050
         The evidence is missing.
     """
-    with recorded(repeat=True) as raised:
+    with record_warnings(repeat=True) as raised:
         result = load_result(path)
         shown = result.evidence
         if shown is None:
@@ -177,7 +177,7 @@ def _read(path: Path) -> Result:
 # ---------------------------------------------------------------- page
 
 
-def _titled(results: Sequence[Result]) -> list[ev.Evidence]:
+def _make_titles(results: Sequence[Result]) -> list[ev.Evidence]:
     """Return the content of each result. On a page of several results the titles differ.
 
     They name the parameter file that the result is about, and the result file if that is not enough.
@@ -233,7 +233,7 @@ def _digests(content: ev.Evidence) -> set[str]:
 def _worst(contents: Sequence[ev.Evidence]) -> ev.Verdict:
     """Return the worst level among results, and a sentence that says how many results have this level."""
     levels = [shown.verdict.level for shown in contents]
-    worst = max(levels, key=list(LEVELS).index)
+    worst = max(levels, key=list(LEVEL_SYMBOLS).index)
     count = levels.count(worst)
     verb = {"good": "can be used", "caution": "needs care", "bad": "should not be used"}[worst]
     if len(levels) == 1:
@@ -282,10 +282,10 @@ def render(
         "swimid.results", autoescape=is_html, lstrip_blocks=True, keep_trailing_newline=True
     )
     templates.globals.update(
-        levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
+        levels=LEVEL_SYMBOLS, checks=CHECK_SYMBOLS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
     )
     templates.filters.update(md=_markdown, code=_code, name_of=reading.name_of)
-    groups = compared(results)
+    groups = compare_fits(results)
     folded = [fit for fits, _ in groups for fit in fits]
     shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]
     shown += zip(contents, results, strict=True)
@@ -297,7 +297,7 @@ def render(
                 panels: list[str] = []
                 if is_html:
                     panels = drawing.for_page(figure, f"{k}-{n}-")
-                pictures.append((_explained(figure), panels))
+                pictures.append((_explain_figure(figure), panels))
                 step()
             section = _parts(content, pictures) | {"anchor": f"r{k}", "folded": result in folded}
             section |= {"kind": "Side by side", "path": None, "next": ""}
@@ -356,10 +356,11 @@ def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> 
         "more_figures": figures[n_main:],
         "more_tables": [table for table in content.tables if table not in tables],
         "checks": ", ".join(counts),
+        "check_count": ev.count_checks(content.checks),
     }
 
 
-def _explained(figure: ev.Figure) -> ev.Figure:
+def _explain_figure(figure: ev.Figure) -> ev.Figure:
     """Add remarks to the caption of a figure on how it is drawn: scales of a path, envelopes of traces."""
     caption = figure.caption
     paths = [drawing.is_to_scale(panel) for panel in figure.panels if panel.equal_aspect]
@@ -370,7 +371,7 @@ def _explained(figure: ev.Figure) -> ev.Figure:
         elif not all(paths):
             remark = "Both axes have the same scale, unless the title says that one is magnified."
         caption = f"{caption} {remark}"
-    if any(len(trace.x) > ev.MAX_POINTS for panel in figure.panels for trace in panel.traces):
+    if any(len(trace.x) > ev.MAX_TRACE_POINTS for panel in figure.panels for trace in panel.traces):
         caption += " Long traces are drawn as their envelope."
     return figure.model_copy(update={"caption": caption})
 
@@ -408,7 +409,7 @@ def _code(text: str) -> str:
 # ---------------------------------------------------------------- several fits of one model
 
 
-def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
+def compare_fits(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
     """Find fits of the same model among the results, and compare their parameters in a table and a figure.
 
     Return each group of two or more fits with this comparison. Fits belong to a group only if they have the
@@ -431,7 +432,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> ev.Evidence:
         known = {k: e for k, e in enumerate(held) if e.status == "estimated"}
         if "[" in name or not known:
             continue
-        rows.append([name, *map(value_text, held)])
+        rows.append([name, *map(estimate_text, held)])
         half = [numbers.Z95 * (e.stderr or math.nan) for e in known.values()]
         points = ev.Trace(x=list(known), y=[e.value for e in known.values()], y_error=half, style="points")
         label = f"{name} ({numbers.unit_text(first.unit) or '1'})"

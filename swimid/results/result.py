@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from swimid.commands import KINDS, found
+from swimid.commands import KINDS, find_commands
 from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
 from swimid.files import atomic, provenance, tabular, yamlio
 from swimid.files.provenance import paths_of, sha256
 from swimid.notices import warn
-from swimid.options import explained
+from swimid.options import explain_types
 from swimid.reading import name_of
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -40,7 +40,7 @@ File = TypeVar("File", bound="ResultFile")
 _CLASSES: dict[str, type[FileResult[Any]]] = {}
 #: Modules with the classes of the two results that several packages make: parameters, and logs.
 PARAMETERS, LOG = "swimid.results.parameters", "swimid.logs.tracks"
-LOG_ENDINGS = (".csv", *tabular.PARQUET)
+LOG_ENDINGS = (".csv", *tabular.PARQUET_ENDINGS)
 
 #: Maximum width of a line on a terminal, and minimum width of a table column with shortened texts,
 #: characters.
@@ -52,11 +52,11 @@ _NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³
 #: Members of results that the commands and reports use, and that :func:`dir` does not list.
 _INTERNAL = frozenset((
     "bare", "content", "ending", "exit_status", "file_type", "keys", "kind", "leads_page", "next_command",
-    "next_step", "of", "saved", "text",
+    "next_step", "of", "text", "write_output",
 ))  # fmt: skip
 
 
-def typed(name: str | Path) -> str:
+def quote_name(name: str | Path) -> str:
     """Return a file name as it is typed in a command: quoted for the shell, and never taken for an option.
 
     >>> typed("my $(run).yaml"), typed("-x.yaml")
@@ -82,7 +82,7 @@ class _Free(dict[str, str]):
         return next(one.name for one in places if not (one.exists() or ev.sidecar(one).exists()))
 
     @property
-    def repaired(self) -> str:
+    def repair_option(self) -> str:
         """Option for the second output of ``diagnose``; empty if its usual name is free."""
         name = self["repaired.yaml"]
         return "" if name == "repaired.yaml" else f" --repaired {name}"
@@ -153,16 +153,13 @@ class Result:
             return self.text
         shown = self.content()
         facts = "; ".join(f"{name[:1].lower()}{name[1:]} {value}" for name, value in shown.facts.items())
-        parts = [shown.title, *filter(None, [_wrapped(facts)])]
+        parts = [shown.title, *filter(None, [_wrap(facts)])]
         for table in [table for table in shown.tables if not table.folded][:1]:
             parts += ["", table_text(table)]
         if shown.notes:
-            parts += ["", *(_wrapped(note) for note in shown.notes)]
+            parts += ["", *(_wrap(note) for note in shown.notes)]
         word = (shown.verdict.word or shown.verdict.level).upper()
-        verdict = f"{word}: {shown.verdict.text}"
-        passed = sum(check.verdict == "pass" for check in shown.checks)
-        if passed:
-            verdict += f" {passed} {('checks pass', 'check passes')[passed == 1]}."
+        verdict = f"{word}: {shown.verdict.text} {ev.count_checks(shown.checks)}".rstrip()
         return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH, break_on_hyphens=False)])
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
@@ -178,8 +175,10 @@ class Result:
             Folder in which the command is typed. It must contain the inputs of the result, or the folder of
             the result file or one above it must. Otherwise there is no command.
         """
-        words: dict[str, Any] = {"file": typed(file), "free": _Free(folder)}
-        words["data"] = {name: typed(value) for name, value in self.data.items() if isinstance(value, str)}
+        words: dict[str, Any] = {"file": quote_name(file), "free": _Free(folder)}
+        words["data"] = {
+            name: quote_name(value) for name, value in self.data.items() if isinstance(value, str)
+        }
         step = self.next_step
         if "{trials}" in step:
             given = self._inputs(folder)
@@ -191,8 +190,8 @@ class Result:
             trials = next(place for place in given.values() if place not in code)
             # the code of a simulator is named in the trials file
             own = [] if getattr(self.document, "model", None) == "python" else code
-            words |= {"trials": typed(trials), "params": "".join(map(typed, params[:1]))}
-            words["own"] = "".join(f" --experiment {typed(place)}" for place in own)
+            words |= {"trials": quote_name(trials), "params": "".join(map(quote_name, params[:1]))}
+            words["own"] = "".join(f" --experiment {quote_name(place)}" for place in own)
         return step.format(**words)
 
     def _inputs(self, folder: Path) -> dict[str, str]:
@@ -252,12 +251,14 @@ class Result:
     @property
     def warnings(self) -> pd.DataFrame:
         """Table of the warnings of the computation, with their code (``docs/warnings.md``) and text."""
-        return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
+        return _frame(["code", "text"], [[n.code, n.text] for n in self._list_evidence("notices")])
 
     def checks(self) -> pd.DataFrame:
         """Return a table of all checks, with the name, value, limit and verdict of each check."""
         names = list(ev.Check.model_fields)
-        return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
+        return _frame(
+            names, [[getattr(check, name) for name in names] for check in self._list_evidence("checks")]
+        )
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return the tables that a report shows for the result. The key is the id of the table."""
@@ -266,13 +267,13 @@ class Result:
     @property
     def figure_names(self) -> list[str]:
         """Names of the figures of the result that :meth:`plot` draws."""
-        return [figure.id for figure in self._shown("figures")]
+        return [figure.id for figure in self._list_evidence("figures")]
 
     def figures(self) -> dict[str, Canvas]:
         """Draw the figures that a report shows for the result. The key is the id of the figure."""
         from swimid.results import drawing
 
-        return Named({figure.id: drawing.canvas([figure]) for figure in self._shown("figures")})
+        return Named({figure.id: drawing.canvas([figure]) for figure in self._list_evidence("figures")})
 
     def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
         """Draw one figure of the result. A notebook shows the figure, and ``pyplot.savefig`` saves it.
@@ -296,7 +297,7 @@ class Result:
         """
         from swimid.results import drawing
 
-        figures = {figure.id: figure for figure in self._shown("figures")}
+        figures = {figure.id: figure for figure in self._list_evidence("figures")}
         if name not in figures:
             raise UnknownName(f"there is no figure '{name}'", hint=suggestion(name, list(figures)))
         figure = figures[name]
@@ -335,7 +336,7 @@ class Result:
         target = atomic.check_writable(Path(path), inputs=inputs)
         for owner in (self.document, self.evidence):
             provenance.rename(getattr(owner, "provenance", {}), target)
-        with atomic.together():
+        with atomic.write_together():
             written = self._write(target)
             if self.evidence is not None and not atomic.is_device(target):
                 made_for = {"result": target.name, "sha256": self.document.digest()}
@@ -343,7 +344,7 @@ class Result:
                 written.insert(1, ev.sidecar(target))
         return replace(self, outputs=[*self.outputs, *written])
 
-    def saved(self, output: str | Path | None) -> Self:
+    def write_output(self, output: str | Path | None) -> Self:
         """Return this result, after it is written to the file ``output`` if that is given."""
         if output is None:
             return self
@@ -402,7 +403,7 @@ class Result:
     def _write(self, path: Path) -> list[Path]:
         raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
 
-    def _shown(self, what: str) -> Sequence[Any]:
+    def _list_evidence(self, what: str) -> Sequence[Any]:
         """Return all checks, tables, figures or notices of the evidence, whichever ``what`` names.
 
         The list is empty for a result without evidence.
@@ -430,7 +431,7 @@ class Result:
         from swimid.results import drawing
 
         shown = f"<pre>{html.escape(self.summary())}</pre>"
-        for k, figure in enumerate(self._shown("figures")):
+        for k, figure in enumerate(self._list_evidence("figures")):
             picture = drawing.for_notebook(figure)
             if k:
                 picture = f"<details><summary>{html.escape(figure.title)}</summary>{picture}</details>"
@@ -474,7 +475,7 @@ def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence
     warn("SWM052", text)
     said = f"The file was changed after this verdict: {evidence.verdict.text}"
     notices = [*evidence.notices, ev.NoticeRecord(code="SWM052", text=text)]
-    verdict = evidence.verdict.lowered("caution", said)
+    verdict = evidence.verdict.lower_to("caution", said)
     return in_memory.model_copy(update={"verdict": verdict, "notices": notices})
 
 
@@ -522,15 +523,15 @@ class FileResult(Result, Generic[File]):
 # ---------------------------------------------------------------- text for a terminal
 
 
-def _wrapped(text: str) -> str:
+def _wrap(text: str) -> str:
     return textwrap.fill(text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
 
 
 def cell_text(value: Any) -> str:
     """Return the text of a table cell: numbers with four significant digits, an empty cell as a dash."""
     if isinstance(value, str):
-        return value or numbers.NOTHING
-    return numbers.number(value)
+        return value or numbers.MISSING_TEXT
+    return numbers.format_number(value)
 
 
 def is_numeric(table: ev.Table) -> list[bool]:
@@ -590,7 +591,7 @@ def load_result(path: str | Path) -> Result:
     >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
     '1'
     """
-    with explained(load_result, [path]):
+    with explain_types(load_result, [path]):
         path = Path(path)
     ending = path.suffix.lower()
     if path.name.endswith(".evidence.json"):
@@ -606,12 +607,12 @@ def load_result(path: str | Path) -> Result:
         raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)
     form = yamlio.load(path).get("format")
     name = _format_name(str(form))
-    if name not in formats():
+    if name not in list_result_formats():
         reason = f"its format '{form}' is that of no result"
         if form is None:
             reason = "has no 'format'"
-        hint = suggestion(name, formats(), "known")
-        if close := nearest(name, formats()):
+        hint = suggestion(name, list_result_formats(), "known")
+        if close := nearest(name, list_result_formats()):
             hint = f"did you mean '{class_of(close).file_type.model_fields['format'].default}'?"
         raise InputError(reason, file=path, line=1, column="format", hint=hint)
     return class_of(name).load(path)
@@ -621,16 +622,16 @@ def _format_name(form: str) -> str:
     return form.removeprefix("swimid-").partition("/")[0]
 
 
-def formats() -> list[str]:
+def list_result_formats() -> list[str]:
     """Return the names of the formats of all result files, such as ``gap`` for ``swimid-gap/1``."""
-    names = [name for spec in found().values() for name in spec.makes.split("|") if name not in KINDS]
+    names = [name for spec in find_commands().values() for name in spec.makes.split("|") if name not in KINDS]
     return ["parameters", *names]
 
 
 def class_of(name: str) -> type[FileResult[Any]]:
     """Return the class of the results of a format; the module of its command is imported if need be."""
     import_module(PARAMETERS)
-    for spec in found().values():
+    for spec in find_commands().values():
         if name not in _CLASSES and name in spec.makes.split("|"):
             spec.run()
     return _CLASSES[name]

@@ -27,8 +27,8 @@ class FitDragOptions(Options, command="fit-drag", section="Identify", makes="par
         "auto",
         help="Start of the trials. auto: at rest at their first sample, unless the data clearly contradict.",
     )
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()
     bounds: Mapping[str, tuple[float, float]] = fits.bounds()
     points_m: tuple[float, float] | None = option(
         None,

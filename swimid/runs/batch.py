@@ -111,7 +111,7 @@ def batch(
     first, step = options.part
     mine = resolved.items[first::step]
     if options.dry_run:
-        return _listed(resolved, mine, run, options)
+        return _list_items(resolved, mine, run, options)
     if options.slurm is not None:
         return slurm.write(options.slurm, path, Path(output), options, len(mine), force)
     run.mkdir(parents=True, exist_ok=True)
@@ -164,7 +164,7 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
     try:
         with (
             progress("items", total=len(todo)) as step,
-            executors.opened(jobs, options.cluster) as pool,
+            executors.open_executor(jobs, options.cluster) as pool,
         ):
             futures = {pool.submit(item.run_item, str(run), ident): ident for ident in todo}
             try:
@@ -190,7 +190,7 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
     return problems
 
 
-def _listed(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptions) -> Batch:
+def _list_items(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptions) -> Batch:
     """Return the list of items with their states and commands, for a dry run."""
     lines: list[str] = []
     items: list[dict[str, Any]] = []

@@ -23,10 +23,10 @@ from swimid.runs.plan import Resolved, folder_of
 from swimid.runs.status import Metric
 
 #: Maximum number of panels of the figure, and of rows of the table of estimates that is not folded.
-MAX_PANELS, MAX_ROWS = 12, 12
+MAX_COMPARISON_PANELS, MAX_COMPARISON_ROWS = 12, 12
 
 
-class Quantity(yamlio.Document):
+class ComparedQuantity(yamlio.Document):
     """Estimates of one quantity of one item in all runs. An estimate that a run lacks is null."""
 
     item: str
@@ -47,7 +47,7 @@ class RunComparison(yamlio.ResultFile):
     format: Literal["swimid-run-comparison/1"] = "swimid-run-comparison/1"
     runs: list[str]
     false_discovery_rate: float
-    quantities: list[Quantity]
+    quantities: list[ComparedQuantity]
     #: For each item that is not the same in all runs: what differs between the runs.
     differences: dict[str, list[str]] = {}
     provenance: yamlio.Provenance = Field(default_factory=dict)
@@ -137,7 +137,7 @@ def compare_runs(
         differences=_differences(found, names),
         provenance=origin,
     )
-    return ComparedRuns.of(file, _evidence(file)).saved(output)
+    return ComparedRuns.of(file, _evidence(file)).write_output(output)
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -168,7 +168,7 @@ def _read(path: Path) -> dict[str, _Found]:
     return items
 
 
-def _quantities(found: Sequence[Mapping[str, _Found]]) -> list[Quantity]:
+def _quantities(found: Sequence[Mapping[str, _Found]]) -> list[ComparedQuantity]:
     """Return the estimates that two or more runs have, with the test of their equality."""
     rows = []
     for item in dict.fromkeys(name for run in found for name in run):
@@ -181,7 +181,7 @@ def _quantities(found: Sequence[Mapping[str, _Found]]) -> list[Quantity]:
                 continue
             stderr = [None if m is None or not math.isfinite(m.stderr) else m.stderr for m in metrics]
             rows.append(
-                Quantity(
+                ComparedQuantity(
                     item=item,
                     quantity=name,
                     unit=units.pop(),
@@ -243,13 +243,13 @@ def _evidence(file: RunComparison) -> ev.Evidence:
     if not sentences:
         sentences.append("No estimate has a standard error in two runs, so no change can be tested.")
     text = " ".join(sentences)
-    check = ev.check(
+    check = ev.make_check(
         "Estimates that differ", f"{len(changed)} of {len(tested)}", None, f"false discovery rate {rate}",
         "Chi-squared test of each estimate, with the false discovery rate of Benjamini and Hochberg.",
     )  # fmt: skip
     rows = [[_label(q), _finding(q), *_cells(q)] for q in file.quantities]
     columns = ["estimate", "finding", *file.runs]
-    first = max(len(changed), min(len(rows), MAX_ROWS))
+    first = max(len(changed), min(len(rows), MAX_COMPARISON_ROWS))
     tables = [ev.Table(id="estimates", title="Estimates", columns=columns, rows=rows[:first])]
     if rows[first:]:
         title = f"{len(rows) - first} more estimates"
@@ -263,7 +263,7 @@ def _evidence(file: RunComparison) -> ev.Evidence:
     level: Any = "good"
     if changed or not (tested or equal):
         level = "caution"
-    panels = [_panel(q, file.runs) for q in file.quantities[:MAX_PANELS]]
+    panels = [_panel(q, file.runs) for q in file.quantities[:MAX_COMPARISON_PANELS]]
     caption = "Estimates in the order of the runs; bars are 95 % intervals."
     return ev.Evidence(
         command="compare-runs",
@@ -285,18 +285,18 @@ def _evidence(file: RunComparison) -> ev.Evidence:
     )
 
 
-def _label(quantity: Quantity) -> str:
+def _label(quantity: ComparedQuantity) -> str:
     return ", ".join(filter(None, [quantity.item, quantity.quantity]))
 
 
-def _cells(quantity: Quantity) -> list[str]:
+def _cells(quantity: ComparedQuantity) -> list[str]:
     return [
-        numbers.measured(value, error, quantity.unit)
+        numbers.format_estimate(value, error, quantity.unit)
         for value, error in zip(quantity.values, quantity.stderr, strict=True)
     ]
 
 
-def _finding(quantity: Quantity) -> str:
+def _finding(quantity: ComparedQuantity) -> str:
     if len(set(quantity.values)) == 1:
         return "equal"
     if quantity.p is None:
@@ -306,7 +306,7 @@ def _finding(quantity: Quantity) -> str:
     return f"p {numbers.probability_text(quantity.p)}"
 
 
-def _panel(quantity: Quantity, runs: Sequence[str]) -> ev.Panel:
+def _panel(quantity: ComparedQuantity, runs: Sequence[str]) -> ev.Panel:
     known = [k for k, value in enumerate(quantity.values) if value is not None]
     half = [numbers.Z95 * (quantity.stderr[k] or math.nan) for k in known]
     points = ev.Trace(x=known, y=[quantity.values[k] for k in known], y_error=half, style="points")

@@ -28,11 +28,11 @@ from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.results import evidence as ev
 from swimid.runs import status as states
-from swimid.runs.plan import TRIALS, Item, Step, folder_of, is_linked, item_of
-from swimid.runs.status import LOG, STATUS, USAGE, Status, StepStatus
+from swimid.runs.plan import TRIALS, Item, ItemStep, folder_of, is_linked, item_of
+from swimid.runs.status import LOG, STATUS_FILE, USAGE, Status, StepStatus
 
 #: Number of times that an item is tried again after a crash.
-RETRIES = 2
+MAX_RETRIES = 2
 #: Exit status of the process of an item that another process does (EX_TEMPFAIL), and after Ctrl-C.
 BUSY, INTERRUPTED = 75, 130
 #: Size of the end of the log that is kept, bytes, and number of its lines that an error shows.
@@ -42,7 +42,7 @@ ONE_THREAD = dict.fromkeys(
     [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["OPENCV_FOR_THREADS_NUM"], "1"
 )
 #: Endings of files that are no outputs of an item, and that stay when the item is repeated.
-KEPT = (".partial", ".lock")
+KEPT_ENDINGS = (".partial", ".lock")
 
 #: Set when the run was interrupted: no item is started or tried again.
 stopping = threading.Event()
@@ -80,7 +80,7 @@ def run_item(run: str, ident: str) -> str:
     if is_linked(folder):
         return "failed"
     folder.mkdir(parents=True, exist_ok=True)
-    for attempt in range(1, RETRIES + 2):
+    for attempt in range(1, MAX_RETRIES + 2):
         if stopping.is_set():
             return "missing"
         code, log = _process(folder, run, ident, attempt, limits.time_s)
@@ -139,7 +139,7 @@ def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -
                 if not atomic.holder_of(lock):
                     lock.unlink(missing_ok=True)
         log.seek(max(log.seek(0, os.SEEK_END) - MAX_LOG, 0))
-        return code, reading.without_places(log.read().decode("utf-8", "replace"))
+        return code, reading.remove_folders(log.read().decode("utf-8", "replace"))
 
 
 def _status(
@@ -150,8 +150,10 @@ def _status(
     error: dict[str, Any],
     sketch: states.Sketch | None = None,
 ) -> Status:
-    files = [path for path in folder.iterdir() if path.is_file() and path.suffix not in KEPT]
-    outputs = [path.name for path in files if path.name not in (STATUS, USAGE, LOG) and path.name[0] != "."]
+    files = [path for path in folder.iterdir() if path.is_file() and path.suffix not in KEPT_ENDINGS]
+    outputs = [
+        path.name for path in files if path.name not in (STATUS_FILE, USAGE, LOG) and path.name[0] != "."
+    ]
     return Status(
         id=item.id,
         state=state,
@@ -173,9 +175,9 @@ def _read(item: Item, folder: Path) -> dict[str, reading.Opened]:
     for name in item.inputs:
         reading.note(folder / name, at_once=True)
     own = tuple(f"{place}{os.sep}" for place in (folder, Path(swimid.__file__).parent))
-    names = {path: Path(os.path.relpath(path, folder)).as_posix() for path in sorted(reading.known())}
+    names = {path: Path(os.path.relpath(path, folder)).as_posix() for path in sorted(reading.list_files())}
     return {
-        name: reading.known()[path]
+        name: reading.list_files()[path]
         for path, name in names.items()
         if name in item.inputs or (os.path.isfile(path) and not path.startswith(own))
     }
@@ -191,10 +193,10 @@ def _main(run: str, ident: str, attempt: str) -> int:
     _limit_memory(limits.memory_mb)
     os.chdir(folder)
     try:
-        with atomic.locked(folder / STATUS), reading.record():
+        with atomic.hold_lock(folder / STATUS_FILE), reading.record():
             _clear(folder)
             _read(item, folder)
-            status = _done(item, folder, limits.memory_mb)
+            status = _run_steps(item, folder, limits.memory_mb)
             if status is None:
                 return INTERRUPTED
             costs = {
@@ -217,13 +219,13 @@ def _main(run: str, ident: str, attempt: str) -> int:
 def _clear(folder: Path) -> None:
     """Remove everything from the folder of an item except its lock and the checkpoints of its commands."""
     for path in folder.iterdir():
-        if path.is_dir() and not path.is_symlink() and path.suffix not in KEPT:
+        if path.is_dir() and not path.is_symlink() and path.suffix not in KEPT_ENDINGS:
             shutil.rmtree(path)
-        elif path.suffix not in KEPT:
+        elif path.suffix not in KEPT_ENDINGS:
             path.unlink()
 
 
-def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
+def _run_steps(item: Item, folder: Path, memory_mb: float) -> Status | None:
     """Run the steps of an item, and return its status; None after Ctrl-C."""
     steps: list[StepStatus] = []
     state = "done"
@@ -253,7 +255,7 @@ def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
     return _status(item, folder, state, steps, error, sketch)
 
 
-def _step(step: Step) -> tuple[StepStatus, states.Sketch | None, int, dict[str, Any]]:
+def _step(step: ItemStep) -> tuple[StepStatus, states.Sketch | None, int, dict[str, Any]]:
     """Run the command lines of a step. Return its status and sketch, its exit status and its error."""
     shown, sketch = StepStatus(name=step.name), None
     for argv, output in zip(step.argv, step.outputs, strict=True):
@@ -262,7 +264,7 @@ def _step(step: Step) -> tuple[StepStatus, states.Sketch | None, int, dict[str, 
             return shown, None, code, answer.get("error", {})
         if ev.sidecar(output).is_file():
             evidence = ev.read(ev.sidecar(output))
-            if states.LEVELS.index(evidence.verdict.level) < states.LEVELS.index(shown.level):
+            if states.VERDICT_LEVELS.index(evidence.verdict.level) < states.VERDICT_LEVELS.index(shown.level):
                 shown.level, shown.text = evidence.verdict.level, evidence.verdict.text
             if output == step.outputs[0]:
                 sketch = states.sketch_of(evidence)

@@ -39,7 +39,7 @@ def write(folder: Path, plan: Path, run: Path, options: BatchOptions, items: int
     words = {name: shlex.quote(str(value)) for name, value in named.items()}
     words["retry"] = "".join(f" --retry {shlex.quote(state)}" for state in options.retry)
     templates = environment("swimid.runs", keep_trailing_newline=True, autoescape=False)
-    with atomic.together():
+    with atomic.write_together():
         for path in scripts:
             if not force and not is_own(path):
                 raise UsageError(f"{path} exists and was not written by swimid", hint="name another folder")

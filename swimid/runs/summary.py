@@ -32,13 +32,13 @@ from swimid.runs.status import Metric, Sketch
 #: and minimum number of items of a group for a score.
 MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
 #: Maximum number of metrics that the page draws unfolded for a group, and of items listed on the terminal.
-MAX_PANELS, MAX_LISTED = 8, 10
+MAX_STRIPS, MAX_LISTED = 8, 10
 #: Maximum number of rows, of sketches of a group, and of points of a strip on the page. The tables have all.
-MAX_ROWS, MAX_SKETCHES, MAX_POINTS = 2000, 500, 1000
+MAX_TABLE_ROWS, MAX_SKETCHES, MAX_STRIP_POINTS = 2000, 500, 1000
 #: Pattern of characters that no table and no page can hold.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 #: First line of the tables, by which swimid recognises them as its own.
-MADE_BY = "# made_by: swimid batch\n"
+MADE_BY_LINE = "# made_by: swimid batch\n"
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Entry:
         return (
             states.STATES.index(self.state),
             -bool(self.outliers),
-            states.LEVELS.index(self.level),
+            states.VERDICT_LEVELS.index(self.level),
             -largest,
             self.id,
         )
@@ -93,7 +93,7 @@ class Summary:
     entries: list[Entry]
 
     @property
-    def ranked(self) -> list[Entry]:
+    def ranking(self) -> list[Entry]:
         """Items, those that need attention first."""
         return sorted(self.entries, key=lambda entry: entry.rank)
 
@@ -129,7 +129,7 @@ def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None)
             entry.reason = f"done by swimid {entry.version}; its results are not used"
         elif state == "outdated":
             entry.reason = "its steps or inputs have changed; its results are not used"
-        lock = folder / f"{states.STATUS}.lock"
+        lock = folder / f"{states.STATUS_FILE}.lock"
         if state in ("missing", "outdated") and (holder := atomic.holder_of(lock)):
             entry.state = "busy"
             name = f"items/{item.id}/{lock.name}"
@@ -184,7 +184,7 @@ def write(found: Summary, run: Path) -> list[Path]:
             "outliers": "; ".join(f"{name} (z {z:.1f})" for name, z in e.outliers.items()),
             "warnings": " ".join(e.warnings), "version": e.version, "files": "; ".join(e.files),
         }
-        for e in found.ranked
+        for e in found.ranking
     ]  # fmt: skip
     values = [
         {"item": e.id, "group": e.group, "quantity": name, **m.model_dump()}
@@ -202,14 +202,14 @@ def write(found: Summary, run: Path) -> list[Path]:
         "metrics.csv": _csv(pd.DataFrame(values, columns=columns)),
         "usage.csv": _csv(pd.DataFrame(costs)),
     }
-    with atomic.together():
+    with atomic.write_together():
         for name, text in texts.items():
             atomic.write_text(run / name, text)
     return [run / name for name in texts]
 
 
 def _csv(table: pd.DataFrame) -> str:
-    return MADE_BY + table.map(tabular.plain_text).to_csv(index=False, lineterminator="\n")
+    return MADE_BY_LINE + table.map(tabular.plain_text).to_csv(index=False, lineterminator="\n")
 
 
 def text(entries: Sequence[Entry]) -> str:
@@ -246,15 +246,15 @@ def page(found: Summary) -> str:
         plan=found.plan,
         version=swimid.__version__,
         style=style,
-        entries=found.ranked[:MAX_ROWS],
+        entries=found.ranking[:MAX_TABLE_ROWS],
         total=len(found.entries),
         counts=Counter(entry.state for entry in found.entries),
         levels=Counter(entry.level for entry in found.entries if entry.state == "done"),
         states=states.STATES,
-        doubtful=[entry for entry in found.ranked if entry.is_doubtful],
-        orders=_orders(found.ranked[:MAX_ROWS]),
+        doubtful=[entry for entry in found.ranking if entry.is_doubtful],
+        orders=_orders(found.ranking[:MAX_TABLE_ROWS]),
         groups=groups,
-        number=numbers.number,
+        number=numbers.format_number,
         unit=numbers.unit_text,
     )
 
@@ -265,7 +265,7 @@ def _orders(entries: Sequence[Entry]) -> dict[str, dict[str, int]]:
         "attention": lambda e: e.rank,
         "item": lambda e: e.id,
         "group": lambda e: (e.group, e.rank),
-        "verdict": lambda e: (states.LEVELS.index(e.level), e.rank),
+        "verdict": lambda e: (states.VERDICT_LEVELS.index(e.level), e.rank),
         "outlier": lambda e: (-max(map(abs, e.outliers.values()), default=0.0), e.rank),
     }
     return {
@@ -290,7 +290,7 @@ def _group(name: str, members: list[Entry]) -> dict[str, Any]:
         first = next(entry.sketch for entry in members if entry.sketch is not None)
         axes = f"{first.title}: {first.y_label} over {first.x_label}"
     return {
-        "name": name, "count": len(members), "strips": strips[:MAX_PANELS], "more": strips[MAX_PANELS:],
+        "name": name, "count": len(members), "strips": strips[:MAX_STRIPS], "more": strips[MAX_STRIPS:],
         "sketches": sketches, "drawn": len(drawn), "axes": axes,
     }  # fmt: skip
 
@@ -315,7 +315,7 @@ def _strip(name: str, members: Sequence[Entry]) -> dict[str, Any] | None:
 
     step = WIDE / max(len(members), 1)
     points = []
-    every = math.ceil(len(shown) / MAX_POINTS)
+    every = math.ceil(len(shown) / MAX_STRIP_POINTS)
     for k, entry, one in shown:
         if k % every and name not in entry.outliers:
             continue

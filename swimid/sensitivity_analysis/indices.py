@@ -17,7 +17,7 @@ from swimid.notices import Progress, silent
 #: Maximum fraction of the model evaluations that may break down. The analysis is refused above it.
 MAX_BROKEN_SHARE = 0.01
 #: Number of points of the Sobol design that are evaluated in one call of the model function.
-BATCH = 8
+ROWS_PER_BATCH = 8
 #: Maximum number of independently scrambled parts of the design. The intervals follow from their differences.
 MAX_PARTS = 8
 
@@ -117,10 +117,10 @@ def sobol(
     design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
     design[:, 2 + np.arange(d), np.arange(d)] = b
     points, keep, broken = design.reshape(-1, d), checkpoint or Checkpoint(), 0
-    parts = [points[k : k + BATCH] for k in range(0, len(points), BATCH)]
+    parts = [points[k : k + ROWS_PER_BATCH] for k in range(0, len(points), ROWS_PER_BATCH)]
 
     def one(k: int) -> Array:
-        found = keep.kept(f"points {k}", lambda: evaluate(parts[k]).ravel())
+        found = keep.get_or_compute(f"points {k}", lambda: evaluate(parts[k]).ravel())
         return found.reshape(len(parts[k]), -1)
 
     done: list[Array] = []

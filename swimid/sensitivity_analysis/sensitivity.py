@@ -23,7 +23,7 @@ from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.steps import choose_step
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -48,7 +48,7 @@ MAX_WIDTH = 0.3
 MAX_STEP_CHANGE = 0.05
 #: Maximum correlation between the estimates of two coefficients that are varied independently. A stronger
 #: correlation gives a warning.
-MAX_CORRELATION = 0.5
+MAX_ESTIMATE_CORRELATION = 0.5
 REFERENCES = [
     "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
     "model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
@@ -87,7 +87,7 @@ class Shares(yamlio.Document):
     total: Index
 
 
-class Output(yamlio.Document):
+class OutputIndices(yamlio.Document):
     """Simulated output with its Sobol indices.
 
     The output belongs to one trial or, if ``trial`` is None, to all trials together.
@@ -128,7 +128,7 @@ class SensitivityFile(yamlio.ResultFile):
     samples: int
     trials: list[str]
     ranges: dict[str, Range]
-    outputs: list[Output]
+    outputs: list[OutputIndices]
     simulations: Simulations
     provenance: yamlio.Provenance = Field(default_factory=dict)
 
@@ -174,7 +174,7 @@ class MeasuredChannel(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Run:
+class StudyRun:
     """Trial that is simulated at each point of the design, with the data for its outputs.
 
     Attributes
@@ -225,7 +225,7 @@ def _swim_outputs(model: Swimmer, swim: SwimRun) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Study:
+class SensitivityStudy:
     """Setup of a sensitivity analysis: model, ranges of the coefficients, trials to simulate, and outputs.
 
     Attributes
@@ -236,7 +236,7 @@ class Study:
 
     model: Model
     ranges: Mapping[str, Range]
-    runs: Sequence[Run]
+    runs: Sequence[StudyRun]
     columns: Sequence[tuple[str, str, str]]
 
     @property
@@ -325,7 +325,7 @@ def sensitivity(
     'c_d4'
     """
     count, params = options.samples, options.params
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         if params is None and options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
         experiment, applied = catalogue.load(trials, options)
@@ -334,7 +334,7 @@ def sensitivity(
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        keep = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress)
         runs = [(applied.values(trial), trial) for trial in experiment.trials]
         chosen = choose_step(applied.model, runs, [applied.noise()] * len(runs))
@@ -352,7 +352,7 @@ def sensitivity(
             progress=progress,
         )
         given = np.array([[r.value for r in over.values()]])
-        (centre,), step_change, finer = study.outputs(given), 0.0, model.refined()
+        (centre,), step_change, finer = study.outputs(given), 0.0, model.refine()
         if finer is not None:
             vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
             change = np.abs(replace(study, model=finer).outputs(given)[0] - centre)
@@ -362,7 +362,7 @@ def sensitivity(
             model=model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
-            params=parameters_format.place(params).name if params is not None else None,
+            params=parameters_format.source_path(params).name if params is not None else None,
             samples=count,
             trials=[t.id for t in experiment.trials],
             ranges=over,
@@ -372,11 +372,11 @@ def sensitivity(
             ),
             provenance=origin,
         )
-    checks = _checks(file, step_change, _correlated(applied, over))
+    checks = _checks(file, step_change, _find_correlation(applied, over))
     evidence = ev.Evidence(
         command="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
-        verdict=ev.judged(_answer(file), checks),
+        verdict=ev.make_verdict(_answer(file), checks),
         facts={
             "Robot": file.robot,
             "Parameters": file.params or f"those of {experiment.values_from}",
@@ -392,8 +392,8 @@ def sensitivity(
         provenance=origin,
     )
     file.verdict = evidence.verdict.level
-    saved = Sensitivity.of(file, evidence).saved(output)
-    keep.done()
+    saved = Sensitivity.of(file, evidence).write_output(output)
+    keep.finish()
     return saved
 
 
@@ -472,7 +472,7 @@ def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
     return share * abs(value), "share"
 
 
-def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
+def _find_correlation(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
     """Return the strongest correlation between the estimates of two coefficients, and their names.
 
     Only coefficients whose ranges follow from their standard errors are compared. The result is None for
@@ -491,7 +491,7 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
 # ------------------------------------------------------------ outputs
 
 
-def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
+def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> SensitivityStudy:
     """Return the setup of an analysis: the trials with their initial states, and the outputs of each trial.
 
     An error is raised if a simulation with the given coefficients breaks down.
@@ -511,10 +511,10 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
         columns += [(name, trial.id, q.unit) for name, q in quantities.items()]
     if not columns:
         raise NoTrustworthyResult("these trials have no output: the base is fixed and no joint is passive")
-    return Study(model, over, runs, columns)
+    return SensitivityStudy(model, over, runs, columns)
 
 
-def _run(applied: Applied, model: Model, trial: Trial) -> Run:
+def _run(applied: Applied, model: Model, trial: Trial) -> StudyRun:
     """Return a trial prepared for simulation, with its initial state and its measured channels."""
     values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
     swim, times = None, trial.time_s
@@ -533,19 +533,19 @@ def _run(applied: Applied, model: Model, trial: Trial) -> Run:
         measured[name] = MeasuredChannel(trial.time_s[known], samples[known], scale, unit)
     if swim is not None:
         trial = replace(trial, time_s=times, measured={}, inputs={})
-    return Run(trial, swim, measured, values)
+    return StudyRun(trial, swim, measured, values)
 
 
-def _outputs(study: Study, centre: Array, estimates: Sobol) -> list[Output]:
+def _outputs(study: SensitivityStudy, centre: Array, estimates: Sobol) -> list[OutputIndices]:
     """Return the outputs of each trial, and then those of all trials together, with their Sobol indices."""
     statistics = np.column_stack([centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
-        Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
+        OutputIndices(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
         for (quantity, trial, unit), (value, mean, sd) in zip(study.columns, statistics, strict=True)
     ]
     for quantity, members in study.groups.items():
         sd = float(np.sqrt(np.mean(estimates.sd[members] ** 2)))
-        outputs.append(Output(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
+        outputs.append(OutputIndices(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
     for row, one in enumerate(outputs):
         assert one.sd is not None
         if one.sd > CONSTANT_SHARE * abs(one.mean or 0.0):
@@ -563,16 +563,16 @@ def _shares(sobol: Sobol, row: int, k: int) -> Shares:
 # ------------------------------------------------------------ evidence
 
 
-def _headline(file: SensitivityFile) -> list[Output]:
+def _headline(file: SensitivityFile) -> list[OutputIndices]:
     """Return one output for each quantity: that of all trials together, or that of the only trial."""
-    outputs: dict[str, Output] = {}
+    outputs: dict[str, OutputIndices] = {}
     for one in file.outputs:
         if one.trial is None or one.quantity not in outputs:
             outputs[one.quantity] = one
     return list(outputs.values())
 
 
-def _ranked(output: Output) -> list[tuple[str, Index]]:
+def _rank_coefficients(output: OutputIndices) -> list[tuple[str, Index]]:
     """Return the coefficients with their total indices for an output, largest index first."""
     entries = [(name, shares.total) for name, shares in output.shares.items()]
     return sorted(entries, key=lambda item: -item[1].value)
@@ -593,26 +593,28 @@ def _checks(
         standard errors, and the names of the two.
     """
     runs = file.simulations
-    totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _ranked(o)]
+    totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _rank_coefficients(o)]
     widths = [(index.ci95[1] - index.ci95[0], f"{name} in {output}") for name, output, index in totals]
     width, where = max(widths, default=(0.0, ""))
     left_out = f"{runs.left_out} rows of the design left out" * bool(runs.broken)
     samples = f"{where}: take more --samples" * bool(width > MAX_WIDTH)
-    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.number(width, 2)} wide"
-    change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
+    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.format_number(width, 2)} wide"
+    change, steady = f"{numbers.format_number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
     halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
     none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
     checks = [
-        ev.check("simulations that broke down", broken, not runs.broken, none, left_out),
-        ev.check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
-        ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
+        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out),
+        ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
+        ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
     ]
     if strongest is not None:
         size, one, other = strongest
-        value = f"correlation up to {numbers.number(size, 2)} ({one}, {other})"
-        sound = abs(size) <= MAX_CORRELATION
+        value = f"correlation up to {numbers.format_number(size, 2)} ({one}, {other})"
+        sound = abs(size) <= MAX_ESTIMATE_CORRELATION
         text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
-        checks.append(ev.check("ranges independent", value, sound, f"≤ {MAX_CORRELATION:g} in size", text))
+        checks.append(
+            ev.make_check("ranges independent", value, sound, f"≤ {MAX_ESTIMATE_CORRELATION:g} in size", text)
+        )
     return checks
 
 
@@ -620,7 +622,9 @@ def _answer(file: SensitivityFile) -> str:
     """Return a sentence with the most influential coefficients of the first three outputs."""
     parts = []
     for o in _headline(file)[:3]:
-        named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
+        named = [
+            f"{name} ({numbers.format_number(index.value, 2)})" for name, index in _rank_coefficients(o)[:2]
+        ]
         if named:
             parts.append(f"{o.quantity} is most sensitive to {', '.join(named)}")
     return "; ".join(parts) + "."
@@ -635,27 +639,27 @@ def _totals(file: SensitivityFile) -> ev.Table:
     rows: list[dict[str, ev.Cell]] = []
     for o in _headline(file):
         row: dict[str, ev.Cell] = {"output": o.quantity, **dict.fromkeys(ranks, "")}
-        for rank, (name, index) in zip(ranks, _ranked(o), strict=False):
-            low, high = (numbers.number(end, 2) for end in index.ci95)
-            row[rank] = f"{name} {numbers.number(index.value, 2)} ({low} … {high})"
+        for rank, (name, index) in zip(ranks, _rank_coefficients(o), strict=False):
+            low, high = (numbers.format_number(end, 2) for end in index.ci95)
+            row[rank] = f"{name} {numbers.format_number(index.value, 2)} ({low} … {high})"
         rows.append(row)
-    return ev.table("totals", "Total indices, 95 %", rows)
+    return ev.make_table("totals", "Total indices, 95 %", rows)
 
 
 def _range_table(file: SensitivityFile) -> ev.Table:
     rows: list[dict[str, ev.Cell]] = [
         {
             "coefficient": name,
-            "given": numbers.number(r.value),
-            "from": numbers.number(r.low),
-            "to": numbers.number(r.high),
+            "given": numbers.format_number(r.value),
+            "from": numbers.format_number(r.low),
+            "to": numbers.format_number(r.high),
             "unit": numbers.unit_text(r.unit),
             "range": r.source,
         }
         for name, r in file.ranges.items()
     ]
     caption = "Uniform and independent of each other; a wider range of a coefficient raises its share."
-    return ev.table("ranges", "Ranges of the coefficients", rows, caption)
+    return ev.make_table("ranges", "Ranges of the coefficients", rows, caption)
 
 
 # ------------------------------------------------------------ figures

@@ -90,14 +90,14 @@ class Case:
         return replace(self, applied=self.applied.at_step(model), metadata=metadata)
 
 
-def place(options: SimulateOptions) -> Path | None:
+def describe_point(options: SimulateOptions) -> Path | None:
     """Return the path of the parameter file for messages and logs; None if the options name none."""
-    return None if options.params is None else parameters_format.place(options.params)
+    return None if options.params is None else parameters_format.source_path(options.params)
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
     """Return the metadata of a simulated log: the entries that every log has, and those in ``more``."""
-    path = place(options)
+    path = describe_point(options)
     lines: dict[str, Any] = {"robot": robot}
     if path is not None:
         lines["params"] = path.name
@@ -129,7 +129,7 @@ def case_of_options(options: SimulateOptions) -> Case:
     InputError
         If a file is invalid.
     """
-    path = place(options)
+    path = describe_point(options)
     if path is None:
         return _swim(options, None)
     own = read_experiments(*options.own_experiments)
@@ -204,13 +204,13 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
     kind = "multibody"
     if model.free_base and not model.in_space:
         kind = "free-swim"
-    metadata, drive = _metadata(options, model.robot.name, experiment=kind), given_drive(options)
+    metadata, drive = _metadata(options, model.robot.name, experiment=kind), list_drive_options(options)
     if options.input is not None:
         if "frequency_hz" in drive or "amplitude_deg" in drive:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
-        time, swim = _recorded(options.input, options, model)
+        time, swim = _read_inputs(options.input, options, model)
         metadata["input"] = options.input.name
     elif model.inputs:
         columns = ", ".join(law.column for law in model.inputs.values())
@@ -234,7 +234,7 @@ def rest_pose(model: Swimmer) -> tuple[float, ...] | None:
     return (0.0,) * len(model.pose) if model.free_base else None
 
 
-def given_drive(options: DriveOptions) -> dict[str, float]:
+def list_drive_options(options: DriveOptions) -> dict[str, float]:
     """Return the drive parameters that the options state.
 
     They are those of a stroke if the options name a stroke, otherwise those of a beat.
@@ -275,7 +275,7 @@ def swim_input(
     """Return the input of a simulation from rest under a stroke or a beat with the given parameters."""
     if options.stroke is not None:
         # the default ramp is for beats only: a stroke has no ramp unless one is given
-        ramp = options.ramp_s * (options.ramp_s != options.declared()["ramp_s"].default)
+        ramp = options.ramp_s * (options.ramp_s != options.declarations()["ramp_s"].default)
         command = StrokeDrive(
             stroke=options.stroke,
             frequency_hz=drive.get("frequency_hz"),
@@ -284,7 +284,7 @@ def swim_input(
             cycles=cycles,
         )
         return SwimInput(stroke=swimmer.cycle_of(command, model), pose=rest_pose(model))
-    beat = drives.Beat(
+    beat = drives.TailBeat(
         options.waveform,
         drive["frequency_hz"],
         math.radians(drive["amplitude_deg"]),
@@ -334,11 +334,11 @@ def setting_text(key: str, value: float | str) -> str:
     """
     name, unit = numbers.split_unit(key)
     if not isinstance(value, str):
-        value = numbers.number(value, 4, unit)
+        value = numbers.format_number(value, 4, unit)
     return f"{name} {value}"
 
 
-def _recorded(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, SwimInput]:
+def _read_inputs(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, SwimInput]:
     """Return the sample times of a simulation, and the input of the model from the columns of a log."""
     log = log_format.read(path, optional=tuple(swimmer.input_columns(model)))
     swim = SwimInput(inputs=swimmer.read_inputs(model, log), pose=rest_pose(model))
@@ -401,17 +401,17 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
 # ------------------------------------------------------------ quantities of a run
 
 
-def value_text(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
+def format_quantity(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
     """Return a quantity as text, with its unit and, if known, its standard deviation.
 
     Angles are in degrees.
     """
     factor, shown = numbers.in_degrees(unit)
     if value is None:
-        return numbers.number(None)
+        return numbers.format_number(None)
     if sd:
-        return numbers.measured(factor * value, factor * sd, shown)
-    return numbers.number(factor * value, digits, shown)
+        return numbers.format_estimate(factor * value, factor * sd, shown)
+    return numbers.format_number(factor * value, digits, shown)
 
 
 def units_of(model: Swimmer) -> dict[str, str]:
@@ -476,7 +476,7 @@ class SwimRun:
         return cls(sampled, window, beat is not None and bool(beat.bias_rad or beat.asymmetry))
 
     @classmethod
-    def driven(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
+    def simulate_drive(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
         """Return a simulation from rest under a drive.
 
         It is longer than ``duration_s`` if no whole beat after the ramp fits into that time.

@@ -21,14 +21,14 @@ from swimid.logs import kinematics
 from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES
 from swimid.logs.sampling import slope
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series, compare_wave
-from swimid.simulation.cases import value_text
+from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
 from swimid.simulation.options import CompareOptions
@@ -57,7 +57,7 @@ class Comparison(FileResult[ComparisonFile]):
         """Command that usually follows: a report of a good comparison, and a diagnosis of another one."""
         if self.verdict == "good":
             return FileResult.next_step
-        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repaired}"
+        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repair_option}"
 
     @property
     def scores(self) -> pd.DataFrame:
@@ -123,11 +123,11 @@ def compare(
     --------
     >>> import swimid
     >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
-    >>> against = compare("sample_logs/rig/trials.yaml", params=drag)
+    >>> against = compare_waves("sample_logs/rig/trials.yaml", params=drag)
     >>> bool((against.scores["nrmse"] < 0.002).all()), against.verdict
     (True, 'good')
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         experiment, applied = catalogue.load(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
@@ -149,7 +149,7 @@ def compare(
             model=experiment.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
-            params=parameters_format.place(options.params).name,
+            params=parameters_format.source_path(options.params).name,
             channels=compare_series.pool(done, experiment.model),
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
@@ -174,7 +174,7 @@ def compare(
     evidence = ev.Evidence(
         command="compare",
         title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
-        verdict=ev.judged(_answer(file), checks),
+        verdict=ev.make_verdict(_answer(file), checks),
         facts=_facts(file),
         checks=checks,
         tables=_tables(file),
@@ -185,18 +185,18 @@ def compare(
         provenance=file.provenance,
     )
     file.verdict = evidence.verdict.level
-    return Comparison.of(file, evidence).saved(output)
+    return Comparison.of(file, evidence).write_output(output)
 
 
 def _mistakes_check(trials: Sequence[Trial], applied: Applied, before: mistakes.TrialSeries) -> ev.Check:
     """Check whether a common mistake in trials explains the errors, with shared parameters fixed."""
-    known = mistakes.catalogue(applied.model, trials)
+    known = mistakes.list_mistakes(applied.model, trials)
 
     def simulate(trial: Trial) -> list[dict[str, Array]]:
-        values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
+        values, _, _ = compare_series.start_of(applied, trial, True, mistakes.SCREEN_START_RTOL)
         return [applied.model.run(values, trial)]
 
-    return mistakes.check(mistakes.search(trials, known, before, simulate), len(known))
+    return mistakes.check_mistakes(mistakes.search(trials, known, before, simulate), len(known))
 
 
 #: Columns with the errors of a channel in the tables of the evidence.
@@ -273,7 +273,7 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
     for n in series[0][0]:
         if all(n in sides[0] for sides in series):
             pairs = zip(times, series, strict=True)
-            channels[n] = np.array([[_resampled(clock, t, c[n]) for c in sides] for t, sides in pairs])
+            channels[n] = np.array([[_resample(clock, t, c[n]) for c in sides] for t, sides in pairs])
     means = {n: values.mean(axis=0) for n, values in channels.items()}
     record = compare_series.ProfileComparison(
         name=name,
@@ -290,7 +290,7 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
     return Profile(clock, channels, record)
 
 
-def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
+def _resample(clock: Array, time_s: Array, values: Array) -> Array:
     """Return the samples of a channel interpolated at the times ``clock``.
 
     The result is NaN outside the range of the valid samples.
@@ -341,11 +341,13 @@ def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> lis
     strokes: list[list[Any]] = []
     for p in profiles:
         ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
-        texts = [numbers.number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
-        rows.append([p.name, len(p.trials), *texts, value_text(p.orientation_rmse_rad, "rad")])
+        texts = [numbers.format_number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
+        rows.append([p.name, len(p.trials), *texts, format_quantity(p.orientation_rmse_rad, "rad")])
         for c in p.cycles:
             for side, known, sd in (("measured", c.measured, c.spread), ("simulated", c.simulated, {})):
-                cells = [value_text(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES]
+                cells = [
+                    format_quantity(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES
+                ]
                 strokes.append([p.name, c.cycle, side, *cells])
     sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
     names = [numbers.split_unit(name)[0].replace("_", " ") for name in CYCLE_QUANTITIES]
@@ -432,7 +434,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         )
         reason = f"the model has no steady speed under the drive of {never}"
         limit = "a steady speed"
-        return [ev.check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
+        return [ev.make_check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
     rows = [
         (t.mean_speed.measured, cruise.settled)
         for t, cruise in begun
@@ -445,7 +447,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
     if not rows:
         reason = "no trial swims steadily, so the cruising speed of the model is not tested"
         limit = "steady swimming in a trial"
-        return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
+        return [ev.make_check("cruising speed", "not tested", False, limit, text, reason=reason)]
     measured, settles = np.array(rows, dtype=float).T
     return [_speed_check("cruising speed", _rms(measured - settles) / _rms(measured), text)]
 
@@ -531,7 +533,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    waves = compare_wave.table(file.waves)
+    waves = compare_wave.tabulate_waves(file.waves)
     tables = [pooled, *_profile_tables(file.profiles), _speeds(file), waves, _scores(file)]
     return [table for table in tables if table.rows]
 
@@ -543,7 +545,7 @@ def _errors(name: str, s: ChannelScore) -> list[Any]:
         bias = 0.0
     channel = name + " (from pose)" * (s.source == "pose")
     shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
-    return [channel, value_text(s.rmse, s.unit), *shares, value_text(bias, s.unit)]
+    return [channel, format_quantity(s.rmse, s.unit), *shares, format_quantity(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
@@ -551,8 +553,11 @@ def _scores(file: ComparisonFile) -> ev.Table:
     rows: list[list[Any]] = []
     for t in file.trials:
         for name, s in t.channels.items():
-            fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
-            texts = [value_text(s.peak_error, s.unit), value_text(s.phase_error_rad, "rad")]
+            fit, peak = (
+                numbers.format_number(s.fit_percent, 3, "percent"),
+                numbers.percent(s.peak_error_normalised),
+            )
+            texts = [format_quantity(s.peak_error, s.unit), format_quantity(s.phase_error_rad, "rad")]
             rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
         id="scores",
@@ -573,16 +578,16 @@ def _speeds(file: ComparisonFile) -> ev.Table:
         if t.cruise is not None:
             settles = "never"
             if t.cruise.settled is not None:
-                settles = numbers.number(t.cruise.settled, 3, "m/s")
+                settles = numbers.format_number(t.cruise.settled, 3, "m/s")
         if measured:
             share = (simulated - measured) / measured
         texts = [
-            value_text(measured, "m/s"),
-            value_text(simulated, "m/s"),
+            format_quantity(measured, "m/s"),
+            format_quantity(simulated, "m/s"),
             numbers.percent(share, 2),
             settles,
         ]
-        rows.append([t.id, *texts, *(numbers.number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
+        rows.append([t.id, *texts, *(numbers.format_number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
     columns = ["trial", "measured", "simulated", "difference", "model settles at"]
     return ev.Table(
         id="speeds",
@@ -620,18 +625,18 @@ def _figures(
             drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
     beating = [d for d in done if d.record.wave is not None]
     if beating:
-        shown = {t: d.record.wave for t, d in _telling(beating).items() if d.record.wave is not None}
-        drawn.append(compare_wave.figure(shown))
+        shown = {t: d.record.wave for t, d in _select_trials(beating).items() if d.record.wave is not None}
+        drawn.append(compare_wave.draw_waves(shown))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
-        paths = [_path(t, d, *names) for t, d in _telling(done).items() if set(names) <= d.pairs.keys()]
+        paths = [_path(t, d, *names) for t, d in _select_trials(done).items() if set(names) <= d.pairs.keys()]
         caption = "Path of the reference point."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
 
 
-def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
+def _select_trials(done: Sequence[Compared]) -> dict[str, Compared]:
     """Return the trials to plot, by the title of their panel.
 
     They are the trials with the largest and the smallest error, and the held-out trial with the largest
@@ -656,12 +661,12 @@ def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
 
 def _overlay(done: Sequence[Compared]) -> ev.Figure:
     panels = []
-    for title, d in _telling(done).items():
+    for title, d in _select_trials(done).items():
         joints = [n for n in d.pairs if n.startswith("joint")]
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]
             factor, unit = numbers.in_degrees(p.channel.unit)
-            curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
+            curves = [ev.thin_curve(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
             label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
             traces = ev.pair(*zip(*curves, strict=True))
             panels.append(ev.Panel(x_label="time (s)", y_label=label, traces=traces, title=title))

@@ -18,7 +18,7 @@ from swimid.logs import wave
 from swimid.logs.tracks import Estimate
 from swimid.results import evidence as ev
 
-SIDES = ("measured", "simulated")
+WAVE_SIDES = ("measured", "simulated")
 
 
 class WaveQuantity(yamlio.Document):
@@ -60,7 +60,7 @@ class BodyWave(yamlio.Document):
     stations: list[WaveStation]
 
 
-def compare(
+def compare_waves(
     model: Model,
     values: Array,
     trial: Trial,
@@ -176,7 +176,7 @@ def method() -> str:
     )
 
 
-def table(waves: Mapping[str, BodyWave]) -> ev.Table:
+def tabulate_waves(waves: Mapping[str, BodyWave]) -> ev.Table:
     """Return the table of measured and simulated body waves, by trial."""
     rows: list[list[Any]] = []
     for trial, one in waves.items():
@@ -212,7 +212,7 @@ def _caption(waves: Mapping[str, BodyWave]) -> str:
     return f"{frames}. The phase lag is that behind the station that moves most in the measurement."
 
 
-def figure(waves: Mapping[str, BodyWave]) -> ev.Figure:
+def draw_waves(waves: Mapping[str, BodyWave]) -> ev.Figure:
     """Return the figure of amplitude and phase along the body, with two panels for each trial.
 
     Parameters
@@ -226,7 +226,7 @@ def figure(waves: Mapping[str, BodyWave]) -> ev.Figure:
         for label, name, factor in shown:
             found = [getattr(station, name) for station in one.stations]
             bars = [0.5 * factor * (q.high - q.low) for q in found]
-            measured, simulated = ([factor * getattr(q, side) for q in found] for side in SIDES)
+            measured, simulated = ([factor * getattr(q, side) for q in found] for side in WAVE_SIDES)
             traces = ev.pair((behind, behind), (measured, simulated), y_error=bars)
             panels.append(ev.panel("distance behind the front end (m)", label, traces, title=title))
     caption = f"{_caption(waves)} Bars are 95 % intervals."

@@ -329,7 +329,7 @@ class MjcfModel(SimulatorModel):
         return _Scales(self, trials)
 
     @property
-    def together(self) -> int:
+    def batch_size(self) -> int:
         """Number of simulations in a batch."""
         return MAX_BATCH
 
@@ -339,16 +339,16 @@ class MjcfModel(SimulatorModel):
         other.step_s = step_s
         return other
 
-    def refined(self) -> Model | None:
+    def refine(self) -> Model | None:
         """Return None, because the time step is part of the user's model."""
         return None
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate a trial (see :meth:`Model.hooked`)."""
-        return self.hooked_many([(values, trial, hooks)])[0]
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate a trial (see :meth:`Model.simulate_hooked`)."""
+        return self.simulate_many([(values, trial, hooks)])[0]
 
-    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
-        """Simulate several trials in batches (see :meth:`Model.hooked_many`)."""
+    def simulate_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
+        """Simulate several trials in batches (see :meth:`Model.simulate_many`)."""
         groups: dict[int, list[int]] = {}
         for k, (_, trial, hooks) in enumerate(runs):
             groups.setdefault(self._steps(trial, hooks), []).append(k)
@@ -363,7 +363,7 @@ class MjcfModel(SimulatorModel):
 
     def _steps(self, trial: Trial, hooks: Hooks) -> int:
         """Return the number of steps of a trial. A log that is late needs more of them."""
-        last = max(float(trial.time_s[-1]), float(np.max(hooks.happened(trial.time_s[-1:]))))
+        last = max(float(trial.time_s[-1]), float(np.max(hooks.compute_event_times(trial.time_s[-1:]))))
         return math.ceil((last - float(trial.time_s[0])) / self.step_s - 1e-9) + 1
 
     def fields(self, values: Array, hooks: Hooks) -> Fields:
@@ -375,7 +375,7 @@ class MjcfModel(SimulatorModel):
                 found["body_inertia"][attribute.inertia_of] *= ratio
             for place in attribute.places:
                 found[place.field][place.index] = place.factor * value
-        hooks.changed(found, "tables")
+        hooks.change_values(found, "tables")
         return found
 
     def _simulate_batch(self, runs: Sequence[Request], steps: int) -> list[dict[str, Array]]:
@@ -400,7 +400,7 @@ class MjcfModel(SimulatorModel):
             times: Array = float(trial.time_s[0]) + self.step_s * np.arange(float(steps))
             for number, (actuator, column) in enumerate(zip(self.actuators, self.columns, strict=True)):
                 told: Array = np.array(np.interp(times, trial.time_s, trial.inputs[column]))
-                control[k, :, actuator] = hooks.actuated(times, told, number)
+                control[k, :, actuator] = hooks.actuate(times, told, number)
         batch.forward(stage=0)
         clock = int(module.mjtState.mjSTATE_TIME)
         record = batch.rollout(steps, control, record=("sensordata", clock))
@@ -430,7 +430,7 @@ class MjcfModel(SimulatorModel):
         grid = begin + self.step_s * np.arange(len(data))
         # a simulation that breaks down stops, and its clock with it
         stopped = np.append(np.diff(time) <= 0.5 * self.step_s, False) | ~np.isfinite(data).all(axis=-1)
-        at = np.clip(hooks.happened(trial.time_s), grid[0], grid[-1])
+        at = np.clip(hooks.compute_event_times(trial.time_s), grid[0], grid[-1])
         found = {}
         for channel, output in self.outputs.items():
             series = output.of(data)
@@ -439,7 +439,7 @@ class MjcfModel(SimulatorModel):
             if stopped.any():
                 series = np.where(np.logical_or.accumulate(stopped), np.nan, series)
             found[channel] = np.interp(at, grid, series)
-        return hooks.seen(found, trial.time_s) if hooks.output else found
+        return hooks.sense(found, trial.time_s) if hooks.output else found
 
     # -------------------------------------------------------- start of a trial
 

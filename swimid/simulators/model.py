@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Input
-from swimid.fitting.fit_common import TRIALS_FILE, Experiment, read_log
+from swimid.fitting.fit_common import TRIALS_FILE, Experiment, read_trial_log
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial
 from swimid.logs import log as log_format
 from swimid.logs.experiments import Trials
@@ -116,7 +116,7 @@ class SimulatorModel(Model):
         names = {channel.name for channel in self.channels}
         return tuple(name[0] for name in POSITIONS if name in names) or ("x",)
 
-    def commanded(self, trial: Trial) -> bool:
+    def is_commanded(self, trial: Trial) -> bool:
         """Return whether the simulator has inputs. They are commands."""
         return bool(self.columns)
 
@@ -183,7 +183,7 @@ class SimulatorTrials(Trials):
         """
         trials, sources = [], []
         for entry in self.trials:
-            log = read_log(entry, path.parent, required=tuple(inputs), optional=tuple(outputs))
+            log = read_trial_log(entry, path.parent, required=tuple(inputs), optional=tuple(outputs))
             sources.append(log.source)
             measured = {name: log[name] for name in outputs if name in log}
             if not measured:

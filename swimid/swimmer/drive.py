@@ -278,7 +278,7 @@ class DrivenJoints:
         found = self._motions.get(trial.id, key)
         if found is None:
             of_joints = hooks
-            if trial.swim.measured:
+            if trial.swim.has_measured_joints:
                 of_joints = NONE
             found = self._compute_motion(trial, grid, phase_rad, laws, of_joints)
             if laws.inputs:
@@ -317,7 +317,7 @@ class DrivenJoints:
                 continue
             value = given_inputs[name](half)
             if hooks.command and not law.measured:
-                value = hooks.actuated(half, value, len(self.actuators) + k)
+                value = hooks.actuate(half, value, len(self.actuators) + k)
             rows[:, k, 0] = act(value, 0.5 * grid.step_s, *own)
             if name in self._tree.moving_inputs:
                 sampled_at = trial.time_s
@@ -339,11 +339,11 @@ class DrivenJoints:
         actual: list[Array] = []
         for k, (motion, servo) in enumerate(zip(commands, laws.servos, strict=True)):
             if servo is not None:
-                command = np.ascontiguousarray(hooks.actuated(grid.times(4), motion[0], k))
+                command = np.ascontiguousarray(hooks.actuate(grid.times(4), motion[0], k))
                 answer = simulate_servo(command, 0.5 * grid.step_s, 2.0 * math.pi * servo[0], servo[1])
                 motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
             elif hooks.command:
-                actual.append(hooks.actuated(half, motion[0], k))
+                actual.append(hooks.actuate(half, motion[0], k))
                 # reuse the motion object of the last joint if both joints move alike, so that their columns
                 # in the array are computed once
                 if len(actual) > 1 and motion is commands[k - 1] and actual[-2] is actual[-1]:

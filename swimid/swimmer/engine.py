@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.files.kernels import numba
-from swimid.fitting.model import MOST_FORCES, Force, no_force
+from swimid.fitting.model import MOST_FORCES, ExternalForce, no_force
 from swimid.robots.elements import MAX_FACTORS
 
 #: Magnitude of an entry of the state vector from which a simulation has broken down.
@@ -420,12 +420,12 @@ def place_frame(frame: Sequence[float], reference: Sequence[float]) -> NDArray[n
     return np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]])
 
 
-def pack_forces(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
+def pack_forces(forces: Sequence[ExternalForce], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
     """Return the forces of effects in the form of the argument ``forced`` of :func:`integrate`.
 
     Parameters
     ----------
-    forces : sequence of Force, at most :data:`swimid.fitting.model.MOST_FORCES`
+    forces : sequence of ExternalForce, at most :data:`swimid.fitting.model.MOST_FORCES`
     frame : ndarray, shape (7,)
         Result of :func:`place_frame`.
     links : int

@@ -195,7 +195,7 @@ class Profiles:
             Distances relative to the scales; NaN if a simulation breaks down.
         """
         members = self._members(profile)
-        runs = iter(self.problem.simulated([(self.theta(p), k) for p in points for k in members]))
+        runs = iter(self.problem.simulate_points([(self.theta(p), k) for p in points for k in members]))
         return np.array([self._score_trials({k: next(runs) for k in members}, profile) for _ in points])
 
     def score(self, series: Sequence[Series]) -> Array:
@@ -334,7 +334,9 @@ def fit_front(
 
     def at(point: Array) -> FitResult:
         theta, trials = profiles.theta(point), posed.experiment.trials
-        return output_error.at(posed.model, trials, theta, parameters=posed.parameters, jobs=options.jobs)
+        return output_error.evaluate_fit(
+            posed.model, trials, theta, parameters=posed.parameters, jobs=options.jobs
+        )
 
     message = f"point {found.chosen} of the front; standard errors are local to it"
     result = replace(at(found.points[found.chosen]), message=message)
@@ -482,10 +484,10 @@ def _stages_table(
         row = [float(scored[title][j]) if title in scored else None for title in titles]
         rows.append([f"DTW distance, {kind}", profile, *row])
     for role, name in (("fit", "fitted trials"), ("validate", "held-out trials")):
-        errors = {title: fit_common.scores(r, role) for title, r in known.items()}
+        errors = {title: fit_common.compute_scores(r, role) for title, r in known.items()}
         units = {c.name: c.unit for r in known.values() for c in r.model.channels}
         for channel in dict.fromkeys(c for own in errors.values() for c in own):
-            shown = {t: numbers.number(e[channel].rmse, 3, units[channel]) for t, e in errors.items()}
+            shown = {t: numbers.format_number(e[channel].rmse, 3, units[channel]) for t, e in errors.items()}
             rows.append([f"RMSE, {channel}", name, *(shown.get(title, "") for title in titles)])
     return ev.Table(
         id="stages",

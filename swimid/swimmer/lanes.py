@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from swimid.files import atomic
 from swimid.files.kernels import numba
-from swimid.fitting.model import Force, Traceable
+from swimid.fitting.model import ExternalForce, Traceable
 from swimid.notices import Progress, silent
 from swimid.swimmer.engine import FILLED, MAX_STATE, interpolate_states
 from swimid.swimmer.tree import Tree
@@ -768,7 +768,7 @@ class Kernel:
         )
 
     def add_effects(
-        self, tables: Mapping[str, Any], forces: Sequence[Force], frame: Array, begin_s: float
+        self, tables: Mapping[str, Any], forces: Sequence[ExternalForce], frame: Array, begin_s: float
     ) -> dict[str, Any] | None:
         """Return the input arrays of a simulation with the rows and entries for effects that this kernel has.
 
@@ -778,7 +778,7 @@ class Kernel:
         ----------
         tables : mapping
             Input arrays of the equations of motion.
-        forces : sequence of Force
+        forces : sequence of ExternalForce
         frame : ndarray, shape (7,)
             Coordinate frame of the simulation in the world (:func:`swimid.swimmer.engine.place_frame`).
         begin_s : float

@@ -282,7 +282,7 @@ class Swimmer(Model, ABC):
         """The model itself, because it is a model of a robot with links (see :attr:`Model.swimmer`)."""
         return self
 
-    def stated(self) -> dict[str, float]:
+    def get_file_values(self) -> dict[str, float]:
         """Return the values of the coefficients in the robot file."""
         return {name: c.value for name, c in self.tree.body.coefficients.items()}
 
@@ -316,7 +316,7 @@ class Swimmer(Model, ABC):
         """Return the commanded angle of an actuator, rad, shape (n,)."""
         return joint_motion(self.actuators[number], number, swim, time_s, phase_rad)[0]
 
-    def commanded(self, trial: Trial) -> bool:
+    def is_commanded(self, trial: Trial) -> bool:
         """Return whether commands act in a trial: a drive, logged commands, or unmeasured inputs."""
         joints = trial.swim.drive is not None
         if trial.swim.joints is not None:
@@ -385,7 +385,7 @@ class Swimmer(Model, ABC):
         effects = effects or any(effect.stage not in ("actuation", "sensing") for effect in self.effects)
         self.kernels.prepare(self.robot.name, progress, effects=effects)
 
-    def refined(self) -> Self:
+    def refine(self) -> Self:
         """Return the same model with half the integration step."""
         return self._with_step(0.5 * self.max_step)
 
@@ -420,23 +420,23 @@ class Swimmer(Model, ABC):
 
     # -------------------------------------------------------- simulation
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate a trial with effects (see :meth:`Model.hooked`)."""
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate a trial with effects (see :meth:`Model.simulate_hooked`)."""
         return self._at_samples(values, trial, hooks, self.trajectory(values, trial, hooks))
 
     @property
-    def together(self) -> int:
-        """Number of simulations in one batch of the compiled kernel (see :attr:`Model.together`)."""
+    def batch_size(self) -> int:
+        """Number of simulations in one batch of the compiled kernel (see :attr:`Model.batch_size`)."""
         return LANES if self.kernels.used else 1
 
-    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
-        """Simulate several trials in batches of the compiled kernel (see :meth:`Model.hooked_many`)."""
+    def simulate_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
+        """Simulate several trials in batches of the compiled kernel (see :meth:`Model.simulate_many`)."""
 
         def observe(k: int, run: SimulationRequest, trajectory: Trajectory) -> tuple[int, dict[str, Array]]:
             return k, self._at_samples(*runs[k], trajectory)
 
         channels = dict(filter(None, unless_broken(observe, self._simulate_many(runs))))
-        return [channels.get(k) or self.broken_down(trial) for k, (_, trial, _) in enumerate(runs)]
+        return [channels.get(k) or self.make_broken(trial) for k, (_, trial, _) in enumerate(runs)]
 
     def with_energetics(
         self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
@@ -462,7 +462,7 @@ class Swimmer(Model, ABC):
             if np.isfinite(trajectory.states[-1]).all():
                 columns = self._at_samples(*asked[k], trajectory)
                 found[k] = columns, _energetics(self, run, trajectory, last_s[k])
-        return [found.get(k) or (self.broken_down(trial), None) for k, (_, trial) in enumerate(runs)]
+        return [found.get(k) or (self.make_broken(trial), None) for k, (_, trial) in enumerate(runs)]
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
         """Return the simulated trajectory of a trial at the integration steps.
@@ -516,7 +516,7 @@ class Swimmer(Model, ABC):
             return tables
         # copy the cached input arrays, because an effect writes into them
         own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
-        return hooks.changed(own, "tables")
+        return hooks.change_values(own, "tables")
 
     def _pack_forces(self, run: SimulationRequest) -> tuple[Any, ...] | None:
         """Return the forces of effects as the engine takes them; None if there are none."""
@@ -646,7 +646,7 @@ class Swimmer(Model, ABC):
 
     def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
         """Return the channels of a trajectory, interpolated at the samples of a trial."""
-        time = hooks.happened(trial.time_s - self.value(values, "clock_offset"))
+        time = hooks.compute_event_times(trial.time_s - self.value(values, "clock_offset"))
         states = interpolate_states(time, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
         found: dict[str, Array] = {}
         if self.free_base:
@@ -660,7 +660,7 @@ class Swimmer(Model, ABC):
             found.update(zip(columns, run.drive.interpolate_states(time, run.grid), strict=True))
         if not self.free_base and (not trial.measured or trial.measured.keys() & set(self.reactions)):
             found |= self._compute_reactions(values, trial, hooks, run, time)
-        return hooks.seen(found, trial.time_s) if hooks.output else found
+        return hooks.sense(found, trial.time_s) if hooks.output else found
 
 
 #: Typical scales of the start pose and velocity of a free base, by unit.

@@ -73,8 +73,8 @@ class FitGrayboxOptions(
       swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
     """
 
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()
     bounds: Mapping[str, tuple[float, float]] = fits.bounds()
     share: tuple[str, ...] = option(
         (),
@@ -147,5 +147,5 @@ class FitGrayboxOptions(
         every = super().settings(**found)
         if self.method != "least-squares":
             return every
-        left_out = {entry.key for entry in self.declared().values() if entry.part == FRONT}
+        left_out = {entry.key for entry in self.declarations().values() if entry.part == FRONT}
         return {key: value for key, value in every.items() if key not in left_out}

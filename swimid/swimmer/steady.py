@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.drives import Cycle, TailBeat
 from swimid.fitting.model import Array, Hooks, Trial
 from swimid.swimmer.drive import Grid, TrialCache
 
@@ -206,7 +206,7 @@ class SteadySwimming:
         trial : Trial
             Trial of a robot in a plane with a free base.
         """
-        trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.begun())
+        trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.make_steady())
         run = self.model.request(values, trial, hooks)
         cycle = self._limit_cycle(run)
         if cycle is None:
@@ -265,7 +265,7 @@ class SteadySwimming:
         return (cycles % 1.0) / drive.frequency_hz
 
 
-def _drive_of(run: SimulationRequest) -> Beat | Cycle:
+def _drive_of(run: SimulationRequest) -> TailBeat | Cycle:
     drive = run.trial.swim.drive
     assert drive is not None
     return drive

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting import drives, fit_common
 from swimid.fitting.drives import Cycle
-from swimid.fitting.fit_common import Experiment, read_log
+from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.logs.beat import (
     compare_course,
@@ -190,7 +190,7 @@ def _recording(
     """Read the log of a trial, and return the trial with its log and the input of the model."""
     known = [c.name for c in model.channels]
     optional = tuple(dict.fromkeys((*known, *input_columns(model))))
-    log = read_log(entry, path.parent, required=tuple(channels), optional=optional)
+    log = read_trial_log(entry, path.parent, required=tuple(channels), optional=optional)
     turning = {name: values for name, values in log.columns.items() if not name.startswith("joint")}
     columns = log.columns | {name: unwrapped(name, values) for name, values in turning.items()}
     log = replace(log, columns=columns)
@@ -261,9 +261,9 @@ def with_logged_joints(swim: SwimInput, model: Swimmer, log: Log) -> SwimInput:
     return replace(swim, joints=[motion for motion, _ in motions], commanded=commanded)
 
 
-def _beat_of(command: Drive) -> drives.Beat:
+def _beat_of(command: Drive) -> drives.TailBeat:
     """Return the beat that an entry of a trials file states, in SI units."""
-    return drives.Beat(
+    return drives.TailBeat(
         command.waveform,
         command.frequency_hz,
         math.radians(command.amplitude_deg),
@@ -474,7 +474,7 @@ def _with_starts(recordings: Sequence[RobotTrial], model: Swimmer) -> list[Trial
         held = tuple(sorted(of_states - estimated[r.state]))
         trial = replace(r.trial, held=held, starts=_start_values(r.trial, r.log, model))
         if r.state == "steady":
-            trial = _with_phase(replace(trial, swim=trial.swim.begun()), model)
+            trial = _with_phase(replace(trial, swim=trial.swim.make_steady()), model)
         trials.append(trial)
     return trials
 
@@ -485,7 +485,7 @@ def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
 
     def at_start(name: str, derivative: int) -> float | None:
         if lacks_heading and name == model.pose[2] and derivative == 0:
-            return trial.swim.posed()[2]
+            return trial.swim.get_pose()[2]
         if name not in trial.measured:
             return None
         values = trial.measured[name]
@@ -509,7 +509,7 @@ def _with_phase(trial: Trial, model: Swimmer) -> Trial:
 
     The start value is the phase at which the robot with the coefficients of its file fits best.
     """
-    stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
+    stated = {**{p.name: p.start for p in model.parameters}, **model.get_file_values()}
     values = np.array([stated[p.name] for p in model.parameters])
     phases = np.linspace(0.0, 2.0 * math.pi, N_PHASES, endpoint=False)
     simulated = []

@@ -23,7 +23,7 @@ from pydantic import Field
 import swimid
 from swimid.errors import InputError, SwimidError, UsageError
 from swimid.files import yamlio
-from swimid.notices import Progress, Step, recorded
+from swimid.notices import Progress, Step, record_warnings
 from swimid.tracking import frames
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import ColourModel, Frame, RawTrack, Video
@@ -241,7 +241,7 @@ class Session:
         choice = yamlio.validate({"choice": content}, ChoiceRequest, Path("page")).choice
         answer: dict[str, Any] = {"markers": [], "scale": None}
         errors: dict[str, Any] = {}
-        with recorded() as notices:
+        with record_warnings() as notices:
             for key, value in choice.common.items():
                 try:
                     body = setup_format.read_setup({"markers": [BODY], key: value})
@@ -266,7 +266,7 @@ class Session:
         if self.reader.at(trial.first, _no_step)[0] != trial.first:
             raise InputError(f"has no frame {trial.first}", file=self.video)
         within = slice(trial.first, trial.first + trial.count)
-        with recorded() as notices, self.progress("trying") as step:
+        with record_warnings() as notices, self.progress("trying") as step:
             track = follow(self.video, setup_of(markers, common), step=step, within=within).track
         return {
             "first": trial.first,
@@ -303,7 +303,7 @@ class Session:
             raise UsageError("no marker is picked", hint="click on a marker in the picture")
         setup = setup_of(markers, choice.common)
         if setup.scale is not None:
-            with recorded():
+            with record_warnings():
                 self._scale(setup)
         return markers, choice.common
 

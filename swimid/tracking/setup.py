@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from swimid.errors import InputError
 from swimid.files import yamlio
-from swimid.files.tabular import repeated
+from swimid.files.tabular import find_repeated
 from swimid.files.yamlio import Document
 from swimid.logs.scale import Camera, Point, Points, Positive, Scale
 
@@ -119,7 +119,7 @@ class Setup(Document):
     @model_validator(mode="after")
     def _names_fit(self) -> Setup:
         names = self.marker_names
-        twice = repeated(names)
+        twice = find_repeated(names)
         if twice is not None:
             raise ValueError(f"two markers are named '{twice}'")
         for role, chosen in (("head", self.head), ("tail", self.tail)):

@@ -14,7 +14,7 @@ from pydantic import Field
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import provenance, yamlio
 from swimid.logs.scale import Camera
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -107,7 +107,7 @@ def track_camera(
     >>> draft = track_setup("pool.mp4", camera=made.file.camera)  # doctest: +SKIP
     """
     files, board = list(_files(pictures)), options.board
-    with recorded(repeat=True) as notices, progress("finding the board", len(files)) as step:
+    with record_warnings(repeat=True) as notices, progress("finding the board", len(files)) as step:
         seen, size = _corners(files, board, step)
     if len(seen) < MIN_PICTURES:
         text = f"{len(seen)} of {len(files)} pictures show a board of {options.squares} squares; at least "
@@ -127,7 +127,7 @@ def track_camera(
     focal = 100 * max(errors[0] / values[0], errors[1] / values[1])
     value, limit, passed = f"± {focal:.2g} %", f"± {MAX_FOCAL_SE:.0%}", focal <= 100 * MAX_FOCAL_SE
     reason = f"the focal length has a standard error of {focal:.2g} %"
-    checks.append(ev.check("Focal length", value, passed, limit, reason=reason))
+    checks.append(ev.make_check("Focal length", value, passed, limit, reason=reason))
     document = CameraFile(
         camera=Camera(matrix=matrix.tolist(), size_px=size, distortion=tuple(values[4:])),
         reprojection_error_px=float(rms),
@@ -139,22 +139,26 @@ def track_camera(
         {"parameter": name, "value": value, "standard error": error}
         for name, value, error in zip(NAMES, values, errors, strict=True)
     ]
-    answer = f"Focal length {numbers.measured(values[0], errors[0])} px, reprojection error {rms:.2g} px."
+    answer = (
+        f"Focal length {numbers.format_estimate(values[0], errors[0])} px, reprojection error {rms:.2g} px."
+    )
     evidence = ev.Evidence(
         command="track camera",
         title=f"Calibration of a camera from {len(seen)} pictures",
-        verdict=ev.judged(answer, checks),
+        verdict=ev.make_verdict(answer, checks),
         facts={"Pictures": f"{len(seen)} of {len(files)}, {size[0]} x {size[1]} px"},
         checks=checks,
         tables=[
-            ev.table("parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."),
+            ev.make_table(
+                "parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."
+            ),
             ev.leaf_table("pictures", "Reprojection errors, px", dict(zip(seen, each, strict=True))),
         ],
         notices=ev.notices(notices),
         methods=["The camera was calibrated with OpenCV from pictures of a checkerboard (Zhang 2000)."],
         provenance=document.provenance,
     )
-    return Calibration.of(document, evidence).saved(output)
+    return Calibration.of(document, evidence).write_output(output)
 
 
 def _files(given: Sequence[str | Path]) -> Iterator[Path]:
@@ -210,4 +214,4 @@ def _checks(count: int, tilt: float, parts: int, rms: float, each: list[float]) 
         ("Reprojection error", error, rms <= MAX_ERROR_PX, f"<= {MAX_ERROR_PX:g} px", "warn",
          f"the corners fit no camera within {MAX_ERROR_PX:g} px: {error}"),
     ]  # fmt: skip
-    return [ev.check(*row[:4], otherwise=row[4], reason=row[5]) for row in rows]
+    return [ev.make_check(*row[:4], otherwise=row[4], reason=row[5]) for row in rows]

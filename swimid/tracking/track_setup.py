@@ -76,7 +76,7 @@ class SetupDraft(Text):
             return written
         picture = path.with_suffix(".markers.png")
         _, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
-        with atomic.replacing(picture) as temporary:
+        with atomic.replace_file(picture) as temporary:
             temporary.write_bytes(provenance.mark_png(data.tobytes()))
         return [*written, picture]
 
@@ -207,7 +207,9 @@ def _draft(video: Path, run: FilmTrack, rejected: list[MarkerCandidate], output:
     comments = "".join(f"# {note}\n" for note in notes)
     keys = yamlio.dumps(setup.model_dump(mode="json", exclude_none=True))
     text = "".join([_HEAD.format(video.name), comments, keys, _MORE])
-    return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=_sheet(run)).saved(output)
+    return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=_sheet(run)).write_output(
+        output
+    )
 
 
 def _try(video: Path, setup: Setup, progress: Progress) -> FilmTrack:

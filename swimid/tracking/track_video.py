@@ -21,7 +21,7 @@ from swimid.logs.log import Log, runs
 from swimid.logs.plane import Plane
 from swimid.logs.points import Posed
 from swimid.logs.tracks import Estimate, Logged
-from swimid.notices import Notice, Progress, recorded, silent, warn
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
@@ -162,19 +162,19 @@ def track_video(
     rules = setup_format.read_setup(setup)
     source = setup if isinstance(setup, str | Path) else rules
     rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         if overlay_path is not None:
             film = Video(video)
             check_length(overlay_path, film.claimed, film.width, film.height)
         with progress(f"tracking {video.name}") as step:
             run = follow(video, rules, step=step, file=str(provenance.path_of(source)))
         result, painter = _evaluate(run, source, options, metadata or {}, notices)
-        with atomic.together():
+        with atomic.write_together():
             if overlay_path is not None:
                 remark = painter.write(overlay_path, progress)
                 if remark and result.evidence is not None:
                     result = replace(result, evidence=result.evidence.model_copy(update={"notes": [remark]}))
-            result = result.saved(output)
+            result = result.write_output(output)
     return result if overlay_path is None else replace(result, outputs=[*result.outputs, overlay_path])
 
 
@@ -198,13 +198,13 @@ def _evaluate(
     checks = checks_of(track, made, rules, run.kept)
     if faults:
         reason = "; ".join(faults)
-        checks.insert(0, ev.check("Frames of the film", "not all", False, "all", reason=reason))
+        checks.insert(0, ev.make_check("Frames of the film", "not all", False, "all", reason=reason))
     swum = _swimming(made, (options.from_s, options.to_s))
     if swum.stroke is not None:
         if swum.doubt:
             warn("SWM033", swum.doubt)
         value, limit = f"{swum.stroke.frequency_hz:.4g} Hz", "heading and path agree"
-        checks.append(ev.check("One stroke", value, not swum.doubt, limit, reason=swum.doubt))
+        checks.append(ev.make_check("One stroke", value, not swum.doubt, limit, reason=swum.doubt))
     columns = pose.columns(made, track, rules)
     joints = _joints(columns, rules, run, provenance.path_of(source).parent)
     head = _metadata(run, plane, made.times) | metadata
@@ -214,7 +214,7 @@ def _evaluate(
         facts["Pixels"] = f"{video.pixel_aspect:.4g} times as wide as high; px count those of the file"
     if joints is not None:
         checks += point_evidence.checks(joints)
-    verdict = ev.judged(_answer(made, swum), checks)
+    verdict = ev.make_verdict(_answer(made, swum), checks)
     rows = _rows(swum, rules, plane.unit)
     tables, figures = [_table(rows, swum.steady)], _figures(made, rules, swum)
     methods, references, findings = _methods(rules, made), [*REFERENCES], {}
@@ -428,7 +428,7 @@ def _judge(
     """
     if code and not passed:
         warn(code, reason)
-    return ev.check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
+    return ev.make_check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
 
 
 def _grade(
@@ -672,9 +672,9 @@ def _answer(pose: Pose, found: Swimming) -> str:
     if found.steady:
         kind, speed = "steady", found.advance
     if speed is not None:
-        text += f", {kind} speed {numbers.number(speed.value, 4, f'{pose.plane.unit}/s')}"
+        text += f", {kind} speed {numbers.format_number(speed.value, 4, f'{pose.plane.unit}/s')}"
     if found.frequency_hz is not None:
-        text += f", stroke {numbers.number(found.frequency_hz.value, 4, 'Hz')}"
+        text += f", stroke {numbers.format_number(found.frequency_hz.value, 4, 'Hz')}"
     return f"{text}."
 
 
@@ -707,7 +707,7 @@ def _table(rows: list[Row], steady: bool) -> ev.Table:
             best, low, high = (factor * one for one in astuple(value))
             words = numbers.unit_text(unit)
             shown.append({"quantity": name, "value": best, "95 % from": low, "to": high, "unit": words})
-    return ev.table(
+    return ev.make_table(
         "swimming",
         "Speed and stroke",
         shown,
@@ -752,7 +752,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         label: str, values: SmoothedPath, row: int, raw: Array, factor: float = 1.0
     ) -> ev.Panel:
         smooth, sd = factor * values.position[row, every], factor * values.position_sd[row, every]
-        marks = ev.apart(t[every], raw)
+        marks = ev.select_marks(t[every], raw)
         seen_t, seen = t[every][marks], factor * raw[marks]
         measured = ev.Trace(x=seen_t, y=seen, label="measured", style="points", group=0)
         return over_time(label, [measured, ev.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0)])
@@ -786,7 +786,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         seen &= (t <= start) | (t >= end)
     curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
-        ev.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
+        ev.make_figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
         ev.panels(
             "pose",
             "Pose over time",
@@ -868,7 +868,7 @@ class Painter:
         width, height = round(source.pixel_aspect * source.width) // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
         again = Video(source.path).frames()
-        with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
+        with atomic.replace_file(path) as temporary, progress("overlay", total=len(times)) as step:
             writer = open_writer(temporary, rate, width, height)
             try:
                 for i, (time, (_, frame)) in enumerate(zip(times, again, strict=False)):

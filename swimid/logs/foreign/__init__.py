@@ -837,7 +837,7 @@ def open_table(
     try:
         with extra_needed(f"reading this {found.title}", found.extra, file=path):
             if found.extra:
-                table = isolated.run(read, *task, file=path)
+                table = isolated.run_isolated(read, *task, file=path)
             else:
                 table = read(*task)
     except InputError as error:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.files.tabular import MISSING, count_cells, number, parse
+from swimid.files.tabular import MISSING, count_cells, parse, parse_number
 from swimid.logs.foreign import GROUPED, KNOWN, Format, Options, Peek, Table, canonical, numbers_in
 from swimid.logs.foreign.serial import find_label, split_stamps, to_table
 from swimid.logs.log import TIME
@@ -223,7 +223,7 @@ def _likely_delimiter(lines: list[str]) -> str:
         table = [_cells(line, mark) for line in lines]
         width, times = Counter(map(len, table)).most_common(1)[0]
         flat = [cell for row in table for cell in row]
-        numbered = np.mean([bool(_COMMA.fullmatch(cell)) or number(cell) is not None for cell in flat])
+        numbered = np.mean([bool(_COMMA.fullmatch(cell)) or parse_number(cell) is not None for cell in flat])
         # Score the delimiter mainly by the number of lines with the same number of cells and by the fraction
         # of numbers in the cells, then by that number of cells.
         scores[mark] = weight * (0.1 + numbered) * times * (1 + min(width, 50) / 1000) * (width > 1)
@@ -241,14 +241,14 @@ def _decimal(table: list[list[str]], delimiter: str) -> str:
     """Return the decimal mark of a file. Commas that may separate groups of digits show none."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
-    dots = sum(number(cell) is not None and "." in cell for cell in cells)
+    dots = sum(parse_number(cell) is not None and "." in cell for cell in cells)
     is_grouped = all(re.fullmatch(GROUPED, cell) for cell in commas)
     return "," if len(commas) > dots and delimiter != "," and not is_grouped else "."
 
 
 def _value(cell: str, decimal: str) -> float | None:
     """Return the number in a cell; None if the cell holds no number."""
-    return number(cell.translate(_POINTS[decimal]))
+    return parse_number(cell.translate(_POINTS[decimal]))
 
 
 def _first_sample(table: list[list[str]], width: int, decimal: str, options: Options) -> int | None:

@@ -146,5 +146,10 @@ def _arrays(batch: Any, path: Path) -> dict[str, NDArray[Any]]:
 
 
 PARQUET = Format(
-    "parquet", "Parquet file", _open_parquet, endings=tabular.PARQUET, magic=(b"PAR1",), extra="parquet"
+    "parquet",
+    "Parquet file",
+    _open_parquet,
+    endings=tabular.PARQUET_ENDINGS,
+    magic=(b"PAR1",),
+    extra="parquet",
 )

@@ -316,7 +316,7 @@ def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _add_external_forces(time, state, work, forced):  # type: ignore[no-untyped-def]
-    """Add the external forces of effects on the links (:class:`swimid.fitting.model.Force`)."""
+    """Add the external forces of effects on the links (:class:`swimid.fitting.model.ExternalForce`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):
         i = links[e]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
 from swimid.logs import wave
 from swimid.robots import planar as parts
@@ -608,7 +608,7 @@ class MultilinkModel(Swimmer):
 
     def origin(self, trial: Trial) -> dict[str, float]:
         """Return the pose of the robot at the first sample of a trial, by channel."""
-        return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
+        return dict(zip(self.pose, (float(p) for p in trial.swim.get_pose()), strict=True))
 
     def _velocities_of_pose(self, seen: Callable[[str, int], float | None]) -> Sequence[float | None]:
         heading = seen(self.pose[2], 0)
@@ -639,7 +639,7 @@ class MultilinkModel(Swimmer):
 
     def _heading(self, values: Array, trial: Trial) -> float:
         """Return the heading at the first sample of a trial, with its estimated offset, rad."""
-        return float(trial.swim.posed()[2]) + self.value(values, self.starts[2])
+        return float(trial.swim.get_pose()[2]) + self.value(values, self.starts[2])
 
     def at_reference(self, wrench: Array) -> Array:
         """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
@@ -668,7 +668,7 @@ class MultilinkModel(Swimmer):
 
     def frame(self, run: SimulationRequest) -> Array:
         """Return the coordinate frame of the simulation in the world, for external forces."""
-        x, y, _ = run.trial.swim.posed()
+        x, y, _ = run.trial.swim.get_pose()
         heading = 0.0 if self._heading_matters() else self._heading(run.values, run.trial)
         return place_frame((x, y, heading), self.reference_m)
 
@@ -690,7 +690,7 @@ class MultilinkModel(Swimmer):
 
     def observe(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point, in the axes of the camera."""
-        pose = trial.swim.posed()
+        pose = trial.swim.get_pose()
         x, y, turned = values[self._offset].tolist()
         # a simulation starts at the origin, and along x unless forces with a fixed direction in the world act
         heading = 0.0 if self._heading_matters() else float(pose[2]) + turned
@@ -706,7 +706,7 @@ def warm_up() -> None:
 
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.linspace(0.0, 0.1, 6)
-    beat = Beat("a-cpg", 1.0, 0.3)
+    beat = TailBeat("a-cpg", 1.0, 0.3)
     model.simulate(
         np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, swim=SwimInput(beat))
     )

@@ -217,7 +217,7 @@ class MultibodyModel(Swimmer):
 
     def _first_pose(self, values: Array, trial: Trial) -> Array:
         """Return the pose of the reference point at the first sample, with estimated offsets, shape (6,)."""
-        pose = np.array(trial.swim.posed(6), dtype=float)
+        pose = np.array(trial.swim.get_pose(6), dtype=float)
         return pose + values[self._offset]
 
     def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
