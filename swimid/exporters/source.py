@@ -320,7 +320,7 @@ class ExportSource:
         servos = []
         for axis in self.assembly.driven:
             frequency, ratio = default_hz, 1.0
-            law = self.actuator(axis).driven.servo
+            law = self.actuator(axis).law.servo
             if law is not None:
                 frequency = Polynomial.of(law.natural_frequency_hz).at(values)
                 ratio = Polynomial.of(law.damping_ratio).at(values)
@@ -422,7 +422,7 @@ def _joint_limits(source: ExportSource, servo_hz: float) -> list[str]:
         if law["friction"]
     ]
     driven = source.assembly.driven
-    assumed = [axis.name for axis in driven if source.actuator(axis).driven.servo is None]
+    assumed = [axis.name for axis in driven if source.actuator(axis).law.servo is None]
     if assumed:
         limits.append(
             f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "

@@ -20,7 +20,7 @@ from swimid.exporters.gazebo import DART_ONLY
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import NO_ERRORS, Exported, ExportSource, xml_text
 from swimid.fitting.model import Array
-from swimid.swimmer.assembly import cross_product_matrix
+from swimid.swimmer.assembly import lever_matrix
 from swimid.swimmer.spatial.engine import COLUMNS
 from swimid.swimmer.spatial.model import MultibodyModel, SpatialTree, centre_of_mass, full
 
@@ -67,7 +67,7 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
         hint = "robots in space are exported as vehicles with one free link"
         raise InputError(text, file=source.path, column="robot", hint=hint)
     rigid, centre = full(source.rigid[0]), centre_of_mass(source.rigid[0])
-    at_centre = np.block([[np.eye(3), cross_product_matrix(centre)], [np.zeros((3, 3)), np.eye(3)]])
+    at_centre = np.block([[np.eye(3), lever_matrix(centre)], [np.zeros((3, 3)), np.eye(3)]])
     added = at_centre.T @ (full(source.tables["inertia"][0]) - rigid) @ at_centre
     added[np.abs(added) < 1e-9 * np.abs(added).max()] = 0.0
     central = (at_centre.T @ rigid @ at_centre)[3:, 3:]

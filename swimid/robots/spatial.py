@@ -381,7 +381,7 @@ Element = Annotated[
 ]
 
 
-class StrokeTable(yamlio.Document):
+class HingeStroke(yamlio.Document):
     """Cyclic motion of several driven hinges, given by their angles at certain times (knots) of a period.
 
     The angles are interpolated by a smooth periodic curve.
@@ -394,7 +394,7 @@ class StrokeTable(yamlio.Document):
     angles_deg: dict[str, list[float]]
 
     @model_validator(mode="after")
-    def _periodic(self) -> StrokeTable:
+    def _periodic(self) -> HingeStroke:
         if any(b <= a for a, b in pairwise(self.knots_s)):
             raise ValueError("knots_s must increase")
         if self.knots_s[0] != 0.0 or not math.isclose(self.knots_s[-1], self.period_s):
@@ -446,7 +446,7 @@ class MultibodyRobot(yamlio.Document):
     links: Annotated[list[SpatialLink], Field(min_length=1)]
     joints: list[Hinge] = []
     elements: list[Element] = []
-    strokes: dict[str, StrokeTable] = {}
+    strokes: dict[str, HingeStroke] = {}
 
     @model_validator(mode="after")
     def _names(self) -> MultibodyRobot:

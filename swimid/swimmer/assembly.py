@@ -134,7 +134,7 @@ class TableRows:
         if matrix.ndim == 1:
             matrix = np.diag(matrix)
         inertia = _polynomials(moments)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
-        lever = cross_product_matrix(_polynomials(point))
+        lever = lever_matrix(_polynomials(point))
         ms = matrix @ lever
         entries = [*matrix[UPPER], *(-ms).ravel(), *(inertia - lever @ ms)[UPPER]]
         row = self.inertia[self.index[link]]
@@ -164,7 +164,7 @@ def _polynomials(entries: Any) -> Any:
     return np.array([Polynomial.of(entry) for entry in entries.ravel()], dtype=object).reshape(entries.shape)
 
 
-def cross_product_matrix(point: Any) -> Any:
+def lever_matrix(point: Any) -> Any:
     """Return the matrix of the cross product with a vector, shape (3, 3), of numbers or polynomials."""
     x, y, z = point
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -188,7 +188,7 @@ def joint_row(point: Components, axis: Sequence[float], mount: Rotation) -> Row:
         Rotation from the child's axes to the parent's axes at zero angle.
     """
     unit = unit_vector(axis)
-    cross, zero = cross_product_matrix(unit), mount.as_matrix()
+    cross, zero = lever_matrix(unit), mount.as_matrix()
     return [*point, *unit, *np.ravel([zero, zero @ cross, zero @ cross @ cross])]
 
 

@@ -298,7 +298,7 @@ class Swimmer(Model, ABC):
         """
         if trial.swim.joints is None:
             return []
-        return [a.column for a in self.driven if a.driven is not None and not a.driven.is_computed]
+        return [a.column for a in self.driven if a.law is not None and not a.law.is_computed]
 
     def check(self, values: Array) -> None:
         """Raise an error if the coefficients give physically impossible masses or inertias.

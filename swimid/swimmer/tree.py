@@ -93,7 +93,7 @@ class MovingJoint:
         return str(self.joint.name)
 
     @property
-    def driven(self) -> Driven | None:
+    def law(self) -> Driven | None:
         """Law by which a driven joint follows the drive; None for a passive joint."""
         law: Driven | None = self.joint.driven
         return law
@@ -114,13 +114,13 @@ class Actuated:
         Name of the actuator, or of the joint that has the actuator for itself.
     column : str
         Log column of its angle.
-    driven : Actuator
+    law : Actuator
         Law by which it follows the drive.
     """
 
     name: str
     column: str
-    driven: Actuator
+    law: Actuator
 
     @property
     def command(self) -> str:

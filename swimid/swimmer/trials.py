@@ -323,7 +323,7 @@ def _read_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
     The measured angle is preferred, except that the commanded angle is preferred for an actuator with a
     servo. An actuator with a gain of 0 stays straight if neither angle is logged.
     """
-    law, command = actuator.driven, actuator.command
+    law, command = actuator.law, actuator.command
     candidates = [actuator.column, command]
     if law.servo is not None:
         candidates.reverse()
@@ -357,7 +357,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
     else:
         chosen = select_logged(model.reactions)
     chosen += select_logged([a.column for a in model.passive])
-    chosen += select_logged([a.column for a in model.driven if a.driven and a.driven.is_computed])
+    chosen += select_logged([a.column for a in model.driven if a.law and a.law.is_computed])
     if not chosen:
         names = ", ".join(c.name for c in model.channels)
         raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")

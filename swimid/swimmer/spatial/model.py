@@ -15,7 +15,7 @@ from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.kinematics import angles, from_angles
 from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
-from swimid.swimmer.assembly import UPPER, cross_product_matrix
+from swimid.swimmer.assembly import UPPER, lever_matrix
 from swimid.swimmer.model import Swimmer, flows, rotate_vector
 from swimid.swimmer.spatial.engine import SPATIAL_ENGINE
 from swimid.swimmer.tree import (
@@ -173,7 +173,7 @@ class MultibodyModel(Swimmer):
         mass, centre = rigid[link, 0], centre_of_mass(rigid[link])
         inertia = tables["inertia"].copy()
         for moved, place in ((-mass, centre), (mass, centre + by)):
-            lever = cross_product_matrix(place)
+            lever = lever_matrix(place)
             inertia[link, 6:] -= moved * np.concatenate([lever.ravel(), (lever @ lever)[UPPER]])
         tables["inertia"] = inertia
         self.tree.move_weight(tables, link, centre, by)
