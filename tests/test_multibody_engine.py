@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 from swimid.effects.structure import ComOffset
 from swimid.errors import InputError
 from swimid.fitting import drives
-from swimid.fitting.model import SwimInput, Trial
+from swimid.fitting.model import TRACEABLE, ExternalForce, SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import MultibodyRobot
 from swimid.swimmer import drive, lanes
 from swimid.swimmer.assembly import spheroid_coefficients
 from swimid.swimmer.drive import joint_motion
+from swimid.swimmer.engine import pack_forces, place_frame
 from swimid.swimmer.planar.engine import PLANAR_ENGINE as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as engine
@@ -306,6 +307,42 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     np.testing.assert_allclose(found[:, second], expected[:, 1], atol=1e-9)
     np.testing.assert_allclose(found[:, 3 - second], 0.0, atol=1e-12)
     np.testing.assert_allclose(found[:, 7:-6][:, : n - 3], expected[:, 3:n], atol=1e-9)
+
+
+def test_forces_of_effects_act_in_space_as_in_the_plane(rng: np.random.Generator) -> None:
+    """All traceable forces of effects, on a swimmer that moves in the horizontal plane."""
+    robot = robot_format.read("tfish")
+    assert robot.multilink is not None
+    planar, lifted = MultilinkModel(robot).tree, Lifted(robot.multilink, robot.fluid)
+    values = np.array([c.value for c in robot.multilink.coefficients.values()])
+    n, passives = planar.unknowns, len(planar.passive)
+    flat = 0.5 * rng.normal(size=2 * n)
+    state = np.zeros(13 + 2 * passives)
+    state[:2], state[3], state[6] = flat[:2], math.cos(0.5 * flat[2]), math.sin(0.5 * flat[2])
+    state[7 : 7 + passives], state[13 + passives :] = flat[3:n], flat[n + 3 :]
+    state[7 + passives : 9 + passives], state[12 + passives] = flat[n : n + 2], flat[n + 2]
+    motion = rng.normal(size=(len(planar.driven), 3))
+    mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
+    frame = place_frame((0.3, -0.2, 0.7), (0.05, 0.01))
+    for name, known in TRACEABLE.items():
+        constants = rng.uniform(0.3, 1.0, known.constants)
+        force = ExternalForce(
+            known.function, constants, {"base": 0, "hull": 1, "last": -1}[known.on], 0.1, 0.02
+        )
+        rates = []
+        for tree, start, turns in ((planar, flat, mounts), (lifted, state, [0.0] * len(mounts))):
+            angles = motion[:, 0] + turns
+            row = np.column_stack([motion, np.cos(angles), np.sin(angles)])
+            tables, rate = tree.tables(values), np.empty(len(start))
+            scratch = [np.zeros(shape) for shape in tree.engine.shapes(tables)[1]]
+            forced = pack_forces([force], frame, len(tree.links))
+            tree.engine.compute_rate(start, row, tuple(tables.values()), forced, 0.4, *scratch, rate)
+            rates.append(rate)
+        expected, found = rates[0][n:], rates[1][[7 + passives, 8 + passives, 12 + passives]]
+        np.testing.assert_allclose(found, expected[:3], rtol=1e-9, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            rates[1][13 + passives :], expected[3:], rtol=1e-9, atol=1e-9, err_msg=name
+        )
 
 
 # ------------------------------------------------------------ elements

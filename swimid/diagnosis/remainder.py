@@ -413,14 +413,14 @@ def list_descriptions(model: Model, trials: Sequence[Trial]) -> list[Description
 
     length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
     if "force" in model.offers and dynamic:
-        if model.body is None:
+        if model.swimmer is None:
             span = max((top(c, 1e-3) for c in channels if not c.endswith(("_s", "_s2"))), default=1.0)
             inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
             mass = float(np.median(inertia)) if inertia else 1.0
             pushes = [abs(t.rig.pull) for t in trials]
             swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
             found.append(ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span))
-        elif model.body.free:
+        elif model.body is not None and model.body.free:
             arm = sum(model.body.lengths_m)
             distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
             speed = max(distance / length, 1e-3)

@@ -160,6 +160,25 @@ def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
     return then if asked > 0.0 else otherwise
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def find_heading(frame, base, turn):  # type: ignore[no-untyped-def]
+    """Return the heading of a link in the world, rad.
+
+    The heading is continuous when the base turns by more than half a rotation.
+
+    Parameters
+    ----------
+    frame : (heading in rad, its cosine, its sine)
+        Direction of the simulation's axes in the world.
+    base : (heading in rad, its cosine, its sine)
+        Direction of the base in the simulation's axes.
+    turn : (cosine, sine)
+        Direction of the link in the simulation's axes.
+    """
+    across = turn[1] * base[1] - turn[0] * base[2]
+    return frame[0] + base[0] + math.atan2(across, turn[0] * base[1] + turn[1] * base[2])
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-untyped-def]
     """Return the torque of a wire and spring that pull a joint straight, N m.
@@ -407,17 +426,19 @@ def interpolate_states(time, begin, step, states, rates):  # type: ignore[no-unt
     return values
 
 
-def place_frame(frame: Sequence[float], reference: Sequence[float]) -> NDArray[np.float64]:
-    """Return the coordinate frame of a simulation in the world, for the forces of effects, shape (7,).
+def place_frame(pose: Sequence[float], reference: Sequence[float]) -> NDArray[np.float64]:
+    """Return the coordinate frame of a simulation in the world, for the forces of effects, shape (8,).
 
     Parameters
     ----------
-    frame : (x, y, heading), m and rad
+    pose : (x, y, heading), m and rad
         Origin and direction of the simulation's axes in the world.
-    reference : (x, y), m
+    reference : (x, y) or (x, y, z), m
         Reference point in the base's axes. The forces depend on its position.
     """
-    return np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]])
+    x, y, heading = pose
+    height = reference[2] if len(reference) > 2 else 0.0
+    return np.array([x, y, math.cos(heading), math.sin(heading), *reference[:2], heading, height])
 
 
 def pack_forces(forces: Sequence[ExternalForce], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
@@ -426,7 +447,7 @@ def pack_forces(forces: Sequence[ExternalForce], frame: NDArray[np.float64], lin
     Parameters
     ----------
     forces : sequence of ExternalForce, at most :data:`swimid.fitting.model.MOST_FORCES`
-    frame : ndarray, shape (7,)
+    frame : ndarray, shape (8,)
         Result of :func:`place_frame`.
     links : int
         Number of links.

@@ -489,6 +489,53 @@ def work_length(traced: Traced) -> int:
     return LANES * (4 * len(traced.rates) + 2 + traced.width + traced.parameters)
 
 
+def _write_rates(
+    traced: Traced, slots: Mapping[str, int], blocks: tuple[int, int, int, int], step: int
+) -> Program:
+    """Return the program that computes the rates, the state of the next stage, and the sum of the rates.
+
+    Parameters
+    ----------
+    traced : Traced
+    slots : mapping of kind of input to int
+        Place in the work array from which the inputs of each kind begin.
+    blocks : (int, int, int, int)
+        Places of the state before the step, the state after it, the state of the stage, and the rates.
+    step : int
+        Place of the step.
+    """
+    here, total, stage, rate = blocks
+    rates = Program()
+    known = rates.copy_symbols(traced.operations, lambda x: slots[x.kind] + LANES * x.of[0])
+    step_s = rates.add("load", step)
+    half, share = (rates.add("*", rates.add("given", k), step_s) for k in (0, 1))
+    for j, x in enumerate(traced.rates):
+        value = known[x.number] if isinstance(x, Symbol) else float(x)
+        rates.add("store", rate + LANES * j, value)
+        for place, origin, part in ((stage, here, half), (total, total, share)):
+            moved = rates.add("+", rates.add("load", origin + LANES * j), rates.add("*", part, value))
+            rates.add("store", place + LANES * j, moved)
+    return rates
+
+
+def _write_check(size: int, blocks: tuple[int, int, int]) -> Program:
+    """Return the program that sets a simulation to NaN if it has broken down.
+
+    ``blocks`` are the places of the state before the step, of the state after it, and of the rates.
+    """
+    here, _, rate = blocks
+    places = [LANES * j for j in range(size)]
+    check = Program()
+    far, gone = 0.0, 0.0
+    for j in places:
+        far = check.add("max", check.add("abs", check.add("load", here + j)), far)
+        gone = check.add("+", gone, check.add("load", rate + j))
+    gone = check.add("positive", check.add("-", MAX_STATE, far), check.add("*", 0.0, gone), math.nan)
+    for place in (first + j for first in blocks for j in places):
+        check.add("store", place, check.add("+", check.add("load", place), gone))
+    return check
+
+
 def source_of(traced: Traced) -> str:
     """Return the text of the module that integrates a batch of simulations with a traced engine.
 
@@ -506,25 +553,8 @@ def source_of(traced: Traced) -> str:
     parameter = row + LANES * traced.width
     elapsed = parameter + LANES * traced.parameters
     slots = {"state": stage, "row": row, "table": parameter, "number": parameter, "elapsed": elapsed}
-    places = [LANES * j for j in range(size)]
-    rates = Program()
-    known = rates.copy_symbols(traced.operations, lambda x: slots[x.kind] + LANES * x.of[0])
-    step_s = rates.add("load", step)
-    half, share = (rates.add("*", rates.add("given", k), step_s) for k in (0, 1))
-    for j, x in zip(places, traced.rates, strict=True):
-        value = known[x.number] if isinstance(x, Symbol) else float(x)
-        rates.add("store", rate + j, value)
-        for place, origin, part in ((stage, here, half), (total, total, share)):
-            moved = rates.add("+", rates.add("load", origin + j), rates.add("*", part, value))
-            rates.add("store", place + j, moved)
-    check = Program()
-    far, gone = 0.0, 0.0
-    for j in places:
-        far = check.add("max", check.add("abs", check.add("load", here + j)), far)
-        gone = check.add("+", gone, check.add("load", rate + j))
-    gone = check.add("positive", check.add("-", MAX_STATE, far), check.add("*", 0.0, gone), math.nan)
-    for place in (first + j for first in (here, total, rate) for j in places):
-        check.add("store", place, check.add("+", check.add("load", place), gone))
+    rates = _write_rates(traced, slots, (here, total, stage, rate), step)
+    check = _write_check(size, (here, total, rate))
     settle = Program()
     known = settle.copy_symbols(traced.settled[0], lambda x: total + LANES * x.of[0])
     for k, x in traced.settled[1].items():
@@ -639,7 +669,7 @@ ACTING = "acting"
 #: Elements whose input array of integers has the row of their input in its second column.
 STEERED = ("propeller", "rudder", "slider")
 #: Number of entries for the coordinate frame in the input array :data:`ACTING`.
-FRAME_LENGTH = 7
+FRAME_LENGTH = 8
 
 
 class Kernel:
@@ -779,7 +809,7 @@ class Kernel:
         tables : mapping
             Input arrays of the equations of motion.
         forces : sequence of ExternalForce
-        frame : ndarray, shape (7,)
+        frame : ndarray, shape (8,)
             Coordinate frame of the simulation in the world (:func:`swimid.swimmer.engine.place_frame`).
         begin_s : float
             Time of the initial state.
@@ -1034,7 +1064,7 @@ class Kernels:
         ----------
         run : Run
         frame : callable
-            Function from a simulation to its coordinate frame in the world, shape (7,).
+            Function from a simulation to its coordinate frame in the world, shape (8,).
         """
         if not self.used:
             return None

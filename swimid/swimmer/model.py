@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -15,7 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Request, Trial, unless_broken
+from swimid.fitting.model import (
+    NONE,
+    Array,
+    Channel,
+    Hooks,
+    Model,
+    Parameter,
+    Request,
+    Scales,
+    Trial,
+    unless_broken,
+)
 from swimid.notices import Progress, silent
 from swimid.results.numbers import split_unit
 from swimid.robots.file import Robot
@@ -171,6 +183,14 @@ class Swimmer(Model, ABC):
         self.starts = tuple(f"start_{word}" for word in self.places)
         self.parameters = (*coefficients(self.tree.body.coefficients), *_trial_parameters(self))
         self.channels = _channels(self)
+        self._index_parameters()
+        self.inputs = self.tree.body.inputs
+        self.kernels = Kernels(self.tree, self._room)
+        self._checked: bytes | None = None
+        self._clear_caches()
+
+    def _index_parameters(self) -> None:
+        """Find the indices of the parameters by their use, and the joint columns of a state vector."""
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         views = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
         views |= {f"{word}_{name}" for word in ("offset", "drift") for name in self.reactions}
@@ -188,10 +208,6 @@ class Swimmer(Model, ABC):
             np.array([self._at[name] for name in names if self.free_base], dtype=int)
             for names in (velocities, self.starts)
         )
-        self.inputs = self.tree.body.inputs
-        self.kernels = Kernels(self.tree, self._room)
-        self._checked: bytes | None = None
-        self._clear_caches()
 
     def _clear_caches(self) -> None:
         """Begin with empty caches of simulations. A copy with another integration step needs its own."""
@@ -252,9 +268,52 @@ class Swimmer(Model, ABC):
         """
         return [p.name for p in self.parameters if p.name.startswith("initial_")]
 
-    def attitude(self) -> list[int]:
-        """Return the indices, in a state vector, of base angles that affect the motion."""
-        return []
+    @property
+    @abstractmethod
+    def reference_m(self) -> Sequence[float]:
+        """Position of the reference point in the axes of the base, m."""
+
+    @abstractmethod
+    def start_course(self, trial: Trial) -> tuple[float, float, float]:
+        """Return the position on the two axes of the motion (m) and the heading (rad) at the first sample."""
+
+    def typical_force(self, scales: Scales) -> float:
+        """Return the drag at the typical speed, plus the force that accelerates the robot to it, N."""
+        tables, columns = self.tree.tables(self.start_coefficients), self.engine.columns
+        drag = tables["drag"][:, columns["drag"].index("quadratic_x")].sum()
+        size, rest = (columns["foil"].index(name) for name in ("half_rho_area", "cd0"))
+        drag += tables["foil"][:, size] @ tables["foil"][:, rest]
+        mass = tables["inertia"][:, 0].sum()
+        return float(drag * scales.speed**2 + mass * scales.speed / scales.duration)
+
+    @property
+    def course(self) -> tuple[str, ...]:
+        """Channels of the position and of the heading. The heading comes last, after the horizontal axes."""
+        return self.pose
+
+    @cached_property
+    def _memory(self) -> list[int]:
+        """Indices of the state entries on which the motion over a period of the drive depends.
+
+        They are passive joint angles, velocities of a free base and passive joint rates.
+        """
+        passives, first = len(self.passive), self.coordinates + len(self.passive)
+        begin = first + self.speeds * (not self.free_base)
+        return [*range(self.coordinates, first), *range(begin, first + self.speeds + passives)]
+
+    def cycle_states(self, states: Array) -> Array:
+        """Return those quantities of states on which the motion over a period of the drive depends.
+
+        The motion is the same from any place, and in a plane in any heading. The quantities have the shape
+        (n, m).
+        """
+        return states[:, self._memory]
+
+    def with_cycle_state(self, start: Array, quantities: Array) -> Array:
+        """Return a state vector in which the quantities of :meth:`cycle_states` have the given values."""
+        state = start.copy()
+        state[self._memory] = quantities[-len(self._memory) :]
+        return state
 
     def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
@@ -479,9 +538,9 @@ class Swimmer(Model, ABC):
         Returns
         -------
         Cruise or None
-            None if the drive is not periodic, if the base is fixed, and for a robot in 3-D.
+            None if the drive is not periodic, or if the base is fixed.
         """
-        if trial.swim.drive is None or not self.free_base or self.in_space:
+        if trial.swim.drive is None or not self.free_base:
             return None
         return self.steady.cruise(*self._arguments(values, trial))
 

@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError, suggestion
@@ -133,49 +134,58 @@ def check_names(body: Any, part: str) -> None:
 
     The error states the dotted path of the name.
     """
-    links = [link.name for link in body.links]
     joints = [joint.name for joint in body.joints]
-    for kind, given in (("links", links), ("joints", joints)):
-        for n, own in enumerate(given):
-            if own in given[:n]:
-                raise InputError(f"the name '{own}' stands twice", column=f"{part}.{kind}.{n}")
+    for kind, names in (("links", [link.name for link in body.links]), ("joints", joints)):
+        for n, name in enumerate(names):
+            if name in names[:n]:
+                raise InputError(
+                    f"two {kind} have the name '{name}'",
+                    column=f"{part}.{kind}.{n}",
+                    hint="rename one of them",
+                )
     for name in body.actuators:
         if name in joints:
             raise InputError(
-                f"a joint is called '{name}', too",
+                f"an actuator and a joint have the name '{name}'",
                 column=f"{part}.actuators.{name}",
                 hint="rename one of them",
             )
-    used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
-    used += [(f"elements.{n}.link", e.link) for n, e in enumerate(body.elements)]
-    asked = [(f"elements.{n}.input", e.input) for n, e in enumerate(body.elements) if hasattr(e, "input")]
-    asked += [(f"joints.{j.name}.torque.input", j.torque.input) for j in body.joints if j.torque is not None]
-    follow = [
-        (f"joints.{j.name}.driven.actuator", j.driven.actuator)
-        for j in body.joints
-        if j.driven is not None and j.driven.actuator is not None
-    ]
-    behind = [(f"elements.{n}.propeller", getattr(e, "propeller", "")) for n, e in enumerate(body.elements)]
-    tables = (
-        ("link", links, used),
-        ("input", list(body.inputs), asked),
-        ("actuator", body.actuators, follow),
-        ("propeller", propellers(body), [(where, name) for where, name in behind if name]),
-    )
-    for kind, known, names in tables:
-        for where, name in names:
-            if name not in known:
-                where_known = f"'{part}.{kind}s' has"
-                if kind == "propeller":
-                    where_known = "the elements of the kind 'propeller' have the names"
-                hint = suggestion(name, list(known), where_known)
-                raise InputError(f"there is no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
-    stated = list(body.coefficients)
+    known = {
+        "link": [link.name for link in body.links],
+        "input": list(body.inputs),
+        "actuator": list(body.actuators),
+        "propeller": propellers(body),
+    }
+    for kind, where, name in _list_references(body):
+        if name not in known[kind]:
+            owners = f"'{part}.{kind}s' has"
+            if kind == "propeller":
+                owners = "the elements of the kind 'propeller' have the names"
+            hint = suggestion(name, known[kind], owners)
+            raise InputError(f"there is no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
+    coefficients = list(body.coefficients)
     for path, quantity in list_quantities(body, part):
-        unknown = sorted(Polynomial.of(quantity).names - set(stated))
+        unknown = sorted(Polynomial.of(quantity).names - set(coefficients))
         if unknown:
-            hint = suggestion(unknown[0], stated)
+            hint = suggestion(unknown[0], coefficients)
             raise InputError(f"there is no coefficient '{unknown[0]}'", column=path, hint=hint)
+
+
+def _list_references(body: Any) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, dotted path and value of each name by which joints and elements refer to a part."""
+    for joint in body.joints:
+        where = f"joints.{joint.name}"
+        yield "link", f"{where}.parent", joint.parent
+        yield "link", f"{where}.child", joint.child
+        if joint.torque is not None:
+            yield "input", f"{where}.torque.input", joint.torque.input
+        if joint.driven is not None and joint.driven.actuator is not None:
+            yield "actuator", f"{where}.driven.actuator", joint.driven.actuator
+    for n, element in enumerate(body.elements):
+        for kind in ("link", "input", "propeller"):
+            name = getattr(element, kind, "")
+            if name:
+                yield kind, f"elements.{n}.{kind}", name
 
 
 def propellers(body: Any) -> list[str]:
@@ -303,12 +313,7 @@ class Tree(ABC):
         self.driven = [a for a in axes if a.joint.driven is not None]
         self.passive = [a for a in axes if a.joint.passive is not None]
         self.actuators, self.actuator_of = _list_actuators(body, self.driven)
-        self.topology = np.full((len(self.links), 3), -1, dtype=np.int64)
-        for i in range(1, len(self.links)):
-            self.topology[i, 0] = self.index[self._joints[i].parent]
-        for column, moved in ((1, self.driven), (2, self.passive)):
-            for k, axis in enumerate(moved):
-                self.topology[axis.link, column] = k
+        self.topology = self._connect()
         #: Names of the inputs that move masses, whose rates and accelerations act, too.
         self.moving_inputs = {e.input for e in body.elements if e.kind == "moving-mass"}
         self.free_base = body.base == "free"
@@ -319,6 +324,14 @@ class Tree(ABC):
             )
         self.constants = {"free_base": self.free_base}
         self._evaluated = lru_cache(MAX_TABLES)(self._evaluate)
+
+    def _connect(self) -> NDArray[np.int64]:
+        """Return the indices of the parent, the driven joint and the passive joint of each link."""
+        topology = np.full((len(self.links), 3), -1, dtype=np.int64)
+        topology[1:, 0] = [self.index[joint.parent] for joint in self._joints[1:]]
+        for column, axes in ((1, self.driven), (2, self.passive)):
+            topology[[axis.link for axis in axes], column] = range(len(axes))
+        return topology
 
     def fill(self, fluid: Fluid) -> TableRows:
         """Collect the rows of the input arrays from all links and elements of the robot file.

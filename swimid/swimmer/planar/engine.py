@@ -28,6 +28,7 @@ from swimid.swimmer.engine import (
     PASSIVE,
     Engine,
     begin_stage,
+    find_heading,
     has_diverged,
     inflow_speed,
     passive_torque,
@@ -67,25 +68,6 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 PLANAR_VELOCITIES = {name: i for i, name in enumerate(("1", "u", "v", "r", "|u|", "|v|", "|r|", "U", "/U"))}
 PLANAR_VELOCITIES |= {"w": 2, "q": 3, "|w|": 5, "|q|": 6}
 PLANAR_COMPONENTS = {"X": 0, "Y": 1, "N": 2, "Z": 1, "M": 2}
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def find_heading(frame, base, turn):  # type: ignore[no-untyped-def]
-    """Return the heading of a link in the world, rad.
-
-    The heading is continuous when the base turns by more than half a rotation.
-
-    Parameters
-    ----------
-    frame : (heading in rad, its cosine, its sine)
-        Direction of the simulation's axes in the world.
-    base : (heading in rad, its cosine, its sine)
-        Direction of the base in the simulation's axes.
-    turn : (cosine, sine)
-        Direction of the link in the simulation's axes.
-    """
-    across = turn[1] * base[1] - turn[0] * base[2]
-    return frame[0] + base[0] + math.atan2(across, turn[0] * base[1] + turn[1] * base[2])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

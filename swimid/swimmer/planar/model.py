@@ -530,8 +530,7 @@ class SwimmerScales(Scales):
     @property
     def force(self) -> float:
         """Drag at the typical speed, plus the force that accelerates the robot to it in one trial, N."""
-        body, speed = self.model.body, self.speed
-        return body.axial_drag(body.tables()) * speed**2 + self.inertia * speed / self.duration
+        return self.model.typical_force(self)
 
 
 #: For each plane of motion: its second axis, symbol and name of the velocity along this axis, and name of the
@@ -587,6 +586,11 @@ class MultilinkModel(Swimmer):
         """Position of the reference point in the axes of the base, m."""
         return -self.links.reference.station_m, self.links.reference.offset_m
 
+    def start_course(self, trial: Trial) -> tuple[float, float, float]:
+        """Return the position in the plane (m) and the heading (rad) at the first sample of a trial."""
+        x, y, heading = trial.swim.get_pose()
+        return float(x), float(y), float(heading)
+
     @property
     def body(self) -> PlanarBody:
         """Interface to the links for effects, at the start values of the parameters."""
@@ -608,7 +612,7 @@ class MultilinkModel(Swimmer):
 
     def origin(self, trial: Trial) -> dict[str, float]:
         """Return the pose of the robot at the first sample of a trial, by channel."""
-        return dict(zip(self.pose, (float(p) for p in trial.swim.get_pose()), strict=True))
+        return dict(zip(self.pose, self.start_course(trial), strict=True))
 
     def _velocities_of_pose(self, seen: Callable[[str, int], float | None]) -> Sequence[float | None]:
         heading = seen(self.pose[2], 0)
@@ -633,9 +637,9 @@ class MultilinkModel(Swimmer):
         """
         return self.tree.world_forces and self.free_base
 
-    def attitude(self) -> list[int]:
-        """Return the indices, in a state vector, of base angles that affect the motion."""
-        return [2] * self._heading_matters()
+    @cached_property
+    def _memory(self) -> list[int]:
+        return [2] * self._heading_matters() + super()._memory
 
     def _heading(self, values: Array, trial: Trial) -> float:
         """Return the heading at the first sample of a trial, with its estimated offset, rad."""

@@ -33,6 +33,7 @@ from swimid.swimmer.engine import (
     PASSIVE,
     Engine,
     begin_stage,
+    find_heading,
     has_diverged,
     inflow_speed,
     passive_torque,
@@ -58,6 +59,8 @@ SPATIAL_VELOCITIES = {
 }
 SPATIAL_COMPONENTS = {name: i for i, name in enumerate("XYZKMN")}
 
+#: Minimum squared cosine of the pitch angle of a link at which its heading is defined.
+LEAST_HEADING = 1e-12
 #: First columns of the quantities of a link in the work array: rotation to the parent (9 columns), v, w, v',
 #: w', f, m (3 each), A (6), B (9), D (6), rotation to the world (9) and position in the world (3). The last
 #: constant is the number of columns.
@@ -147,6 +150,19 @@ def wet(height, size):  # type: ignore[no-untyped-def]
     return s * s * (3.0 - 2.0 * s)
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _put_attitude(w, qw, qx, qy, qz):  # type: ignore[no-untyped-def]
+    """Write the rotation of the base to the world, which a quaternion of any length gives."""
+    norm = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    qw, qx, qy, qz = qw * norm, qx * norm, qy * norm, qz * norm
+    first = (1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy))
+    second = (2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx))
+    third = (2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy))
+    _put(w, _TURN, first)
+    _put(w, _TURN + 3, second)
+    _put(w, _TURN + 6, third)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore[no-untyped-def]
     """Compute velocities, accelerations, wrenches and inertias of all links, from the base outwards.
@@ -157,24 +173,7 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
     for i in range(topology.shape[0]):
         w = work[i]
         if i == 0:
-            qw, qx, qy, qz = state[3], state[4], state[5], state[6]
-            norm = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-            qw, qx, qy, qz = qw * norm, qx * norm, qy * norm, qz * norm
-            _put(
-                w,
-                _TURN,
-                (1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)),
-            )
-            _put(
-                w,
-                _TURN + 3,
-                (2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)),
-            )
-            _put(
-                w,
-                _TURN + 6,
-                (2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)),
-            )
+            _put_attitude(w, state[3], state[4], state[5], state[6])
             _put(w, _PLACE, _at(state, 0))
             for m in range(6):
                 w[_V + m] = state[twist + m]
@@ -506,6 +505,33 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
         _to_parent(i, topology[i, 0], joint, work)
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _add_external_forces(time, state, work, forced):  # type: ignore[no-untyped-def]
+    """Add the external forces of effects (:class:`swimid.fitting.model.ExternalForce`).
+
+    They act in the horizontal plane. Their axes are horizontal, and the first one has the heading of the
+    link.
+    """
+    links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
+    for e in range(len(links)):
+        w, at = work[links[e]], (places[e, 0], places[e, 1], 0.0)
+        length = math.sqrt(max(w[_TURN] * w[_TURN] + w[_TURN + 3] * w[_TURN + 3], LEAST_HEADING))
+        c, s = w[_TURN] / length, w[_TURN + 3] / length
+        vx, vy, _ = _apply(w, _TURN, _point_velocity(w, at))
+        velocity[0], velocity[1] = c * vx + s * vy, c * vy - s * vx
+        velocity[2] = _dot(_at(w, _TURN + 6), _at(w, _W))
+        reference = _apply(work[0], _TURN, (frame[4], frame[5], frame[7]))
+        a, b = state[0] + reference[0], state[1] + reference[1]
+        pose[0] = frame[0] + frame[2] * a - frame[3] * b
+        pose[1] = frame[1] + frame[3] * a + frame[2] * b
+        pose[2] = find_heading((frame[6], frame[2], frame[3]), (0.0, 1.0, 0.0), (c, s))
+        wrench[:] = 0.0
+        functions[e](time, pose, velocity, constants[ends[e] : ends[e + 1]], wrench)
+        fx, fy = c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1]
+        _push(w, at, _apply_transpose(w, _TURN, (fx, fy, 0.0)))
+        _put(w, _M, _plus(_at(w, _M), _times(-wrench[2], _at(w, _TURN + 6))))
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def _add_elements(state, row, tables, forced, time, work):  # type: ignore[no-untyped-def]
     """Add the forces of all elements and effects to the wrenches on the links."""
@@ -521,6 +547,8 @@ def _add_elements(state, row, tables, forced, time, work):  # type: ignore[no-un
     _rudders(rudder_link, rudder, propeller_link, propeller, row, work)
     _terms(term_link, term, work)
     _sliders(slider_link, slider, row, work)
+    if forced is not None:
+        _add_external_forces(time, state, work, forced)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)

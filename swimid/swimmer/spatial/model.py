@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
-from swimid.fitting.model import Array, Hooks, Trial
+from swimid.fitting.model import TRACEABLE, Array, Hooks, Trial
 from swimid.logs.kinematics import angles, from_angles
 from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer.assembly import UPPER, lever_matrix
-from swimid.swimmer.model import Swimmer, flows, rotate_vector
+from swimid.swimmer.engine import place_frame
+from swimid.swimmer.lanes import Room
+from swimid.swimmer.model import SimulationRequest, Swimmer, flows, rotate_vector
 from swimid.swimmer.spatial.engine import SPATIAL_ENGINE
 from swimid.swimmer.tree import (
     SYMMETRIC,
@@ -133,7 +135,7 @@ class MultibodyModel(Swimmer):
     """
 
     name = "multibody"
-    offers = frozenset({"command", "tables", "flow", "output", "clock"})
+    offers = frozenset({"command", "tables", "force", "flow", "output", "clock"})
     in_space = True
     pose = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
@@ -180,9 +182,76 @@ class MultibodyModel(Swimmer):
 
     def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
-        if hooks.flow:
+        if (hooks.flow or hooks.force) and self.free_base:
             return np.append(self._dynamic, self._at["start_yaw"])
         return self._dynamic
+
+    @property
+    def course(self) -> tuple[str, ...]:
+        """Channels of the position and of the heading."""
+        return (*self.pose[:3], "yaw_rad")
+
+    @property
+    def reference_m(self) -> Array:
+        """Position of the reference point in the axes of the base, m."""
+        return self.tree.reference
+
+    def start_course(self, trial: Trial) -> tuple[float, float, float]:
+        """Return the horizontal position (m) and the heading (rad) at the first sample of a trial."""
+        x, y, _, _, _, heading = trial.swim.get_pose(6)
+        return float(x), float(y), float(heading)
+
+    def _attitude_matters(self) -> bool:
+        """Return whether roll and pitch affect the motion of a free base: weight or a surface acts."""
+        return self.free_base and (self.tree.world_forces or self._surface_matters())
+
+    def _surface_matters(self) -> bool:
+        """Return whether the height affects the motion of a free base."""
+        return self.free_base and getattr(self.tree.body, "surface_z_m", None) is not None
+
+    def cycle_states(self, states: Array) -> Array:
+        """Return those quantities of states on which the motion over a period of the drive depends.
+
+        They include roll and pitch if weight or buoyancy acts, and the height above the base if the robot may
+        surface.
+        """
+        parts = [states[:, self._memory]]
+        if self._attitude_matters():
+            parts[:0] = angles(Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]])))[:2]
+        if self._surface_matters():
+            parts.insert(0, states[:, 2])
+        return np.column_stack(parts)
+
+    def with_cycle_state(self, start: Array, quantities: Array) -> Array:
+        """Return a state vector in which the quantities of :meth:`cycle_states` have the given values.
+
+        Without a water surface, the reference point keeps its height.
+        """
+        state = super().with_cycle_state(start, quantities)
+        first = int(self._surface_matters())
+        if self._attitude_matters() and np.isfinite(quantities).all():
+            before = Rotation.from_quat(start[[4, 5, 6, 3]])
+            turn = from_angles(*quantities[first : first + 2, None], [0.0])[0]
+            state[3:7] = np.roll(turn.as_quat(), 1)
+            state[2] += (before.apply(self.tree.reference) - turn.apply(self.tree.reference))[2]
+        if first:
+            state[2] = quantities[0]
+        return state
+
+    def frame(self, run: SimulationRequest) -> Array:
+        """Return the coordinate frame of the simulation in the world, for external forces."""
+        x, y, _ = self.start_course(run.trial)
+        *_, roll, pitch, yaw = self._first_pose(run.values, run.trial) if self.free_base else [0.0] * 6
+        begin = from_angles([roll], [pitch], [0.0])[0].apply(self.tree.reference)
+        offset = rotate_vector(begin[0], begin[1], yaw)
+        return place_frame((x - offset[0], y - offset[1], yaw), self.tree.reference)
+
+    def _room(self) -> Room:
+        hull = int(np.argmax(self.tree.rigid(self.start_coefficients)[:, 0]))
+        links = {"base": 0, "hull": hull, "last": len(self.tree.links) - 1}
+        # include the points at which weights act, because an effect that moves a mass moves its weight, too
+        filled = {"inertia": hull, "force": np.s_[:, :3]}
+        return Room({}, filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 
     def _offsets(self) -> tuple[str, ...]:
         # a simulation begins at x = y = 0 with its heading along x, so that these offsets do not affect it
