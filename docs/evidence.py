@@ -244,6 +244,7 @@ TABLES: dict[str, tuple[str, Callable[[], str]]] = {
         partial(reference.formats_text, reference.WRITTEN_BY_COMMANDS),
     ),
     "experiments": ("formats.md", reference.experiments_text),
+    "public names": ("api.md", reference.names_text),
     "warnings": ("warnings.md", reference.warnings_text),
     "effects": ("effects.md", reference.effects_text),
 }

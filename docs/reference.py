@@ -233,6 +233,40 @@ def find_class(name: str) -> Any:
     return found if isinstance(found, type) else found()
 
 
+# ---------------------------------------------------------------- public names
+
+#: Title of each page of the Python reference, and the public names on it.
+PYTHON = {
+    "Start": ("init", "sample", "robot"),
+    "Trials, logs and robots": (
+        "load", "read_log", "read_robot", "list_robots", "TrialSet", "Log", "Robot",
+    ),
+    "Make logs": (
+        "track_video", "track_setup", "track_camera", "Calibration", "track_imu", "import_log",
+        "guess_mapping", "plot", "Logged",
+    ),
+    "Identify": ("fit_drag", "fit_propulsion", "fit_graybox", "rwls", "fit", "Fitted"),
+    "Simulate and compare": ("simulate", "Simulation", "compare", "Comparison"),
+    "Diagnose": ("diagnose", "Diagnosis", "DetectionPower", "sensitivity", "Sensitivity"),
+    "Put to work": (
+        "performance_map", "PerformanceMap", "optimise_stiffness", "StiffnessRule", "optimise_gait",
+        "BestGait",
+    ),
+    "Many at once": ("batch", "Batch", "compare_runs", "ComparedRuns"),
+    "Results": ("load_result", "Result", "report", "export"),
+    "Models and effects": ("Model", "Parameter", "Channel", "Trial", "Trials", "fit_model", "Effect"),
+    "Errors and warnings": (
+        "SwimidError", "InputError", "UsageError", "NoTrustworthyResult", "SwimidWarning",
+    ),
+}  # fmt: skip
+
+
+def names_text() -> str:
+    """Return the table of the public names."""
+    rows = [[title, ", ".join(f"`{name}`" for name in names)] for title, names in PYTHON.items()]
+    return table(["subject", "names"], rows)
+
+
 # ---------------------------------------------------------------- warnings and effects
 
 

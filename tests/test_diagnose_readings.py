@@ -11,7 +11,7 @@ import pytest
 from swimid.diagnosis import readings, search
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.search import HypothesisSearch
+from swimid.diagnosis.search import HypothesisSearch, SearchResult
 from swimid.diagnosis.study import GapStudy
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
@@ -244,7 +244,7 @@ def decays(rng: np.random.Generator, rate_1_s: float, rising: float) -> list[Tri
     return trials
 
 
-def sought(trials: list[Trial], *, reading: bool = True) -> HypothesisSearch:
+def sought(trials: list[Trial], *, reading: bool = True) -> SearchResult:
     effects: list[Effect] = [Seen("rise", rise), Seen("ring", ring)]
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'

@@ -11,7 +11,8 @@ from scipy.stats import multivariate_normal
 
 from swimid.diagnosis import crossval, settings
 from swimid.diagnosis.crossval import NoiseDraws, NormalEquations, solve_normal
-from swimid.diagnosis.study import START_PRIOR, GapStudy, Hypothesis
+from swimid.diagnosis.priors import START_PRIOR
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.fitting.model import RigInput, Trial
 from tests.diagnosis_models import (
     PLAIN,

@@ -10,7 +10,8 @@ from scipy.signal import lfilter
 
 from swimid.diagnosis import crossval, noise
 from swimid.diagnosis.noise import NoiseModel
-from swimid.diagnosis.study import START_PRIOR, GapStudy, Hypothesis
+from swimid.diagnosis.priors import START_PRIOR
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.fitting.model import Parameter, Trial
 from swimid.fitting.noise import Autoregression, NoiseForm
 from swimid.fitting.problem import Problem

@@ -46,7 +46,7 @@ def searched(
     own: Sequence[Parameter] = PLAIN,
     prior: tuple[float, float] = (1.0, 0.1),
     asked: list[str] | None = None,
-) -> search.HypothesisSearch:
+) -> search.SearchResult:
     """Return the result of a search for the causes of the gap of a model that decays."""
     return search.search_causes(
         GapStudy(Hooked(plainly, own, ("y",)), own, trials, {"a": prior}), effects, asked=asked
@@ -259,7 +259,7 @@ def test_a_parameter_that_changed_is_a_cause_alone_and_beside_an_effect(
     own = (parameter("a", given),)
     effects = [ParameterChange(own[0]), Seen("slope", rise), Seen("ring", ring)]
     state = searched(seen_trials(rng, rising, 0.0), effects, own, (given, 0.005))
-    told = [r.name for r in state.rounds] if state.posterior.none < 0.1 else []
+    told = [r.name for r in state.comparisons] if state.posterior.none < 0.1 else []
     assert told == causes
     if causes:
         now = state.base.value("a") + state.base.value("parameter:a/change")

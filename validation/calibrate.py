@@ -196,7 +196,7 @@ def sensitivity(cases: Sequence[Truth], known: PosteriorConstants) -> list[tuple
     for field in fields(known):
         value = getattr(known, field.name)
         rows.append((field.name, *(changed(replace(known, **{field.name: f * value})) for f in (0.5, 1.5))))
-    for name in ("TENTH", "FURTHER", "UNSURE"):
+    for name in ("MODEL_ERROR_SHARE", "FURTHER_CAUSE_ODDS", "MAX_NO_GAP_PROBABILITY"):
         value, shares = getattr(posterior, name), []
         for f in (0.5, 1.5):
             setattr(posterior, name, f * value)

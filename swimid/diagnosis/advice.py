@@ -12,10 +12,10 @@ from scipy.special import chdtri
 
 import swimid
 from swimid.diagnosis import proposals
-from swimid.diagnosis.candidates import is_sound
-from swimid.diagnosis.crossval import solve_normal
+from swimid.diagnosis.crossval import project_out, solve_normal
 from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.proposals import Proposal, Segment, TrialLimits
+from swimid.diagnosis.screening import is_sound
 from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem, map_in_processes
@@ -155,7 +155,7 @@ class RivalModel:
         for k, residuals in enumerate(fit.residuals):
             # The function project_out() expects the residuals in the last column.
             block = np.column_stack((fit.columns(k, shared), residuals))
-            seen = study.project_out(fit, k, block)[:, :-1]
+            seen = project_out(study, fit, k, block)[:, :-1]
             self.precision = self.precision + seen.T @ seen
 
     def problem(self, trial: Trial) -> tuple[Problem, Array]:

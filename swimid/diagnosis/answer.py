@@ -10,7 +10,6 @@ from scipy import special
 
 from swimid.blackbox import model as arx
 from swimid.diagnosis import advice, crossval, dropouts, evidence, held_out, places, settings, verdict
-from swimid.diagnosis.candidates import Screening
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -32,7 +31,8 @@ from swimid.diagnosis.held_out import HeldOutSeries, Prediction
 from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.nominal import Preparation
 from swimid.diagnosis.proposals import TrialLimits
-from swimid.diagnosis.search import HypothesisSearch, Round
+from swimid.diagnosis.screening import Screening
+from swimid.diagnosis.search import CauseComparison, SearchResult
 from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
@@ -60,7 +60,7 @@ ANOTHER = "run another setting: what coefficients imitate at one they do not imi
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
 
-def propose_cause(search: HypothesisSearch, found: Round) -> Proposed:
+def propose_cause(search: SearchResult, found: CauseComparison) -> Proposed:
     """Return the effects that cannot be distinguished from the cause of a search round."""
     name = found.name
     share = search.posterior.instead(name, search.base.names)
@@ -87,7 +87,7 @@ def propose_cause(search: HypothesisSearch, found: Round) -> Proposed:
 
 
 def answer(
-    search: HypothesisSearch,
+    search: SearchResult,
     validation: Sequence[Trial],
     begun: Preparation,
     raw: Sequence[Trial],
@@ -136,7 +136,7 @@ def answer(
     fits, found = _predictions(search, validation, progress)
     study, nominal = search.study, search.null
     given, before, after = found[0], found[1], found[-1]
-    causes = {r.name: propose_cause(search, r) for r in search.rounds if search.posterior.none <= 0.5}
+    causes = {r.name: propose_cause(search, r) for r in search.comparisons if search.posterior.none <= 0.5}
     if not causes:
         after = before
     facts = Facts(
@@ -150,7 +150,7 @@ def answer(
         failed_samples=failed > 0,
     )
     decided = verdict.decide(facts)
-    shown = [r for r in search.rounds if r.name in decided.causes]
+    shown = [r for r in search.comparisons if r.name in decided.causes]
     base = search.base if shown else nominal
     sd = compute_stderr(study, base)
     closing = held_out.compute_shrinkages(given, before, after, floor, ranges)
@@ -169,7 +169,7 @@ def answer(
         where.phase = places.phases(cells)
     labels = ["as given", "refitted"]
     if shown:
-        labels += [f"+ {r.name}" for r in search.rounds]
+        labels += [f"+ {r.name}" for r in search.comparisons]
     closed = None
     if shown:
         models = (fits[0], nominal, search.base)
@@ -211,7 +211,7 @@ def _remove_failed(fit: Hypothesis, validation: Sequence[Trial], noise: NoiseMod
 
 
 def _predictions(
-    search: HypothesisSearch, validation: Sequence[Trial], progress: Progress
+    search: SearchResult, validation: Sequence[Trial], progress: Progress
 ) -> tuple[list[Hypothesis], list[list[Prediction]]]:
     """Return the models as given, refitted, and with the causes in turn, and their held-out predictions."""
     fits = [held_out.fit_as_given(search.study), search.null, *search.between]
@@ -238,11 +238,11 @@ def _compute_unreproduced(study: GapStudy, fit: Hypothesis) -> dict[str, float |
     return {channel: share for channel, share in shares.items() if share < verdict.MIN_CLOSED_SHARE}
 
 
-def _remaining(search: HypothesisSearch, facts: Facts, *, named: bool) -> Remaining:
+def _remaining(search: SearchResult, facts: Facts, *, named: bool) -> Remaining:
     """Return the share of the squared gap that remains on held-out data, and where it has structure."""
     if facts.unreproduced:
         return Remaining(share=1.0, where=f"all of {', '.join(facts.unreproduced)} but its mean", white=False)
-    left = search.left
+    left = search.structure
     where = "nothing that a smooth description finds"
     if left.is_present:
         largest = sorted(left.places.items(), key=lambda item: -item[1])
@@ -281,7 +281,7 @@ def _name_held_out(study: GapStudy, validation: Sequence[Trial]) -> HeldOut:
 
 
 def _channels(
-    search: HypothesisSearch, floor: Mapping[str, float], ranges: Mapping[str, float]
+    search: SearchResult, floor: Mapping[str, float], ranges: Mapping[str, float]
 ) -> list[ChannelGap]:
     units = {c.name: c.unit for c in search.study.model.channels}
     residuals = search.null.by_channel()
@@ -303,8 +303,8 @@ def _channels(
 
 
 def _causes(
-    search: HypothesisSearch,
-    shown: Sequence[Round],
+    search: SearchResult,
+    shown: Sequence[CauseComparison],
     facts: Facts,
     sd: Mapping[str, float],
     given: Mapping[str, Estimate],
@@ -385,7 +385,7 @@ def estimate_sizes(
 
 
 def _list_moved(
-    search: HypothesisSearch, base: Hypothesis, sd: Mapping[str, float], given: Mapping[str, Estimate]
+    search: SearchResult, base: Hypothesis, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, ChangedValue]:
     """Return the parameters whose refitted values differ significantly from those of the parameter file.
 
@@ -409,7 +409,7 @@ def _at_bounds(fit: Hypothesis) -> dict[str, float]:
 
 
 def _list_absorbed(
-    search: HypothesisSearch, given: Mapping[str, Estimate], sd: Mapping[str, float]
+    search: SearchResult, given: Mapping[str, Estimate], sd: Mapping[str, float]
 ) -> list[Absorbed]:
     """Return the values of the coefficients as given, and refitted without and with the causes."""
     nominal, base = search.null, search.base
@@ -433,7 +433,7 @@ def _list_absorbed(
 
 
 def _advice(
-    search: HypothesisSearch, file: GapFile, shown: Sequence[Round], limits: TrialLimits
+    search: SearchResult, file: GapFile, shown: Sequence[CauseComparison], limits: TrialLimits
 ) -> list[Advice]:
     """Return the proposed next experiments of an answer with these causes."""
     if file.verdict == "none":
@@ -471,7 +471,7 @@ def _advice(
         return []
 
 
-def _scores(search: HypothesisSearch) -> list[EffectRow]:
+def _scores(search: SearchResult) -> list[EffectRow]:
     """Return the score of each candidate effect.
 
     The score comes from the fit with this effect only. If the effect was not fitted, the score comes from the
@@ -494,7 +494,7 @@ def _score(tried: Screening, **fitted: float) -> EffectRow:
     )
 
 
-def _hypotheses(search: HypothesisSearch) -> list[HypothesisRow]:
+def _hypotheses(search: SearchResult) -> list[HypothesisRow]:
     """Return every fitted hypothesis with its probability. The model without effects comes first."""
     found = search.posterior
     return [

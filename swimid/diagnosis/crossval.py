@@ -23,6 +23,7 @@ from swimid.fitting.intervals import NORMAL
 from swimid.fitting.model import Array
 
 if TYPE_CHECKING:
+    from swimid.diagnosis.noise import NoiseModel
     from swimid.diagnosis.study import GapStudy, Hypothesis
 
 #: Weight, in a refit without one fold, of the information that all folds give on the shared parameters. It
@@ -111,6 +112,47 @@ class NoiseDraws:
     pull: Array
 
 
+def project_out(
+    study: GapStudy,
+    fit: Hypothesis,
+    k: int,
+    block: Array,
+    *,
+    to: NDArray[np.intp] | None = None,
+    noise: NoiseModel | None = None,
+) -> Array:
+    """Return whitened columns of a trial, with the parameters that only this trial has projected out.
+
+    Parameters
+    ----------
+    block : ndarray, shape (n_k, c)
+        Columns divided by the weights; the last column is the residual.
+    to : ndarray of int, optional
+        Indices of the parameters that are projected out. By default these are all parameters that only
+        this trial has and that are not at a bound.
+    noise : NoiseModel, optional
+        Default: the noise of the study.
+
+    Returns
+    -------
+    ndarray, shape (n_k + m, c)
+        One row for each sample, then one row for the prior of each of the m projected parameters. Inner
+        products of the columns account for the uncertainty of these parameters.
+    """
+    problem, noise = fit.problem, noise or study.noise
+    inside = fit.inside
+    mine = np.array([j for j in problem.own(k) if inside[j]], dtype=int) if to is None else to
+    if not len(mine):
+        return noise.whiten(problem, k, block)
+    mean, weight = study.compute_prior(problem)
+    n, scale = len(block), problem.scale[mine]
+    seen = noise.whiten(problem, k, np.column_stack((fit.columns(k, mine) * scale, block)))
+    own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
+    wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
+    wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
+    return np.asarray(wanted - own @ solve_normal(own.T @ own, own.T @ wanted))
+
+
 def form_normal_equations(
     study: GapStudy, fit: Hypothesis, columns: Sequence[Sequence[Array]] = ()
 ) -> NormalEquations:
@@ -134,7 +176,7 @@ def form_normal_equations(
     for k in range(len(study.trials)):
         mine = study.select_own(fit, k)
         block = np.column_stack([fit.columns(k, shared), *(c[k] for c in columns), fit.residuals[k]])
-        seen = study.project_out(fit, k, block, to=mine)
+        seen = project_out(study, fit, k, block, to=mine)
         owner = folds.owner[k]
         if folds.whole:
             f = int(owner[0]) if len(owner) else 0

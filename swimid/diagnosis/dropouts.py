@@ -19,7 +19,7 @@ from swimid.logs.sampling import step_of
 from swimid.results.evidence import compute_rms
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.search import HypothesisSearch
+    from swimid.diagnosis.search import SearchResult
 
 #: Minimum change of the residual that counts as a jump, in robust standard deviations of the differences
 #: between successive residuals.
@@ -192,7 +192,7 @@ FAILED, FAILED_MISFIT = 4, 50.0
 REAL = 0.5
 
 
-def compute_misfit(search: HypothesisSearch, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
+def compute_misfit(search: SearchResult, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
     """Return the sum of squared residuals of the failed samples, in units of the noise variance.
 
     The result is 0 if there are too few failed samples, or if the sum is too small.
@@ -211,7 +211,7 @@ def compute_misfit(search: HypothesisSearch, raw: Sequence[Trial], floor: Mappin
     return total
 
 
-def _sum_squares(search: HypothesisSearch, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
+def _sum_squares(search: SearchResult, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
     """Return, by channel, the sum of squared model errors at failed samples and the number of samples."""
     found: dict[str, tuple[float, int]] = {}
     simulated = search.null.problem.simulations(search.null.theta)
@@ -224,7 +224,7 @@ def _sum_squares(search: HypothesisSearch, raw: Sequence[Trial]) -> dict[str, tu
 
 
 def add_failed_samples(
-    search: HypothesisSearch,
+    search: SearchResult,
     causes: list[Cause],
     raw: Sequence[Trial],
     floor: Mapping[str, float],

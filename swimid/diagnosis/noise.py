@@ -557,7 +557,7 @@ def with_random_effects(
         own = study.select_nonrandom(fit.problem, k, study.select_own(fit, k))
         # The mean of a quantity over the trials is no random effect, so that it is a fixed effect as well.
         block = np.column_stack([*random, *random, fit.columns(k, study.select_shared(fit)), fit.typical(k)])
-        series.append(study.project_out(fit, k, block, to=own, noise=noise))
+        series.append(crossval.project_out(study, fit, k, block, to=own, noise=noise))
     pure = _differences(fit.problem, series, len(differing))
     if pure:
         series, largest = pure, LARGEST_SD

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chndtrinc
 
-from swimid.diagnosis import candidates, crossval, posterior
-from swimid.diagnosis.candidates import ScreeningRuns
+from swimid.diagnosis import crossval, posterior, screening
 from swimid.diagnosis.posterior import CALIBRATED, MAX_NO_GAP_PROBABILITY, DataSize
+from swimid.diagnosis.screening import ScreeningRuns
 from swimid.diagnosis.search import HypothesisSearch, prepare_study
 from swimid.diagnosis.study import GapStudy
 from swimid.effects.base import Effect
@@ -215,7 +215,7 @@ def compute_power(
     columns: list[list[Array]] = []
     lines: list[tuple[ScreeningRuns, Parameter, Array, NDArray[np.intp]]] = []
     left_out: dict[str, str] = {}
-    for tried in candidates.simulate_effects(search.study, base, wanted):
+    for tried in screening.simulate_effects(search.study, base, wanted):
         found = _lines(tried, columns)
         lines += [(tried, *line) for line in found]
         if not found:
@@ -279,7 +279,7 @@ def _lines(
     groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
     for point, changed in tried.points:
         moved = tuple(np.flatnonzero(point != null).tolist())
-        if moved and sum(float(c @ c) for c in changed) > candidates.MIN_SQUARED_CHANGE:
+        if moved and sum(float(c @ c) for c in changed) > screening.MIN_SQUARED_CHANGE:
             groups.setdefault(moved, []).append((float(point[moved[0]]), len(columns)))
             columns.append(changed)
     found = []

@@ -332,8 +332,10 @@ class Swim:
         for k, actuator in enumerate(self.swimmer.actuators):
             law = actuator.law
             rest, moved = (self.swimmer.command(k, one, played_s, 0.0) for one in (idle, full))
-            turn = driven.given(law.bias_gain, law.gain) * bias
-            motions.append(driven.spline_motion(driven.measured(time_s, rest + size * (moved - rest) + turn)))
+            turn = driven.use_default(law.bias_gain, law.gain) * bias
+            motions.append(
+                driven.spline_motion(driven.fit_spline(time_s, rest + size * (moved - rest) + turn))
+            )
         commanded = self.swim.commanded or drive is not None
         return replace(self.swim, beat=None, stroke=None, joints=motions, commanded=commanded)
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.candidates import is_sound
 from swimid.diagnosis.crossval import solve_normal
+from swimid.diagnosis.screening import is_sound
 from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import Effect
 from swimid.files.kernels import numba

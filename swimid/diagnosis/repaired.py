@@ -13,7 +13,7 @@ from swimid.diagnosis.answer import compute_stderr
 from swimid.diagnosis.crossval import compute_covariance
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.search import HypothesisSearch
+from swimid.diagnosis.search import SearchResult
 from swimid.diagnosis.study import Hypothesis
 from swimid.effects.base import Effect
 from swimid.effects.catalogue import constants
@@ -29,7 +29,7 @@ from swimid.simulators.repaired import SimulatorFile, make_repaired_file
 
 
 def build_repaired(
-    search: HypothesisSearch,
+    search: SearchResult,
     file: GapFile,
     loaded: Loaded,
     folder: Path,
@@ -149,9 +149,7 @@ def _estimate(
     return entry
 
 
-def _correlation(
-    search: HypothesisSearch, fit: Hypothesis, found: Mapping[str, Estimate]
-) -> Correlation | None:
+def _correlation(search: SearchResult, fit: Hypothesis, found: Mapping[str, Estimate]) -> Correlation | None:
     """Return the correlation matrix of the estimates that have a standard error; None for fewer than two."""
     names = [name for name, one in found.items() if one.stderr]
     if len(names) < 2:
@@ -181,7 +179,7 @@ def _settings(loaded: Loaded, effects: Sequence[Effect], readings: Mapping[str, 
     return found | {name: of for name, of in (("readings", chosen), ("effects", own)) if of}
 
 
-def _fit_block(search: HypothesisSearch, fit: Hypothesis, loaded: Loaded) -> parameters_format.Fit:
+def _fit_block(search: SearchResult, fit: Hypothesis, loaded: Loaded) -> parameters_format.Fit:
     """Return the trials, the errors of each channel and the noise of a fit."""
     study, file = search.study, loaded.applied.file
     units = {c.name: c.unit for c in study.model.channels}

@@ -42,11 +42,6 @@ from swimid.results.evidence import (
 class Integrated(Logged):
     """Result of ``track_imu``: log with velocity, position and attitude."""
 
-    keys = {
-        "method": str, "attitude_from": str, "still_periods": list[dict[str, Any]],
-        "faults": list[dict[str, Any]], "stroke": dict[str, Any] | None,
-    }  # fmt: skip
-
 
 @takes(TrackImuOptions)
 def track_imu(
@@ -116,22 +111,33 @@ def track_imu(
         given.append(log.unread(other, name="other"))
     if output is not None:
         output = atomic.check_writable(output, inputs=given)
-    if options.method == "paper" and other is not None:
-        hint = "leave out --with, or take --method smoother"
-        raise UsageError("--method paper fuses with nothing", hint=hint)
     with record_warnings(repeat=True) as notices:
         named = given[0 if rules is None else 1]
-        record, notes = recording.read_record(unread, rules, provenance.path_of(named), progress)
-        record, findings = faults.repair(record)
-        poses = None if other is None else recording.read_poses(log.of(other, name="other"))
-        setup, more = recording.prepare_setup(record, options)
-        with progress("smoothing", total=None) as step:
-            made = estimate_by_method(replace(setup, advance=step), [*findings, *more], poses)
-        for note in notes:
-            warn("SWM004", f"{record.name}: {note}")
-        origin = provenance.collect(given, settings=options.settings())
-        result = _result(made, notices, origin)
+        run = _estimate(unread, rules, provenance.path_of(named), options, progress)
+        result = _result(run, notices, provenance.collect(given, settings=options.settings()))
     return result.write_output(output)
+
+
+def _estimate(
+    unread: Path | Log,
+    rules: mapping.Mapping | None,
+    named: Path,
+    options: TrackImuOptions,
+    progress: Progress,
+) -> ImuRun:
+    """Read and repair a recording, and estimate its motion; ``named`` is the file in messages on columns."""
+    if options.method == "paper" and options.other is not None:
+        hint = "leave out --with, or take --method smoother"
+        raise UsageError("--method paper fuses with nothing", hint=hint)
+    record, notes = recording.read_record(unread, rules, named, progress)
+    record, findings = faults.repair(record)
+    poses = None if options.other is None else recording.read_poses(log.of(options.other, name="other"))
+    setup, more = recording.prepare_setup(record, options)
+    with progress("smoothing", total=None) as step:
+        run = estimate_by_method(replace(setup, advance=step), [*findings, *more], poses)
+    for note in notes:
+        warn("SWM004", f"{record.name}: {note}")
+    return run
 
 
 # ---------------------------------------------------------------- motion

@@ -1221,7 +1221,6 @@ class Draft(Text):
     """Draft of a mapping, which ``guess_mapping`` returns. Its ``document`` is YAML text with comments."""
 
     next_step = "swimid import {data[file]} --map {file} -o {free[run.csv]}"
-    keys = {"file": str, "mapping": str, "open": int}
 
     @property
     def mapping(self) -> Mapping:

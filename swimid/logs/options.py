@@ -100,14 +100,7 @@ class ImportOptions(Options):
 
 
 class PlotOptions(
-    Options,
-    command="plot",
-    section="Publish",
-    argument="LOG...",
-    output="The picture: .svg or .png.",
-    required=True,
-    beside=(),
-    makes="picture",
+    Options, argument="LOG...", output="The picture: .svg or .png.", required=True, beside=(), makes="picture"
 ):
     """Draw logs: channels, track from above, and spectra. Several logs are drawn over each other.
 

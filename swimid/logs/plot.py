@@ -43,7 +43,6 @@ class Drawn(Result):
 
     kind = "Log"
     next_step = "python -m webbrowser {file}"
-    keys = {"logs": list[str], "figures": list[str]}
 
     def save(self, path: str | Path) -> Self:
         """Write the figures to a file that ends in ``.svg`` or ``.png``.

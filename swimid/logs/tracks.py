@@ -609,11 +609,6 @@ class Logged(Result):
     kind = "Log"
     ending = ".csv"
     next_step = "swimid plot {file} -o {free[log.svg]}"
-    keys = {
-        "file": str, "samples": int, "duration_s": float, "median_rate_hz": float, "columns": list[str],
-        "missing": dict[str, int], "stroke": dict[str, Any], "speed": dict[str, Any] | None,
-        "checks": list[dict[str, Any]],
-    }  # fmt: skip
 
     @property
     def log(self) -> Log:

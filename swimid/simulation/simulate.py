@@ -175,7 +175,6 @@ class Simulation(Result):
 
     ending = ".csv"
     next_step = "swimid plot {file} -o {free[log.svg]}"
-    keys = {"model": str, "robot": str, "runs": list[dict[str, Any]]}
 
     @property
     def runs(self) -> dict[str, Simulated]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from swimid.diagnosis import candidates
+from swimid.diagnosis import screening
 from swimid.diagnosis.study import GapStudy
 from swimid.fitting.model import Hooks, Model, Parameter, Trial
 from tests.diagnosis_models import (
@@ -46,7 +46,7 @@ class Fragile(Seen):
 def test_a_trial_that_diverges_leaves_an_effect_to_the_others(rng: np.random.Generator) -> None:
     study = rising(rng, 1.0)
     base = study.fit((), [study.shape.start])
-    (found,) = candidates.simulate_effects(study, base, [Fragile("fragile", np.tanh)])
+    (found,) = screening.simulate_effects(study, base, [Fragile("fragile", np.tanh)])
     assert found.points
     for _, changes in found.points:
         assert not changes[0].any()
@@ -70,7 +70,7 @@ def test_the_screening_does_not_depend_on_the_unit_of_a_parameter(rng: np.random
     study = rising(rng, 0.004)
     base = study.fit((), [study.shape.start])
     effects = [InUnits("metres", 1.0), InUnits("millimetres", 1000.0), InUnits("kilometres", 1e-3)]
-    found, _ = candidates.screen_effects(study, base, candidates.simulate_effects(study, base, effects))
+    found, _ = screening.screen_effects(study, base, screening.simulate_effects(study, base, effects))
     first, *others = found
     assert len(others) == 2
     for other in others:
@@ -86,9 +86,7 @@ def test_the_effect_that_acts_has_the_largest_predicted_gain(rng: np.random.Gene
     study = plain_study(seen_trials(rng, 0.3, 0.0), 0.02, (1.0, 0.1))
     base = study.fit((), [study.shape.start])
     effects = [Seen("ring", ring), Seen("rise", rise), Seen("zero", np.zeros_like)]
-    found, left_out = candidates.screen_effects(
-        study, base, candidates.simulate_effects(study, base, effects)
-    )
+    found, left_out = screening.screen_effects(study, base, screening.simulate_effects(study, base, effects))
     assert [t.effect.name for t in found] == ["rise", "ring"]
     assert found[0].point[0] == pytest.approx(0.3, abs=0.01)
     assert list(left_out) == ["zero"]
@@ -105,8 +103,8 @@ def test_the_own_value_of_a_trial_is_tested_in_the_same_trial(rng: np.random.Gen
         ]
         study = plain_study(trials, 0.02)
         base = study.fit((), [study.shape.start])
-        found, _ = candidates.screen_effects(
-            study, base, candidates.simulate_effects(study, base, [Apart("ring", ring)])
+        found, _ = screening.screen_effects(
+            study, base, screening.simulate_effects(study, base, [Apart("ring", ring)])
         )
         gains.append(found[0].gain)
     # 1200 squares of a sine of amplitude 15 times the noise
@@ -120,17 +118,17 @@ def test_changes_in_proportion_have_a_cosine_of_one(rng: np.random.Generator) ->
     effects = [Seen("rise", rise), Seen("double", lambda t: -2.0 * rise(t)), Seen("ring", ring)]
     found = {
         t.effect.name: t
-        for t in candidates.screen_effects(study, base, candidates.simulate_effects(study, base, effects))[0]
+        for t in screening.screen_effects(study, base, screening.simulate_effects(study, base, effects))[0]
     }
-    assert abs(candidates.compute_cosine(study, base, found["rise"], found["double"])) == pytest.approx(
+    assert abs(screening.compute_cosine(study, base, found["rise"], found["double"])) == pytest.approx(
         1.0, rel=1e-6
     )
-    assert abs(candidates.compute_cosine(study, base, found["rise"], found["ring"])) < 0.5
+    assert abs(screening.compute_cosine(study, base, found["rise"], found["ring"])) < 0.5
 
 
 def test_a_start_without_a_change_is_skipped(rng: np.random.Generator) -> None:
     study = with_sd(line_study(rng), 0.05)
     fit = study.fit((), [study.shape.start])
     fit.problem.hold_derivatives(fit.problem, [np.zeros_like(rows) for rows in fit.derivatives])
-    gains = candidates.compute_own_gains(study, fit, [[r.copy() for r in fit.residuals]])
+    gains = screening.compute_own_gains(study, fit, [[r.copy() for r in fit.residuals]])
     assert np.isfinite(gains).all()

@@ -10,7 +10,8 @@ import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.crossval import NormalEquations
-from swimid.diagnosis.study import EFFECT_PRIOR, GapStudy, Hypothesis
+from swimid.diagnosis.priors import EFFECT_PRIOR
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
@@ -284,7 +285,7 @@ def compute_own_gains(study: GapStudy, base: Hypothesis, own: Sequence[Sequence[
     q = len(own)
     for k, trial in enumerate(study.trials):
         block = np.column_stack([*(c[k] for c in own), base.residuals[k]])
-        seen = study.project_out(base, k, block)[: len(block)]
+        seen = crossval.project_out(study, base, k, block)[: len(block)]
         times = np.concatenate(
             [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]
         )
