@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
 from tests.generators import three_link
-from tests.lifted import LiftedModel
+from tests.lifted import Lifted, LiftedModel
 
 BEAT = TailBeat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
 
@@ -61,9 +62,28 @@ def test_the_phase_of_the_drive_moves_a_steady_run_along_its_cycle(tmp_path: Pat
     np.testing.assert_allclose(a["u_m_s"], b["u_m_s"], atol=1e-6)
 
 
+class Damped(Lifted):
+    """A planar robot in the tables of the engine in space, with linear drag and damping off the plane."""
+
+    def tables(self, values: np.ndarray) -> dict[str, Any]:
+        found = super().tables(values)
+        drag = found["drag"].copy()
+        drag[:, 6 + self.across] = 0.5
+        found["drag"] = drag
+        found["damping_link"] = np.append(found["damping_link"], 0)
+        found["damping"] = np.vstack([found["damping"], [0.0, 0.0, 0.0, 0.02, 0.02, 0.0]])
+        return found
+
+
+class DampedModel(LiftedModel):
+    def _tree(self) -> Damped:  # type: ignore[override]
+        assert self.robot.multilink is not None
+        return Damped(self.robot.multilink, self.robot.fluid)
+
+
 def test_steady_swimming_in_space_is_that_of_the_plane(tmp_path: Path) -> None:
     planar, values = _model(tmp_path, c_d=2.0, c_f=0.2)
-    spatial = LiftedModel(planar.robot)
+    spatial = DampedModel(planar.robot)
     known = dict(zip((p.name for p in planar.parameters), values, strict=True))
     others = np.array([known.get(p.name, p.start) for p in spatial.parameters])
     trial = Trial("steady", "fit", np.arange(0.0, 2.0, 0.02), {}, swim=SwimInput(BEAT).make_steady())

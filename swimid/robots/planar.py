@@ -100,7 +100,9 @@ class PlanarJoint(Joint):
 class InPlane(OnLink):
     """Base class of elements in a plane that act at a point, which is given by its station and offset."""
 
+    #: Distance of the element behind the front end of its link, m.
     at_m: Quantity | None = None
+    #: Distance of the element to port (upwards in the vertical plane), m.
     offset_m: Quantity = 0.0
     #: Half the height of the band about the water surface: an element in a plane is always under water.
     half_height_m: ClassVar[float | None] = None
@@ -286,6 +288,7 @@ class PlanarLoad(InPlane, elements.Load):
     """
 
     at_m: Quantity = 0.0
+    #: Force and moment divided by the value of the input after the law of its actuator.
     forward_N: Quantity = 0.0
     port_N: Quantity = 0.0
     moment_N_m: Quantity = 0.0
