@@ -25,8 +25,8 @@ _NAMES_OF = {
     "swimid.logs.trials": ("TrialSet",),
     "swimid.robots.file": ("Robot",),
     # Functions that import logs and fit a model of a user.
-    "swimid.logs.import_log": ("import_log",),
-    "swimid.logs.mapping": ("guess_mapping",),
+    "swimid.imports.import_log": ("import_log",),
+    "swimid.imports.mapping": ("guess_mapping",),
     "swimid.fitting.fit": ("fit_model",),
     # Classes of results.
     "swimid.tracking.track_camera": ("Calibration",),
@@ -42,7 +42,7 @@ _NAMES_OF = {
     "swimid.runs.compare_runs": ("ComparedRuns",),
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),
-    "swimid.logs.tracks": ("Logged",),
+    "swimid.kinematics.logged": ("Logged",),
     # Base classes for models, experiments and effects that a user writes; classes of errors and warnings.
     "swimid.logs.experiments": ("Trials",),
     "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),

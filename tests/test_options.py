@@ -18,7 +18,7 @@ import swimid as package
 from swimid.cli.main import main, value_of
 from swimid.commands import COMMANDS, CommandSpec
 from swimid.errors import UsageError
-from swimid.logs.options import ImportOptions
+from swimid.imports.options import ImportOptions
 from swimid.notices import SwimidWarning
 from swimid.options import Options, Source, option, takes
 from swimid.results import parameters

@@ -20,9 +20,9 @@ import swimid
 from swimid.cli.options import DoctorOptions, ImportLogOptions, SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
-from swimid.logs import import_log as logs
-from swimid.logs.mapping import Draft, guess_mapping
-from swimid.logs.tracks import Logged
+from swimid.imports import import_log as logs
+from swimid.imports.mapping import Draft, guess_mapping
+from swimid.kinematics.logged import Logged
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.results import numbers
@@ -68,8 +68,8 @@ OTHERS = {
     "trials": "swimid.logs.experiments:make_schema",
     "robot": "swimid.robots.file:schema_of",
     "setup": "swimid.tracking.setup:Setup",
-    "mapping": "swimid.logs.mapping:Mapping",
-    "points": "swimid.logs.point_files:PointsFile",
+    "mapping": "swimid.imports.mapping:Mapping",
+    "points": "swimid.points.point_files:PointsFile",
     "evidence": "swimid.results.evidence:Evidence",
     "answer": "swimid.cli.answers:CommandAnswer",
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swimid.logs.options import ImportOptions
+from swimid.imports.options import ImportOptions
 from swimid.options import Options, option
 
 

@@ -28,7 +28,7 @@ from swimid.inertial.smoother import (
     jacobian,
     skew_matrices,
 )
-from swimid.logs.kinematics import angles
+from swimid.kinematics.attitude import angles
 from swimid.logs.sampling import white_noise_sd
 
 #: Standard deviation of position (m) and yaw (rad) at the first sample, before any observation. It is small

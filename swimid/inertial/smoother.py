@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from swimid.inertial import record as recording
 from swimid.inertial.record import Array, ImuRecord, ImuSetup, Sensor, SensorNoise, integral, resampled
-from swimid.logs.kinematics import angles
+from swimid.kinematics.attitude import angles
 from swimid.logs.log import runs
 
 #: Slice of each quantity in the vector of errors that the smoother estimates. Errors of scale are 3 x 3

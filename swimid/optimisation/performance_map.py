@@ -18,7 +18,7 @@ from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import UNSTEADY
+from swimid.kinematics.cycles import UNSTEADY
 from swimid.logs.log import to_xarray
 from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies

@@ -39,7 +39,7 @@ File = TypeVar("File", bound="ResultFile")
 #: defined.
 _CLASSES: dict[str, type[FileResult[Any]]] = {}
 #: Modules with the classes of the two results that several packages make: parameters, and logs.
-PARAMETERS, LOG = "swimid.results.parameters", "swimid.logs.tracks"
+PARAMETERS, LOG = "swimid.results.parameters", "swimid.kinematics.logged"
 LOG_ENDINGS = (".csv", *tabular.PARQUET_ENDINGS)
 
 #: Maximum width of a line on a terminal, and minimum width of a table column with shortened texts,

@@ -31,8 +31,8 @@ import cv2
 
 from swimid import reading
 from swimid.errors import InputError
-from swimid.logs.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.notices import warn
+from swimid.points.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.tracking.setup import HsvRange, Setup
 
 Array = NDArray[np.float64]

@@ -28,8 +28,8 @@ from scipy.optimize import minimize_scalar
 from swimid.errors import NoTrustworthyResult
 from swimid.files.kernels import numba
 from swimid.logs.log import runs, unwrap
-from swimid.logs.plane import Plane
 from swimid.logs.sampling import Held, find_held
+from swimid.points.plane import Plane
 from swimid.tracking.frames import CUT, LOST, STATUS_NAMES, Array, RawTrack
 from swimid.tracking.setup import Setup
 

@@ -16,7 +16,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.tabular import find_repeated
 from swimid.files.yamlio import Document
-from swimid.logs.scale import Camera, Point, Points, Positive, Scale
+from swimid.points.scale import Camera, Point, Points, Positive, Scale
 
 FORMAT = "swimid-setup/1"
 

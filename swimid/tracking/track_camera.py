@@ -13,9 +13,9 @@ from pydantic import Field
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import provenance, yamlio
-from swimid.logs.scale import Camera
 from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
+from swimid.points.scale import Camera
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance, yamlio
-from swimid.logs.scale import Camera
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
+from swimid.points.scale import Camera
 from swimid.results.result import Text
 from swimid.tracking import frames, picking, proposals
 from swimid.tracking import setup as setup_format

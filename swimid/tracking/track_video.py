@@ -15,14 +15,17 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
-from swimid.logs import kinematics, log, point_evidence, point_files, points
-from swimid.logs.kinematics import Swimming
+from swimid.kinematics import swimming
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.speed import Estimate
+from swimid.kinematics.swimming import MIN_WINDOW_SAMPLES, Swimming, measure
+from swimid.logs import log
 from swimid.logs.log import Log, runs
-from swimid.logs.plane import Plane
-from swimid.logs.points import Posed
-from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
+from swimid.points import point_evidence, point_files, points
+from swimid.points.plane import Plane
+from swimid.points.points import Posed
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.robots import file as robot_format
@@ -330,7 +333,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     seen, path = pose.times[pose.measured], pose.path
     begin, end = (one if one is not None else seen[k] for one, k in zip(window_s, (0, -1), strict=True))
     inside = int(((seen >= begin) & (seen <= end)).sum())
-    if inside < kinematics.MIN_WINDOW_SAMPLES and window_s != (None, None):
+    if inside < MIN_WINDOW_SAMPLES and window_s != (None, None):
         raise UsageError(
             f"only {inside} frames with the markers are between {begin:g} and {end:g} s; the track runs from "
             f"{seen[0]:.4g} to {seen[-1]:.4g} s",
@@ -342,7 +345,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     if pose.angle is not None and pose.separation is not None:
         angle = pose.angle.position[0]
         angle_error = math.sqrt(2) * error / max(float(np.nanmedian(pose.separation)), 1e-12)
-    track = kinematics.Track(
+    track = swimming.Track(
         time_s=pose.times,
         measured=pose.measured,
         raw=pose.raw,
@@ -353,7 +356,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         error=error,
         angle_error=angle_error,
     )
-    return kinematics.measure(track, window_s)
+    return measure(track, window_s)
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
@@ -501,7 +504,7 @@ def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
     """Check that at least one marker moves, because a motionless object passes all other checks.
 
     A robot that hardly leaves its place passes if it has a stroke. The stroke of a robot keeps its phase
-    (:func:`swimid.logs.beat.find_beats`), and ripples or passing objects that shift a centre do not.
+    (:func:`swimid.kinematics.frequency.find_beats`). Ripples or passing objects that shift a centre do not.
     """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])

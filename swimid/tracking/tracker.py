@@ -21,8 +21,8 @@ from scipy.optimize import linear_sum_assignment
 
 from swimid.errors import InputError
 from swimid.logs.log import runs
-from swimid.logs.plane import camera_matrix
 from swimid.notices import Step, warn
+from swimid.points.plane import camera_matrix
 from swimid.tracking import frames
 from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Box, HsvRange, Marker, Setup
