@@ -175,8 +175,7 @@ def _check_fit(
     """Return the checks of a fit, and the common mistake that explains a bad fit, if one does."""
     options = posed.options
     checks = [
-        *fit_common.checks(result),
-        *fit_common.error_checks(result),
+        *fit_common.assess(result),
         fit_common.beat_check(posed.experiment.facts["beats"]),
     ]
     if search.ends:
