@@ -411,7 +411,7 @@ def _take_out(
             done["elsewhere_s"] = elsewhere
         out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
         if out.any():
-            if len(out) >= 2 * track_speed.MIN_SAMPLES_STROKE and good < track_speed.MIN_SAMPLES_STROKE:
+            if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
                 text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
                 hint = "--raw keeps them all; is this a track of positions in metres?"
                 raise NoTrustworthyResult(text, hint=hint)
@@ -502,7 +502,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
     if found.posed is not None:
         checks += point_evidence.checks(found.posed)
         shown += point_evidence.figures(found.posed, found.wave)
-        methods += point_evidence.IMPORT_METHODS
+        methods += point_evidence.POINT_METHODS
         references += point_evidence.REFERENCES
     return Evidence(
         command="import",
