@@ -144,8 +144,7 @@ def fit_graybox(
         folder = (output or trials_format.place(trials)).parent
         file = _parameter_file(posed, result, origin, folder)
         checks = [
-            *fit_common.checks(result),
-            *fit_common.error_checks(result),
+            *fit_common.assess(result),
             fit_common.beat_check(experiment.facts["beats"]),
         ]
         if search.ends:

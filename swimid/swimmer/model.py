@@ -294,7 +294,7 @@ class Swimmer(Model, ABC):
         """Start values of the coefficients of the robot file."""
         return np.array([p.start for p in self.parameters[: len(self.coefficients)]])
 
-    def use_default(self, trial: Trial) -> list[str]:
+    def list_input_channels(self, trial: Trial) -> list[str]:
         """Return the channels of measured joint angles that drive the simulation.
 
         Joints with a servo or a shared actuator are not among them, because their angles are simulated.
