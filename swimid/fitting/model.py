@@ -618,7 +618,7 @@ class RobotFacts:
 
     @property
     def body(self) -> Any:
-        """Body of a planar robot with links (:class:`swimid.swimmer.planar.model.Body`); None otherwise."""
+        """Links of a planar robot (:class:`swimid.swimmer.planar.model.PlanarBody`); None otherwise."""
         return None
 
     @property

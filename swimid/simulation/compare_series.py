@@ -22,7 +22,7 @@ from swimid.kinematics.cycles import body_velocity, cycle_means, cycle_speeds, l
 from swimid.notices import warn
 from swimid.simulation.cases import beat_frequency, drive_block
 from swimid.simulation.catalogue import Applied
-from swimid.swimmer.planar.model import Body
+from swimid.swimmer.planar.model import PlanarBody
 
 Start = Literal["file", "estimated", "neutral"]
 
@@ -422,7 +422,7 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
 
 
 def _velocity_pairs(
-    model: Model, body: Body, trial: Trial, pairs: Mapping[str, Pair], frequency_hz: float | None
+    model: Model, body: PlanarBody, trial: Trial, pairs: Mapping[str, Pair], frequency_hz: float | None
 ) -> dict[str, Pair]:
     """Return measured and simulated surge, sway and turning rate from the pose, if they are not logged."""
     if not body.free or not all(name in pairs for name in body.pose):
@@ -477,7 +477,7 @@ def pool(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
 def compute_body_speed(
     trial: Trial,
     pairs: Mapping[str, Pair],
-    body: Body,
+    body: PlanarBody,
     frequency_hz: float,
     between_s: tuple[float, float] = (-math.inf, math.inf),
 ) -> Speed | None:
