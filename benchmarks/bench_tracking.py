@@ -26,7 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from swimid.logs.plane import plane_of
+from swimid.points.plane import plane_of
 from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Video

@@ -28,8 +28,8 @@ from pictures import draw_quick
 from reference import PYTHON
 
 from swimid.api import NAMES
-from swimid.cli.main import SECTIONS, SHARED, Command, main
-from swimid.commands import find_commands
+from swimid.cli.main import SHARED, Command, main
+from swimid.commands import COMMANDS, TABLE
 
 ROOT = Path(__file__).parents[1]
 PAGES, SITE = ROOT / "build" / "docs", ROOT / "site"
@@ -56,7 +56,7 @@ def copy_pages() -> None:
     for name in ("CONTRIBUTING.md", "CHANGELOG.md"):
         text = (ROOT / name).read_text(encoding="utf-8")
         (PAGES / name).write_text(text.replace("](docs/", "]("), encoding="utf-8")
-    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in find_commands().items()}
+    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in COMMANDS.items()}
     for path in PAGES.rglob("*.md"):
         up = "../" * (len(path.relative_to(PAGES).parts) - 1)
         text = path.read_text(encoding="utf-8").replace("](../CONTRIBUTING.md", f"]({up}CONTRIBUTING.md")
@@ -81,8 +81,8 @@ def with_table(folder: Path, link: re.Match[str]) -> str:
 def command_pages() -> None:
     """Write a page for each section of the list of commands, with the help of its commands."""
     folder = PAGES / "reference"
-    for section in SECTIONS:
-        specs = [spec for spec in find_commands().values() if spec.section == section]
+    for section in TABLE:
+        specs = [spec for spec in COMMANDS.values() if spec.section == section]
         text = [f"# {section}\n"]
         for spec in sorted(specs, key=lambda one: one.command):
             text += command_text(spec.command)
@@ -103,7 +103,7 @@ def command_text(name: str) -> Iterator[str]:
         group = group.commands[word]
     command: Command = group
     context = click.Context(command, info_name=f"swimid {name}")
-    about, _, examples = inspect.cleandoc(command.spec.help).partition("\n\nExample")
+    about, _, examples = inspect.cleandoc(command.spec.model().__doc__).partition("\n\nExample")
     usage = [command.get_usage(context).removeprefix("Usage: ")]
     usage += [line.strip() for line in examples.splitlines() if line.strip().startswith("swimid ")]
     yield f"## swimid {name} {{ #{slug(name)} }}\n"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swimid.commands import find_commands
+from swimid.commands import COMMANDS
 from swimid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ _NAMES_OF = {
     "swimid.logs.trials": ("TrialSet",),
     "swimid.robots.file": ("Robot",),
     # Functions that import logs and fit a model of a user.
-    "swimid.logs.import_log": ("import_log",),
-    "swimid.logs.mapping": ("guess_mapping",),
+    "swimid.imports.import_log": ("import_log",),
+    "swimid.imports.mapping": ("guess_mapping",),
     "swimid.fitting.fit": ("fit_model",),
     # Classes of results.
     "swimid.tracking.track_camera": ("Calibration",),
@@ -42,7 +42,7 @@ _NAMES_OF = {
     "swimid.runs.compare_runs": ("ComparedRuns",),
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),
-    "swimid.logs.tracks": ("Logged",),
+    "swimid.kinematics.logged": ("Logged",),
     # Base classes for models, experiments and effects that a user writes; classes of errors and warnings.
     "swimid.logs.experiments": ("Trials",),
     "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),
@@ -54,9 +54,7 @@ _NAMES_OF = {
 #: stays fast.
 NAMES = {name: module for module, names in _NAMES_OF.items() for name in names}
 NAMES |= {
-    name: module
-    for module, name in (spec.place for spec in find_commands().values())
-    if ".cli." not in module
+    name: module for module, name in (spec.place for spec in COMMANDS.values()) if ".cli." not in module
 }
 
 

@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from swimid import reading
+from swimid.commands import CommandUsage
 from swimid.errors import SwimidError, UsageError, name_arguments, suggestion
 from swimid.notices import automatic
 
@@ -101,50 +102,17 @@ class Options(BaseModel):
 
     The values of an object are validated and cannot be changed afterwards.
 
-    A subclass with the arguments below declares a command. Its docstring is the help text, and the first line
-    of the docstring appears in the list of commands. ``swimid.cli.main`` reads the arguments and the
-    docstring from the source file, so they must be literals.
-
-    Parameters
-    ----------
-    command : str
-        Name of the command, such as ``"fit-drag"``.
-    section : str
-        Heading of the command in the list of commands.
-    output : str
-        Description of the output that ``-o`` writes.
-    argument : str
-        Positional argument of the command, by default ``"TRIALS"``. ``"LOG..."`` stands for several files,
-        ``"[NAME]"`` for an optional word, ``"[NAME] [FOLDER]"`` for a word and the output, and an empty
-        string for no argument.
-    function, module : str
-        Name of the function, and of its module in the same package. The default of the function is the
-        command with ``_`` in place of ``-``, that of the module is the function. The function takes the
-        files, ``output`` and the options, and also ``progress``, ``allow`` or ``force`` if it has these
-        arguments.
-    output_flags : tuple of str
-        Flags of the output, if they are not ``-o`` and ``--output``.
-    required : bool
-        Whether ``-o`` must be given.
-    stdout : dict
-        Default values of options if the output is a document on stdout, because ``-o`` is not given.
-    beside : tuple of str
-        Endings of the files that are written next to the output. The default is the ending of the evidence
-        file.
-    makes : str
-        Kind of file that the command makes, by which a batch connects steps: ``log``, ``parameters``,
-        ``setup``, ``result``, ``picture`` or ``page``.
-    metrics : tuple of str
-        Dotted names of numbers in the ``--json`` answer that the summary of a batch shows besides the
-        estimates. ``*`` stands for any name. After ``|`` follows the name of the 95 % interval.
-    lock : bool
-        Whether the output is locked while the command runs.
+    The docstring of a class for a command is the help text of the command. The class arguments are those of
+    :class:`swimid.commands.CommandUsage`. A row of :data:`swimid.commands.TABLE` names the class.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
-    def __init_subclass__(cls, **command: Any) -> None:
+    usage: ClassVar[CommandUsage] = CommandUsage()
+
+    def __init_subclass__(cls, **usage: Any) -> None:
         super().__init_subclass__()
+        cls.usage = CommandUsage(**usage)
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -429,19 +397,6 @@ def own_experiments() -> Any:
     """Return the declaration of the option ``--experiment``, which reads experiments that a user defines."""
     help = "Python file with the experiment of one's own that the trials file names. Repeatable."
     return option((), flag="--experiment", metavar="FILE", help=help, recorded=False)
-
-
-def cluster() -> Any:
-    """Return the declaration of the option ``--cluster``, which moves the work to a cluster.
-
-    The cluster changes no result and is not recorded.
-    """
-    return option(
-        None,
-        metavar="ADDRESS|FILE",
-        recorded=False,
-        help="Address (tcp://host:8786) or scheduler file of a cluster of dask.distributed.",
-    )
 
 
 def jobs(help: str = "Threads; default one per processor.") -> Any:

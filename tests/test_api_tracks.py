@@ -14,13 +14,14 @@ import pytest
 
 from swimid.errors import InputError, UsageError
 from swimid.files import provenance, yamlio
+from swimid.imports import mapping
+from swimid.imports.import_log import import_log
+from swimid.imports.mapping import guess_mapping
 from swimid.inertial.track_imu import track_imu
-from swimid.logs import log, mapping
-from swimid.logs.import_log import import_log
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.plot import plot
+from swimid.logs import log
 from swimid.logs.log import Log
-from swimid.logs.mapping import guess_mapping
-from swimid.logs.plot import plot
-from swimid.logs.tracks import Logged
 from swimid.results import evidence as ev
 from swimid.tracking import setup as setup_format
 from swimid.tracking.track_setup import track_setup

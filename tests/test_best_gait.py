@@ -267,7 +267,7 @@ def test_the_command_writes_a_gait_file(swimid: Callable[..., Ran], tmp_path: Pa
     assert found.evidence.facts["Limits"] == "joint_rate_deg_s 7.854 rad/s"
     assert max(len(line) for line in ran.out.splitlines()) <= 100
     assert "CAUTION" in ran.out
-    assert "Caution: " in ran.out.replace("\n", " ")
+    assert "failed: " in ran.out.replace("\n", " ")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
-from swimid.logs import kinematics
+from swimid.kinematics.cycles import settling_time
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink, Yielding
@@ -127,9 +127,9 @@ def test_settling_time_of_a_first_order_rise() -> None:
     """``1 - exp(-t / tau)`` is within 5 % at ``tau log 20``. A signal that still rises has not settled."""
     time = np.arange(64 * 60 + 1) / 64.0
     rise = 1.0 - np.exp(-time / 5.0)
-    found = kinematics.settling_time(time, rise, 1.0)
+    found = settling_time(time, rise, 1.0)
     assert found == pytest.approx(5.0 * math.log(20.0), abs=0.1)
-    assert math.isnan(kinematics.settling_time(time[:640], time[:640], 1.0))
+    assert math.isnan(settling_time(time[:640], time[:640], 1.0))
 
 
 def test_simulate_tells_power_and_cost_of_transport(swimid: Callable[..., Ran]) -> None:

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from swimid.errors import InputError
 from swimid.fitting import output_error
 from swimid.fitting.model import CruiseInput, Trial
+from swimid.kinematics.frequency import find_beat
 from swimid.logs import log
-from swimid.logs.beat import find_beat
 from swimid.propulsion import model as propulsion
 from swimid.propulsion.trials import beat_averages
 from swimid.results import evidence, parameters

@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import log, mapping
-from swimid.logs.foreign import formats, open_table, unit_factor
+from swimid.imports import mapping
+from swimid.imports.formats import formats, open_table
+from swimid.logs import log
+from swimid.logs.units import unit_factor
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]

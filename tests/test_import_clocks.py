@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs import mapping
+from swimid.imports import mapping
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]

@@ -16,8 +16,8 @@ import pandas as pd
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs import mapping
-from swimid.logs.mapping import MappedLog
+from swimid.imports import mapping
+from swimid.imports.mapping import MappedLog
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -279,7 +279,7 @@ def test_nmea(kind: str, tmp_path: Path) -> None:
 
 def test_distances_are_those_on_the_ellipsoid() -> None:
     """Length of a degree at 60 degrees north (Snyder 1987, USGS Professional Paper 1395, table 7)."""
-    from swimid.logs.foreign.gps import east_north
+    from swimid.imports.formats.gps import east_north
 
     step = 1e-3
     place, _ = east_north(np.array([60.0, 60.0 + step, 60.0]), np.array([10.0, 10.0, 10.0 + step]))

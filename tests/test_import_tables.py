@@ -13,9 +13,11 @@ import pandas as pd
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs import mapping
-from swimid.logs.foreign import Table, open_table, quantity_of
-from swimid.logs.mapping import guess_mapping
+from swimid.imports import mapping
+from swimid.imports.formats import open_table
+from swimid.imports.mapping import guess_mapping
+from swimid.imports.table import Table
+from swimid.logs.units import quantity_of
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]

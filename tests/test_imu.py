@@ -17,7 +17,7 @@ from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import ImuRecord, find_rests, integrate_attitude, measure_noise, prepare_setup
 from swimid.inertial.smoother import at_reference
 from swimid.inertial.track_imu import compute_by_paper
-from swimid.logs.kinematics import angles, from_angles
+from swimid.kinematics.attitude import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
 

@@ -17,8 +17,8 @@ import pytest
 from swimid import import_log
 from swimid.errors import InputError
 from swimid.files import isolated, video
+from swimid.imports.formats import open_table
 from swimid.logs import log
-from swimid.logs.foreign import open_table
 
 
 def crash(_: Path) -> None:

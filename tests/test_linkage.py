@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swimid.logs import linkage as links
-from swimid.logs import point_files
-from swimid.logs.linkage import Linkage, State
+from swimid.points import linkage as links
+from swimid.points import point_files
+from swimid.points.linkage import Linkage, State
 from swimid.robots.planar import Multilink
 
 SD = 0.002

@@ -377,7 +377,7 @@ class TestBreakdown:
         assert good[:first].all()
         assert np.isnan(states[first:]).all()
         assert np.isnan(rates[first:]).all()
-        assert np.abs(states[:first]).max() < engine.BROKEN
+        assert np.abs(states[:first]).max() < engine.MAX_STATE
 
     def test_a_robot_without_inertia_is_nan(self) -> None:
         """An apparent inertia that is not positive definite gives NaN, not numbers."""

@@ -274,7 +274,6 @@ class TestFilesOfOthers:
             ("report", out / "c.yaml", "-o", out / "c.md"),
             ("export", LINKS, "--to", "gazebo", "-o", out / "p.sdf"),
             ("export", LINKS, "--to", "json", "-o", out / "p.json"),
-            ("export", out / "track.csv", "--to", "movement", "-o", out / "p.nc"),
             ("schema", "map", "-o", out / "s.json"),
             ("doctor", "-o", out / "d.json"),
         ):

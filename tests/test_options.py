@@ -16,9 +16,9 @@ from click.shell_completion import ShellComplete
 
 import swimid as package
 from swimid.cli.main import main, value_of
-from swimid.commands import CommandSpec, find_commands
+from swimid.commands import COMMANDS, CommandSpec
 from swimid.errors import UsageError
-from swimid.logs.options import ImportOptions
+from swimid.imports.options import ImportOptions
 from swimid.notices import SwimidWarning
 from swimid.options import Options, Source, option, takes
 from swimid.results import parameters
@@ -26,7 +26,7 @@ from swimid.swimmer.options import FitGrayboxOptions
 from swimid.tracking.options import Pick
 from tests.conftest import ROOT, Ran
 
-SPECS = list(find_commands().values())
+SPECS = list(COMMANDS.values())
 commands = pytest.mark.parametrize("spec", SPECS, ids=lambda s: s.command)
 
 
@@ -86,7 +86,7 @@ def test_an_unknown_option_is_refused_with_the_nearest(spec: CommandSpec) -> Non
 @commands
 def test_a_verbs_options_import_nothing_heavy(spec: CommandSpec) -> None:
     code = (
-        f"import sys; import {spec.package}.options; "
+        f"import sys; import {spec.model().__module__}; "
         "heavy = {'numpy', 'scipy', 'pandas', 'numba', 'cv2', 'control', 'matplotlib', 'ruamel'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs.plane import camera_matrix, plane_of
-from swimid.logs.scale import Camera, Heights, Scale
+from swimid.points.plane import camera_matrix, plane_of
+from swimid.points.scale import Camera, Heights, Scale
 
 WIDTH, HEIGHT = 641, 481
 #: Points of the picture, px: its corners, its middle and another one.

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from swimid.cli.main import track_group
-from swimid.logs.plane import plane_of
+from swimid.points.plane import plane_of
 from swimid.results import evidence
 from swimid.tracking import setup as setup_format
 from tests.generators import pool_video

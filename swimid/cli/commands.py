@@ -17,13 +17,12 @@ from typing import Any
 from pydantic import TypeAdapter
 
 import swimid
-from swimid.cli.answers import answer_schema
 from swimid.cli.options import DoctorOptions, ImportLogOptions, SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
-from swimid.logs import import_log as logs
-from swimid.logs.mapping import Draft, guess_mapping
-from swimid.logs.tracks import Logged
+from swimid.imports import import_log as logs
+from swimid.imports.mapping import Draft, guess_mapping
+from swimid.kinematics.logged import Logged
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.results import numbers
@@ -69,12 +68,11 @@ OTHERS = {
     "trials": "swimid.logs.experiments:make_schema",
     "robot": "swimid.robots.file:schema_of",
     "setup": "swimid.tracking.setup:Setup",
-    "mapping": "swimid.logs.mapping:Mapping",
-    "points": "swimid.logs.point_files:PointsFile",
+    "mapping": "swimid.imports.mapping:Mapping",
+    "points": "swimid.points.point_files:PointsFile",
     "evidence": "swimid.results.evidence:Evidence",
+    "answer": "swimid.cli.answers:CommandAnswer",
 }
-#: Name of the schema of the answer of any command to ``--json``.
-ANSWER = "answer"
 
 
 @takes(SchemaOptions)
@@ -93,35 +91,27 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     UsageError
         If there is no such format. The hint names the most similar format.
     """
-    names = [*OTHERS, *list_result_formats(), ANSWER]
+    names = [*OTHERS, *list_result_formats()]
     if name is None:
         return Result("schema", "\n".join(names), {"formats": names})
     if name not in names:
         raise UsageError(f"there is no format '{name}'", hint=suggestion(name, names))
-    if name == ANSWER:
-        content = answer_schema()
+    if name in OTHERS:
+        module, _, attribute = OTHERS[name].partition(":")
+        model: Any = getattr(importlib.import_module(module), attribute)
+        model = model if isinstance(model, type) else model()
     else:
-        found: Any = (
-            getattr(class_of(name), "file_type", None) if name in list_result_formats() else _other(name)
-        )
-        content = TypeAdapter(found).json_schema()
+        model = class_of(name).file_type
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
-        **content,
+        **TypeAdapter(model).json_schema(),
     }
     text = json.dumps(document, indent=2)
     if output is None:
         return Result("schema", text, document)
     atomic.write_text(output, text + "\n")
     return Result("schema", "", document, [output])
-
-
-def _other(name: str) -> Any:
-    """Return the pydantic model of a file format that is not the format of a result."""
-    module, _, attribute = OTHERS[name].partition(":")
-    found = getattr(importlib.import_module(module), attribute)
-    return found if isinstance(found, type) else found()
 
 
 # ---------------------------------------------------------------- doctor

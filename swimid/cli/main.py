@@ -1,9 +1,8 @@
-"""Command-line interface of swimid, with a click command for each class of options of a package.
+"""Command-line interface of swimid, with a click command for each row of the table of commands.
 
-The classes are in the files ``options.py`` of the packages. These files are parsed as text, so that the list
-of commands can be shown without an import of the packages. The standard output has the result only: plain
-text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and errors go to
-the standard error.
+Functions and classes of options are imported when their command runs. The standard output has the result
+only: plain text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and
+errors go to the standard error.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
-from swimid.commands import EVIDENCE, CommandSpec, find_commands
+from swimid.commands import COMMANDS, EVIDENCE, TABLE, CommandSpec
 from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, name_arguments
 from swimid.files import atomic, provenance
 from swimid.notices import Notice, Progress, Step, record_warnings, silent
@@ -289,23 +288,30 @@ class Command(click.Command):
     """Click command whose class of options is imported when its options are first needed."""
 
     def __init__(self, spec: CommandSpec) -> None:
-        path = _FilePath()
-        output = click.Option(
-            [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output_help
-        )
-        # Mark the examples in the help with \b, so that click keeps their line breaks.
-        help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)
-        name = spec.command.split()[-1]
-        super().__init__(name, params=[output, *SHARED], callback=self._run, help=help)
+        super().__init__(spec.command.split()[-1], callback=self._run, short_help=spec.help)
         self.spec = spec
 
     @cached_property
-    def _own(self) -> list[click.Parameter]:
-        return [*_argument(self.spec.argument), *map(_option, self.spec.model().declarations().values())]
+    def _parameters(self) -> list[click.Parameter]:
+        usage, options = self.spec.usage, self.spec.model().declarations()
+        output = click.Option(
+            [*usage.output_flags, "output"],
+            type=_FilePath(),
+            required=usage.required,
+            help=usage.output_help,
+        )
+        return [*_argument(usage.argument), *map(_option, options.values()), output, *SHARED]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return all parameters of the command: its argument, its own options and the shared options."""
-        return [*self._own, *super().get_params(ctx)]
+        return [*self._parameters, *super().get_params(ctx)]
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the docstring of the class of options to the help text."""
+        # Mark the examples with \b, so that click keeps their line breaks.
+        text = inspect.getdoc(self.spec.model()) or ""
+        self.help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", text)
+        super().format_help_text(ctx, formatter)
 
     def _run(self, *, files: Any = None, place: Path | None = None, **typed: Any) -> None:
         """Execute the command with the arguments and options that the user typed."""
@@ -313,7 +319,7 @@ class Command(click.Command):
             raise click.UsageError(f"two outputs are named: {place} and {typed['output']}")
         typed["output"] = place or typed["output"]
         shared = {one.name: typed.pop(one.name) for one in fields(CommandRun) if one.name in typed}
-        run = CommandRun(self.spec.command, lock=self.spec.lock, **shared)
+        run = CommandRun(self.spec.command, lock=self.spec.usage.lock, **shared)
         run(partial(self._outcome, run, files, typed))
 
     def _outcome(self, run: CommandRun, files: Any, typed: dict[str, Any]) -> Result:
@@ -325,9 +331,9 @@ class Command(click.Command):
         declared = spec.model().declarations()
         options = {name: value_of(declared[name], text) for name, text in typed.items()}
         output = run.output
-        if spec.stdout is not None and (output is None or str(output) == "-"):
+        if spec.usage.stdout is not None and (output is None or str(output) == "-"):
             output = None
-            options |= {name: value for name, value in spec.stdout.items() if options[name] is None}
+            options |= {name: value for name, value in spec.usage.stdout.items() if options[name] is None}
         read = [files]
         if isinstance(files, tuple):
             read = list(files)
@@ -346,7 +352,7 @@ class Command(click.Command):
         if output is not None and not output.is_dir():
             _protect_beside(output, spec, run)
         outcome: Result = function(*filter(None, [files]), output=output, **options, **given)
-        if spec.stdout is not None and output is None and not run.as_json:
+        if spec.usage.stdout is not None and output is None and not run.as_json:
             # Print the document also with --quiet, because it is the result.
             click.echo(outcome.text)
             outcome = replace(outcome, text="")
@@ -426,9 +432,9 @@ def _protect_beside(output: Path, spec: CommandSpec, run: CommandRun) -> None:
     """
     from swimid.results import evidence
 
-    for ending in spec.beside:
+    for ending in spec.usage.beside:
         run.protect(output.with_name(output.stem + ending))
-    if EVIDENCE in spec.beside and not run.force:
+    if EVIDENCE in spec.usage.beside and not run.force:
         evidence.check_beside(output)
 
 
@@ -536,29 +542,14 @@ def _parse_named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- groups of commands
 
-#: Headings in the list of commands that ``swimid --help`` prints, in the order in which users need them.
-SECTIONS = (
-    "Start",
-    "Make logs",
-    "Identify",
-    "Simulate and compare",
-    "Diagnose",
-    "Put to work",
-    "Many at once",
-    "Publish",
-    "Help yourself",
-)
-
 
 class Sectioned(click.Group):
     """Command group whose help lists the commands by purpose."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands to the help text, with a heading for each purpose."""
-        sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
-        for spec in find_commands().values():
-            sections.setdefault(spec.section, set()).add(spec.command.split()[0])
-        for title, names in sections.items():
+        for title, commands in TABLE.items():
+            names = {name.split()[0] for name, *_ in commands}
             rows = [(name, self.commands[name].get_short_help_str(limit=88)) for name in sorted(names)]
             with formatter.section(title):
                 formatter.write_dl(rows)
@@ -606,7 +597,7 @@ def optimise() -> None:
     """Find the best stiffness for each frequency and amplitude, or the best gait."""
 
 
-for spec in find_commands().values():
+for spec in COMMANDS.values():
     {"track": track_group, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
 
 

@@ -101,18 +101,18 @@ def answer(
     ----------
     validation : sequence of Trial
         Trials that no fit uses.
-    begun : Begun
+    begun : Preparation
         Parameters of the parameter file, and those whose change is not a hypothesis.
     raw : sequence of Trial
         The fitted trials, failed samples included.
-    limits : Limits
+    limits : TrialLimits
         Limits of a proposed trial.
 
     Returns
     -------
     GapFile
         The caller adds the names of the model, the robot, the experiment, the parameter file and the trials.
-    list of Piece
+    list of HeldOutSeries
         Measured and simulated samples of this held-out trial.
 
     Raises
@@ -120,84 +120,103 @@ def answer(
     NoTrustworthyResult
         If the refitted model cannot simulate these trials.
     """
-    study, nominal = search.study, search.null
-    # A measured range of zero is replaced by 1.
-    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in nominal.collect_measured().items()}
-    if all(compute_rms(left) > MAX_RELATIVE_ERROR * ranges[c] for c, left in nominal.by_channel().items()):
-        raise NoTrustworthyResult(
-            f"the refitted model is off by more than {MAX_RELATIVE_ERROR:g} times the range of every channel",
-            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
-        )
-    noise = study.noise
+    study, null = search.study, search.null
+    ranges = _compute_ranges(null)
     floor = held_out.compute_floors(study, search.base)
     raw = [trial for trial in raw if trial.id not in search.odd_trials]
     failed = dropouts.compute_misfit(search, raw, floor)
-    validation = _remove_failed(search.base, validation, noise)
-    fits, found = _predictions(search, validation, progress)
-    study, nominal = search.study, search.null
-    given, before, after = found[0], found[1], found[-1]
-    causes = {r.name: propose_cause(search, r) for r in search.comparisons if search.posterior.none <= 0.5}
-    if not causes:
-        after = before
-    facts = Facts(
-        no_gap=search.posterior.none,
-        catalogue=sum(search.posterior.sets.values()),
-        outside=search.posterior.outside,
-        proposed=causes,
-        held_out=held_out.tabulate_parts(given, before, after),
-        diverged=not held_out.is_finite(before, after),
-        unreproduced=_compute_unreproduced(study, search.base if causes else nominal),
-        failed_samples=failed > 0,
-    )
+    validation = _remove_failed(search.base, validation, study.noise)
+    fits, predictions = _predictions(search, validation, progress)
+    facts = _collect_facts(search, predictions, failed)
+    ends = predictions[0], predictions[1], predictions[-1 if facts.proposed else 1]
     decided = verdict.decide(facts)
-    shown = [r for r in search.comparisons if r.name in decided.causes]
-    base = search.base if shown else nominal
+    shown = [c for c in search.comparisons if c.name in decided.causes]
+    base = search.base if shown else null
     sd = compute_stderr(study, base)
-    closing = held_out.compute_shrinkages(given, before, after, floor, ranges)
-    result = _causes(search, shown, facts, sd, begun.given, closing)
+    closing = held_out.compute_shrinkages(*ends, floor, ranges)
+    causes = _causes(search, shown, facts, sd, begun.given, closing)
     if failed:
-        result = dropouts.add_failed_samples(search, result, raw, floor, failed, ranges)
+        causes = dropouts.add_failed_samples(search, causes, raw, floor, failed, ranges)
     scores = _scores(search)
-    cells = places.Map(study, nominal, floor)
+    cells = places.Map(study, null, floor)
     where = Where(
         channels=_channels(search, floor, ranges),
-        stage=_stages(scores, result),
+        stage=_stages(scores, causes),
         regime=places.regimes(cells),
         time=places.times(cells),
     )
     if decided.verdict != "none":
         where.phase = places.phases(cells)
-    labels = ["as given", "refitted"]
+    labels, closed = ["as given", "refitted"], None
     if shown:
-        labels += [f"+ {r.name}" for r in search.comparisons]
-    closed = None
-    if shown:
-        models = (fits[0], nominal, search.base)
-        closed = held_out.compute_closed(*models, validation, study.noise, (given, before, after))
+        labels += [f"+ {c.name}" for c in search.comparisons]
+        closed = held_out.compute_closed(fits[0], null, search.base, validation, study.noise, ends)
     file = GapFile(
         verdict=decided.verdict,
         where=where,
-        waterfall=held_out.build_waterfall(dict(zip(labels, found, strict=False)), floor),
+        waterfall=held_out.build_waterfall(dict(zip(labels, predictions, strict=False)), floor),
         closed=closed,
-        causes=result,
+        causes=causes,
         remaining=_remaining(search, facts, named=bool(shown)),
         facts=facts,
         setting_count=settings.count_settings([*study.trials, *validation]),
-        at_bound=_at_bounds(nominal),
+        at_bound=_at_bounds(null),
         moved=_list_moved(search, base, sd, begun.unweighed),
         hypotheses=_hypotheses(search),
-        samples=sum(len(r) for r in nominal.residuals) or None,
+        samples=sum(len(r) for r in null.residuals) or None,
         tried=search.count,
         held_out=_name_held_out(study, validation),
-        floor_from=_floor_text(noise),
+        floor_from=_floor_text(study.noise),
         odd_trials=search.odd_trials,
-        random_effects={kind.name: kind.sd for kind in noise.random_effects},
+        random_effects={effect.name: effect.sd for effect in study.noise.random_effects},
         scores=scores,
-        reasons=_reasons(noise),
+        reasons=_reasons(study.noise),
         left_out=dict(search.left_out),
     )
     file.advice = _advice(search, file, shown, limits)
-    return file, held_out.select_worst(before, after)
+    return file, held_out.select_worst(*ends[1:])
+
+
+def _compute_ranges(null: Hypothesis) -> dict[str, float]:
+    """Return the measured range of each channel; 1 in place of 0.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        If the refitted model cannot simulate the trials.
+    """
+    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in null.collect_measured().items()}
+    if all(compute_rms(left) > MAX_RELATIVE_ERROR * ranges[c] for c, left in null.by_channel().items()):
+        raise NoTrustworthyResult(
+            f"the refitted model is off by more than {MAX_RELATIVE_ERROR:g} times the range of every channel",
+            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
+        )
+    return ranges
+
+
+def _collect_facts(search: SearchResult, predictions: Sequence[Sequence[Prediction]], failed: float) -> Facts:
+    """Return the facts from which the verdict follows.
+
+    Parameters
+    ----------
+    predictions : sequence of sequence of Prediction
+        Held-out predictions as given, refitted, and with the causes in turn.
+    failed : float
+        Squared residuals of failed samples that count as a cause.
+    """
+    odds = search.posterior
+    causes = {c.name: propose_cause(search, c) for c in search.comparisons if odds.none <= 0.5}
+    given, before, after = predictions[0], predictions[1], predictions[-1 if causes else 1]
+    return Facts(
+        no_gap=odds.none,
+        catalogue=sum(odds.sets.values()),
+        outside=odds.outside,
+        proposed=causes,
+        held_out=held_out.tabulate_parts(given, before, after),
+        diverged=not held_out.is_finite(before, after),
+        unreproduced=_compute_unreproduced(search.study, search.base if causes else search.null),
+        failed_samples=failed > 0,
+    )
 
 
 def _remove_failed(fit: Hypothesis, validation: Sequence[Trial], noise: NoiseModel) -> list[Trial]:
@@ -439,36 +458,39 @@ def _advice(
     if file.verdict == "none":
         if all(check.verdict != "warn" for check in evidence.checks(file)):
             return []
-        text = ANOTHER if file.setting_count == 1 else REPEAT
-        return [Advice(text=text)]
-    repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
+        return [Advice(text=ANOTHER if file.setting_count == 1 else REPEAT)]
     if file.verdict == "unexplained" and file.held_out == "validation":
         off = [name for name, t in file.facts.held_out.items() if t.after > t.limit]
         if off:
             text = f"fit {', '.join(off)}, too (role: fit): what acts there alone shows nowhere else"
             return [Advice(text=text)]
-    rivals: list[Hypothesis] = []
-    alike: set[str] = set()
-    if shown:
-        alike = {shown[0].name, *file.facts.proposed[shown[0].name].equivalent}
-        # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
-        # way.
-        ranked = [h for h in shown[0].ranked if h.last_screening.effect.name not in shown[0].same]
-        rivals = [h for h in ranked if h.last_screening.effect.name in alike]
-        if len(rivals) == 1:
-            rivals = ranked[:2]
-    if len(rivals) < 2 and file.verdict in ("partial", "unexplained"):
-        return repeat
+    rivals, has_equivalents = _select_rivals(file.facts, shown)
     if len(rivals) < 2:
-        return []
+        repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
+        return repeat if file.verdict in ("partial", "unexplained") else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
-    if len(alike) == 1 and now > advice.compute_threshold(rivals):
+    if not has_equivalents and now > advice.compute_threshold(rivals):
         # The present trials already exclude the next best rival.
         return []
     try:
         return advice.advise_trials(search.study, rivals, limits, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
+
+
+def _select_rivals(facts: Facts, shown: Sequence[CauseComparison]) -> tuple[list[Hypothesis], bool]:
+    """Return the first cause and its equivalents, and whether it has any.
+
+    Without equivalents, the rival is the next best hypothesis. No experiment distinguishes a changed
+    parameter from an effect that changes the trials in the same way.
+    """
+    if not shown:
+        return [], False
+    first = shown[0]
+    alike = {first.name, *facts.proposed[first.name].equivalent}
+    ranked = [h for h in first.ranked if h.last_screening.effect.name not in first.same]
+    rivals = [h for h in ranked if h.last_screening.effect.name in alike]
+    return ranked[:2] if len(rivals) == 1 else rivals, len(alike) > 1
 
 
 def _scores(search: SearchResult) -> list[EffectRow]:

@@ -284,7 +284,7 @@ def compute_held_out(
         Further columns that are fitted as well. Index 0 is the first column after the shared parameters.
     prior : sequence of float
         Inverse prior variance of the factor of each chosen column.
-    draws : Drawn, optional
+    draws : NoiseDraws, optional
         Random noise residuals that replace the residuals of the fit. The result then excludes the sum of
         squares of these random residuals themselves.
 

@@ -54,7 +54,7 @@ NOT_REQUESTED = "changes of parameters were not requested, and are not tried: {}
 NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
 
 
-def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
+def _compute_errors(loaded: Loaded) -> dict[str, ChannelScore]:
     """Return the error of the model in each channel, with the parameter values as given.
 
     The errors are those that the command ``compare`` computes.
@@ -170,6 +170,29 @@ class _Task:
         """Return whether an effect may be a cause."""
         return self.asked is None or name in self.asked
 
+    @property
+    def reasons(self) -> list[str]:
+        """Reasons why changes of parameters are no hypotheses."""
+        reasons = []
+        if self.options.params is None:
+            reasons.append(NOT_GIVEN.format(self.loaded.experiment.values_from))
+        names = [c.name for c in self.begun.changes if not self.is_asked(c.name)]
+        if names:
+            omitted = [name.removeprefix(nominal.PREFIX) for name in names]
+            reasons.append(NOT_REQUESTED.format(join_names(omitted)))
+        return reasons
+
+    @property
+    def limits(self) -> TrialLimits:
+        """Limits of a proposed trial."""
+        options = self.options
+        return TrialLimits(
+            self.loaded.experiment,
+            options.tank_length_m,
+            options.max_frequency_hz or math.inf,
+            math.radians(options.max_amplitude_deg or math.inf),
+        )
+
 
 def _prepare(loaded: Loaded, options: DiagnoseOptions, inputs: Sequence[Input]) -> _Task:
     """Return the inputs of a diagnosis.
@@ -220,6 +243,13 @@ def _find_power(task: _Task, notices: Sequence[Notice]) -> DetectionPower:
     return DetectionPower.of(file, power.build_power_evidence(file, ev.notices(notices)))
 
 
+def _check_command(path: Path, file: GapFile) -> None:
+    """Warn if there is no proposed trial, so that its command file is not written."""
+    if all(a.command is None for a in file.advice):
+        why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
+        warn("SWM075", f"{path.name} is not written: {why[0]}")
+
+
 def _find_causes(
     task: _Task, folder: Path, checkpoint: Checkpoint, progress: Progress
 ) -> tuple[GapFile, list[HeldOutSeries], ParameterFile | None]:
@@ -232,39 +262,28 @@ def _find_causes(
     """
     options, begun, study = task.options, task.begun, task.study
     experiment = task.loaded.experiment
-    as_given = _as_given(task.loaded)
+    as_given = _compute_errors(task.loaded)
     others, left_out = readings.list_readings(experiment, study.trials)
     result = search.search_causes(
         study, [*task.applicable, *others, *begun.changes], asked=task.asked, seed=options.seed,
         most=options.max_causes, checkpoint=checkpoint, progress=progress,
     )  # fmt: skip
-    limits = TrialLimits(
-        experiment,
-        options.tank_length_m,
-        options.max_frequency_hz or math.inf,
-        math.radians(options.max_amplitude_deg or math.inf),
-    )
     validation = [t for t in begun.trials if t.role == "validate"]
     with threadpool_limits(limits=1, user_api="blas"):
-        file, worst = answer.answer(result, validation, begun, study.trials, limits=limits, progress=progress)
+        file, worst = answer.answer(
+            result, validation, begun, study.trials, limits=task.limits, progress=progress
+        )
     origin = task.about["provenance"]
     repaired_file = repaired.build_repaired(
-        result, file, task.loaded, folder, readings=options.readings, provenance=origin
+        result, file, task.loaded, folder, readings=dict(options.readings), provenance=origin
     )
-    if options.next is not None and all(a.command is None for a in file.advice):
-        why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
-        warn("SWM075", f"{options.next.name} is not written: {why[0]}")
+    if options.next is not None:
+        _check_command(options.next, file)
     if experiment.values_from == TRIALS_FILE:
         forms = {e.name for e in task.applicable}
         left_out |= {e.name: CANNOT_ACT for e in task.effects if e.stage != "rig" and e.name not in forms}
-    reasons = [*file.reasons]
-    if options.params is None:
-        reasons.append(NOT_GIVEN.format(experiment.values_from))
-    omitted = [c.name.removeprefix(nominal.PREFIX) for c in begun.changes if not task.is_asked(c.name)]
-    if omitted:
-        reasons.append(NOT_REQUESTED.format(join_names(omitted)))
     about = {
-        "reasons": reasons,
+        "reasons": [*file.reasons, *task.reasons],
         "left_out": {name: why for name, why in left_out.items() if task.is_asked(name)} | file.left_out,
         "as_given": as_given,
     }

@@ -454,32 +454,41 @@ def format_answer(file: GapFile) -> str:
 
     They name the causes with their sizes, and say by how much the causes reduce the held-out errors.
     """
-    names = [_name_cause(c) for c in file.causes]
-    if file.verdict == "none":
-        said = "The model describes these trials as well as their noise allows."
-        if file.moved or file.params in (ROBOT_FILE, TRIALS_FILE):
-            said = "The refitted model describes these trials as well as their noise allows."
-    elif file.verdict == "explained":
-        alone = [_name_cause(c, rivals=False) for c in file.causes]
-        said = f"{join_names(alone)} {plural('explains', 'together explain', names)} the gap."
-        alike = [f"{c.effect} from {join_names(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
-        if alike:
-            said += f" These trials do not separate {join_names(alike)}."
-    elif file.verdict == "ambiguous" and not names:
-        said = "These trials do not tell whether the model has a gap."
+    text = _UNEXPLAINED
+    if file.verdict == "unexplained" and file.facts.unreproduced:
+        text = "The model does not describe these trials, so that their gap cannot be separated from noise."
+    elif file.verdict == "unexplained":
+        if (file.facts.no_gap or 0.0) > 0.5 and file.held_out == "validation":
+            text = "The model follows the trials it is fitted to, but not the validation trials."
+    elif file.verdict == "none":
+        is_refitted = file.moved or file.params in (ROBOT_FILE, TRIALS_FILE)
+        model = "The refitted model" if is_refitted else "The model"
+        text = f"{model} describes these trials as well as their noise allows."
+    elif file.causes:
+        text = _name_causes(file)
     elif file.verdict == "ambiguous":
+        text = "These trials do not tell whether the model has a gap."
+    return f"{text} {_format_closed(file)}".rstrip()
+
+
+_UNEXPLAINED = "The model has a gap, and no effect that was tried closes it."
+
+
+def _name_causes(file: GapFile) -> str:
+    """Return sentences that name the causes of an explained, partial or ambiguous gap."""
+    names = [_name_cause(c) for c in file.causes]
+    if file.verdict == "ambiguous":
         cause = plural("cause is", "causes are", names)
-        said = f"The model has a gap whose likeliest {cause} {join_names(names)}."
-    elif file.verdict == "partial":
+        return f"The model has a gap whose likeliest {cause} {join_names(names)}."
+    if file.verdict == "partial":
         closes = plural("closes", "close", names)
-        said = f"{join_names(names)} {closes} part of the gap, and more remains than noise."
-    elif file.facts.unreproduced:
-        said = "The model does not describe these trials, so that their gap cannot be separated from noise."
-    elif (file.facts.no_gap or 0.0) > 0.5 and file.held_out == "validation":
-        said = "The model follows the trials it is fitted to, but not the validation trials."
-    else:
-        said = "The model has a gap, and no effect that was tried closes it."
-    return f"{said} {_format_closed(file)}".rstrip()
+        return f"{join_names(names)} {closes} part of the gap, and more remains than noise."
+    alone = [_name_cause(c, rivals=False) for c in file.causes]
+    text = f"{join_names(alone)} {plural('explains', 'together explain', names)} the gap."
+    alike = [f"{c.effect} from {join_names(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
+    if alike:
+        text += f" These trials do not separate {join_names(alike)}."
+    return text
 
 
 def _format_closed(file: GapFile) -> str:

@@ -111,7 +111,7 @@ class HeldOutRows:
         """Return the prediction of the samples that a mask chooses."""
         chosen = chosen & (problem.sample_weights(k) > 0.0)
         moved = self.shared @ root_of(self.covariance)
-        residual = np.clip(self.residual, -math.sqrt(MAX_SQUARED_ERROR), math.sqrt(MAX_SQUARED_ERROR))
+        residual = _limit_errors(self.residual)
         usual = residual - self.chance @ self.apart
         columns = np.column_stack((residual, moved, self.chance, self.own, usual))
         seen = noise.whiten(problem, k, columns)[chosen]
@@ -137,6 +137,12 @@ class HeldOutRows:
                 residuals[channel] = np.full(len(mask), np.nan)
                 residuals[channel][np.flatnonzero(mask)[there]] = rows[there, 0] / rows[there, 1]
         return Prediction(problem.trials[k], part, residuals, squared, max(expected, 1), len(r), deviance)
+
+
+def _limit_errors(residuals: Array) -> Array:
+    """Return residuals without those of diverged simulations."""
+    largest = math.sqrt(MAX_SQUARED_ERROR)
+    return np.asarray(np.clip(residuals, -largest, largest))
 
 
 def root_of(covariance: Array) -> Array:
@@ -307,11 +313,7 @@ def compute_closed(
         here = _motion(best, problem.trials[k], problem, k, typical)
         for i, fit in enumerate((given, refitted)):
             other = _motion(fit, problem.trials[k], problem, k, typical | _collect_shared(fit))
-            apart = np.clip(
-                noise.standardise(problem, k, other - here),
-                -math.sqrt(MAX_SQUARED_ERROR),
-                math.sqrt(MAX_SQUARED_ERROR),
-            )
+            apart = _limit_errors(noise.standardise(problem, k, other - here))
             off[i] += float(apart @ apart)
             cross[i] += moved.T @ apart
     # Two standard deviations of chi-squared may be noise.

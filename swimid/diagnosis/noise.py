@@ -269,6 +269,19 @@ class RandomCandidate(NamedTuple):
     changes: list[Array]
 
 
+class _Quantity(NamedTuple):
+    """Parameter of an effect that may differ by chance between trials.
+
+    The scale is that of the difference. The sign is that of a change within the bounds.
+    """
+
+    label: str
+    effect: Effect
+    number: int
+    scale: float
+    sign: float = 1.0
+
+
 def list_random_candidates(
     study: GapStudy, fit: Hypothesis, effects: Sequence[Effect]
 ) -> list[RandomCandidate]:
@@ -277,45 +290,54 @@ def list_random_candidates(
     They are the shared parameters of effects that scatter (:attr:`Effect.scatters`), and per-trial parameters
     of the model (:data:`RANDOM_PARAMETERS`). Their changes are linearised about the fit.
     """
-    model, trials = study.model, study.trials
-    value = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
-    is_repeated = has_repeats(trials)
-    tried: list[tuple[str, Effect, int, float, float]] = []
-    for effect in (e for e in effects if e.scatters):
-        for j, p in enumerate(effect.parameters(model, trials)):
-            if not p.per_trial:
-                sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
-                tried.append((f"{effect.name}/{p.name}", effect, j, p.scale, sign))
-    for p in study.parameters:
-        if (
-            p.per_trial
-            and not p.free
-            and p.name in RANDOM_PARAMETERS
-            and (is_repeated or p.name not in RANDOM_IN_REPEATS)
-        ):
-            share = RANDOM_PARAMETERS[p.name]
-            size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
-            tried.append((p.name, ParameterChange(p), 0, size or p.scale, 1.0))
-    found = []
-    forms = Counter(effect.name for _, effect, *_ in tried)
+    quantities = [*_list_scattering(study, effects), *_list_per_trial(study, fit)]
+    forms = Counter(quantity.effect.name for quantity in quantities)
     acting = {one.name: one for one in study.noise.random_effects}
-    for label, effect, j, scale, sign in tried:
+    candidates = []
+    for label, effect, number, scale, sign in quantities:
         # The name of the effect is enough unless it has several forms or parameters.
         name = label if forms[effect.name] > 1 else label.partition("/")[0]
         if name in acting:
             one = acting[name]
             columns = [
                 fit.columns(k, [fit.labels.index(f"{one.parameter}[{trial.id}]")])[:, 0]
-                for k, trial in enumerate(trials)
+                for k, trial in enumerate(study.trials)
             ]
-            found.append(RandomCandidate(one.effect, [one.effect.scale * c for c in columns]))
+            candidates.append(RandomCandidate(one.effect, [one.effect.scale * c for c in columns]))
             continue
-        null = np.array([p.start for p in effect.parameters(model, trials)])
-        scatter = Scatter(effect, null, j, name, scale)
+        null = np.array([p.start for p in effect.parameters(study.model, study.trials)])
+        scatter = Scatter(effect, null, number, name, scale)
         changes = study.changes(fit, scatter, [np.array([0.5 * sign * scale])])[0]
         if all(np.isfinite(c).all() for c in changes) and any(c.any() for c in changes):
-            found.append(RandomCandidate(scatter, [2.0 * sign * c for c in changes]))
-    return found
+            candidates.append(RandomCandidate(scatter, [2.0 * sign * c for c in changes]))
+    return candidates
+
+
+def _list_scattering(study: GapStudy, effects: Sequence[Effect]) -> list[_Quantity]:
+    """Return the shared parameters of effects that scatter."""
+    quantities = []
+    for effect in (e for e in effects if e.scatters):
+        for j, p in enumerate(effect.parameters(study.model, study.trials)):
+            if not p.per_trial:
+                sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
+                quantities.append(_Quantity(f"{effect.name}/{p.name}", effect, j, p.scale, sign))
+    return quantities
+
+
+def _list_per_trial(study: GapStudy, fit: Hypothesis) -> list[_Quantity]:
+    """Return the per-trial parameters of the model that may be random effects."""
+    values = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
+    is_repeated = has_repeats(study.trials)
+    quantities = []
+    for p in study.parameters:
+        is_random = p.per_trial and not p.free and p.name in RANDOM_PARAMETERS
+        if not is_random or (p.name in RANDOM_IN_REPEATS and not is_repeated):
+            continue
+        share, size = RANDOM_PARAMETERS[p.name], 0.0
+        if share is not None:
+            size = share[1] * abs(float(values.get(share[0], 0.0)))
+        quantities.append(_Quantity(p.name, ParameterChange(p), 0, size or p.scale))
+    return quantities
 
 
 def estimate_measurement_noise(
@@ -336,7 +358,7 @@ def estimate_measurement_noise(
     ----------
     generic : sequence of lists of ndarray
         Weighted changes of each trial by generic smooth terms, each with its typical size.
-    differing : sequence of Differing
+    differing : sequence of RandomCandidate
         Quantities that may differ between trials.
     brief : bool
         Whether a memory that is long compared with a trial does not count as noise, because it may be a gap.
@@ -542,7 +564,7 @@ def with_random_effects(
 
     Parameters
     ----------
-    differing : sequence of Differing
+    differing : sequence of RandomCandidate
         Possible random effects.
     largest : float
         Maximum standard deviation of a random effect, in typical scales. It does not limit what differs
@@ -562,19 +584,7 @@ def with_random_effects(
     if pure:
         series, largest = pure, LARGEST_SD
     stacked = np.array([rows.T @ rows for rows in series])
-    sd = np.zeros(len(differing))
-    likelihood = _likelihood(stacked, sd)
-    while True:
-        tried = []
-        for i in np.flatnonzero(sd == 0.0):
-            for size in (size for size in DEVIATIONS if size <= largest):
-                one = sd.copy()
-                one[i] = size
-                tried.append((_likelihood(stacked, one), one))
-        best, found = max(tried, key=lambda t: t[0], default=(-math.inf, sd))
-        if best < likelihood + MIN_LOG_LIKELIHOOD_GAIN:
-            break
-        likelihood, sd = best, found
+    sd = _maximise_likelihood(stacked, np.zeros(len(differing)), largest)
     kept = np.flatnonzero(sd).tolist()
     # Hypotheses are compared without free means, because what all trials share needs a cause.
     count = len(differing)
@@ -584,6 +594,32 @@ def with_random_effects(
         return noise
     chosen = [(differing[i].effect, float(sd[i])) for i in kept]
     return replace(noise, random_effects=tuple(RandomEffect(e.label, size, e) for e, size in chosen))
+
+
+def _maximise_likelihood(products: Array, sd: Array, largest: float) -> Array:
+    """Return standard deviations of random effects, added one by one while the likelihood clearly increases.
+
+    Parameters
+    ----------
+    products : ndarray
+        Inner products (:func:`_likelihood`).
+    sd : ndarray, shape (q,)
+        Standard deviations to begin with.
+    largest : float
+        Maximum standard deviation.
+    """
+    likelihood = _likelihood(products, sd)
+    while True:
+        tried = []
+        for i in np.flatnonzero(sd == 0.0):
+            for size in (size for size in DEVIATIONS if size <= largest):
+                one = sd.copy()
+                one[i] = size
+                tried.append((_likelihood(products, one), one))
+        best, candidate = max(tried, key=lambda t: t[0], default=(-math.inf, sd))
+        if best < likelihood + MIN_LOG_LIKELIHOOD_GAIN:
+            return sd
+        likelihood, sd = best, candidate
 
 
 def with_held_means(fit: Hypothesis) -> NoiseModel | None:

@@ -13,8 +13,9 @@ import numpy as np
 from swimid.blackbox import model as arx
 from swimid.effects.base import Effect
 from swimid.files.provenance import digests_of
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial
-from swimid.results.parameters import Estimate
+from swimid.results.parameters import Estimate, ParameterFile
 from swimid.results.result import LOG_ENDINGS
 from swimid.simulation.catalogue import Loaded
 
@@ -129,43 +130,64 @@ def prepare_diagnosis(loaded: Loaded) -> Preparation:
     """Return trials and priors at the start of a diagnosis, and give the model its refitted parameters."""
     experiment, applied = loaded.experiment, loaded.applied
     model, file = experiment.model, applied.file
-    given: dict[str, Estimate] = {}
-    own_data = False
-    if file is not None:
-        given = {name: e for name, e in file.parameters.items() if "[" not in name}
-        known_logs = set((file.provenance.get("inputs") or {}).values())
-        logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOG_ENDINGS]
-        own_data = any(digest in known_logs for digest in digests_of(logs).values())
+    estimates = {} if file is None else file.parameters
+    given = {name: e for name, e in estimates.items() if "[" not in name}
+    own_data = file is not None and _is_own_data(experiment, file)
     own = applied.list_per_trial()
     if len(experiment.trials) >= MIN_RANDOM_TRIALS:
         # Do not free the per-trial parameters of RANDOM_PARAMETERS. They are random effects in a diagnosis,
         # and without a prior they would absorb any gap.
         own -= RANDOM_PARAMETERS.keys()
     model.parameters = select_refitted(model.parameters, given, applied.values(), own=own)
-    runs = experiment.trials
-    if model.timed_runs:
-        runs = [run for trial in runs for run in trial.split_rows()]
-    known = set()
-    if not own_data and model.name != arx.NAME:
-        stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
-        known = {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
-    fixed: set[str] = set()
-    if model.swimmer is not None:
-        fixed = {name for name, e in given.items() if e.status == "fixed" and e.value}
-    changes = [ParameterChange(p) for p in model.parameters if p.name in known | fixed and not p.per_trial]
+    known = set() if own_data else _select_known(model, given)
     names, covariance = applied.uncertain()
     mine = [i for i, name in enumerate(names) if name in known]
     sd = np.sqrt(np.diag(covariance))[mine]
     correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
-    unweighed = {} if own_data else {n: e for n, e in given.items() if n not in known}
     return Preparation(
-        [add_channels(t, model.channels) for t in runs],
+        _list_runs(experiment),
         given,
-        unweighed,
+        {} if own_data else {n: e for n, e in given.items() if n not in known},
         select_priors(model.parameters, given, own_data=own_data, exact=known),
-        changes,
+        _list_changes(model, given, known),
         ([names[i] for i in mine], correlation),
     )
+
+
+def _list_runs(experiment: Experiment) -> list[Trial]:
+    """Return the trials with all channels, each row of a table of timed runs as a trial."""
+    trials, model = experiment.trials, experiment.model
+    if model.timed_runs:
+        trials = [run for trial in trials for run in trial.split_rows()]
+    return [add_channels(t, model.channels) for t in trials]
+
+
+def _select_known(model: Model, given: Mapping[str, Estimate]) -> set[str]:
+    """Return the refitted coefficients with a standard error, whose change is a hypothesis."""
+    if model.name == arx.NAME:
+        return set()
+    stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
+    return {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
+
+
+def _is_own_data(experiment: Experiment, file: ParameterFile) -> bool:
+    """Return whether the parameter file was fitted to logs of these trials."""
+    used = set((file.provenance.get("inputs") or {}).values())
+    logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOG_ENDINGS]
+    return any(digest in used for digest in digests_of(logs).values())
+
+
+def _list_changes(
+    model: Model, given: Mapping[str, Estimate], known: Collection[str]
+) -> list[ParameterChange]:
+    """Return one hypothesis of a changed value for each coefficient that is known from other trials.
+
+    The coefficients of a robot with links that were fixed at a value other than zero count as known.
+    """
+    fixed = set()
+    if model.swimmer is not None:
+        fixed = {name for name, e in given.items() if e.status == "fixed" and e.value}
+    return [ParameterChange(p) for p in model.parameters if p.name in {*known, *fixed} and not p.per_trial]
 
 
 def select_refitted(

@@ -54,7 +54,7 @@ def find_contradicting_trial(
         Fits of all trials, to which the hypothesis of an odd trial is added. The model without effects is
         the first one. What may differ by chance between trials has random values in them
         (:func:`add_random_effects`).
-    differing : sequence of Differing
+    differing : sequence of RandomCandidate
         Quantities that may differ by chance, of which an odd trial may have any value.
     """
     study = fits[0].study
@@ -226,18 +226,23 @@ def describe(odd: OddTrial, differing: Sequence[RandomCandidate] = ()) -> str | 
         one = found[chosen[-1]]
         if one.excess > CALIBRATED.form * excess:
             continue
-        texts = []
-        for label in chosen:
-            (value, sd), (before, other_sd) = one.values[label], others.values.get(label, (0.0, 0.0))
-            if not abs(value - before) > 2.0 * math.hypot(sd, other_sd):
-                return None
-            name = label.split("[")[0]
-            unit = next(p.unit for p in one.problem.parameters if p.name == name)
-            shown = name.removeprefix(BETWEEN).removesuffix("/deviation")
-            changed = numbers.format_estimate(value, sd, unit)
-            texts.append(f"{shown} {changed} in place of {numbers.format_number(before, 3)}")
-        return " and ".join(texts)
+        return _describe_parameters(one, others, chosen)
     return None
+
+
+def _describe_parameters(odd: _TrialFit, others: _TrialFit, labels: Sequence[str]) -> str | None:
+    """Return text with the values of parameters of an odd trial and of the others; None if they agree."""
+    texts = []
+    for label in labels:
+        (value, sd), (before, other_sd) = odd.values[label], others.values.get(label, (0.0, 0.0))
+        if not abs(value - before) > 2.0 * math.hypot(sd, other_sd):
+            return None
+        name = label.split("[")[0]
+        unit = next(p.unit for p in odd.problem.parameters if p.name == name)
+        shown = name.removeprefix(BETWEEN).removesuffix("/deviation")
+        changed = numbers.format_estimate(value, sd, unit)
+        texts.append(f"{shown} {changed} in place of {numbers.format_number(before, 3)}")
+    return " and ".join(texts)
 
 
 class _TrialFit(NamedTuple):

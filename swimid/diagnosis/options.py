@@ -11,9 +11,7 @@ from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers
 
 
-class DiagnoseOptions(
-    Options, command="diagnose", section="Diagnose", makes="gap|power", metrics=("closed.share",)
-):
+class DiagnoseOptions(Options, makes="gap|power", metrics=("closed.share",)):
     """Name the unmodelled effect behind a gap between trials and simulation.
 
     TRIALS is a trials file of any experiment. The parameter file says which model describes it; without one

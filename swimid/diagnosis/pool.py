@@ -84,10 +84,9 @@ class HypothesisPool:
             self.study.build_model(effects).prepare(effects=True)
 
     def begin(self, start: Array) -> Hypothesis:
-        """Fit the model without effects.
+        """Fit the model without effects, from ``start`` and from the prior means (:meth:`GapStudy.begins`).
 
-        If the coefficients are far from their prior means, a second fit starts at the prior means. Without
-        it, an effect could seem to explain the difference between a poor optimum and the best one.
+        Otherwise an effect could seem to explain the difference between a poor optimum and the best one.
         """
         others = self.study.begins(self.study.problem(()), start)
         self.null = self.study.fit((), [start], others=others, tolerance=FINE)
@@ -256,10 +255,7 @@ class HypothesisPool:
         self.null = self.pool[frozenset()]
 
     def best(self, size: int) -> list[Hypothesis]:
-        """Return the hypotheses with a given number of effects, best first.
-
-        If an effect has several forms, only the best form of each set is returned.
-        """
+        """Return the hypotheses with a number of effects, best first, each set in its best form only."""
         found = [h for h in self.pool.values() if len(h.effects) == size and not h.is_imitating]
         first: dict[frozenset[str], Hypothesis] = {}
         for h in sorted(found, key=lambda h: h.deviance):
@@ -267,7 +263,7 @@ class HypothesisPool:
         return list(first.values())
 
     def contenders(self) -> list[Hypothesis]:
-        """Return the hypotheses that are not improbable, and the best ones of each size."""
+        """Return hypotheses that are not improbable, and the best ones of each size."""
         sets = self.compute_posterior().sets
         least = PROBABLE * max(sets.values(), default=0.0)
         found = []

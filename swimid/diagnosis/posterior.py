@@ -266,7 +266,7 @@ def compute_posterior_probabilities(
         The model without effects.
     candidates : sequence of Candidate
         At most one hypothesis for each set of effects.
-    record : Record
+    record : DataSize
         Amount of data.
 
     References

@@ -8,8 +8,8 @@ compared with the noise of the trials. The decision rule is that of a diagnosis.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +140,9 @@ class DetectionPower(FileResult[PowerFile]):
 
 # ---------------------------------------------------------------- computation
 
+#: Reasons why the detection power of an effect is unknown.
+NO_MEASURED_CHANGE = "it changes nothing that was measured in these trials"
+BROKEN_DOWN = "the model breaks down with it"
 #: Probability with which an effect of the reported size is detected.
 POWER = 0.9
 #: Minimum fraction of the squared change by an effect that must remain after the model's parameters are
@@ -201,7 +204,7 @@ def compute_power(
 
     Returns
     -------
-    list of Row
+    list of EffectPower
         One row for each effect, in the order given.
     dict of name to reason
         Effects without a detection power.
@@ -211,82 +214,119 @@ def compute_power(
     search.begin(study.start((), fit))
     search.learn(search.null)
     base, record = search.null, search.record
-    wanted = [e for e in effects if asked is None or e.name in asked]
     columns: list[list[Array]] = []
-    lines: list[tuple[ScreeningRuns, Parameter, Array, NDArray[np.intp]]] = []
+    lines: list[_Line] = []
     left_out: dict[str, str] = {}
-    for tried in screening.simulate_effects(search.study, base, wanted):
-        found = _lines(tried, columns)
-        lines += [(tried, *line) for line in found]
-        if not found:
-            why = "the model breaks down with it"
-            if tried.points:
-                why = "it changes nothing that was measured in these trials"
-            left_out.setdefault(tried.effect.name, why)
+    wanted = [e for e in effects if asked is None or e.name in asked]
+    for runs in screening.simulate_effects(search.study, base, wanted):
+        own = _lines(runs, columns)
+        lines += own
+        if not own:
+            left_out.setdefault(runs.effect.name, NO_MEASURED_CHANGE if runs.points else BROKEN_DOWN)
     inner = crossval.form_normal_equations(search.study, base, columns)
-    left = crossval.project_columns(inner)[:-1, :-1]
+    products = crossval.project_columns(inner)[:-1, :-1]
+    squares = np.maximum(products.diagonal(), 0.0)
     whole = inner.products.sum(axis=0).diagonal()[inner.n_shared : -1]
     best: dict[str, tuple[float, EffectPower]] = {}
     every: dict[str, list[int]] = {}
-    for tried, p, values, places in lines:
-        effect, kinds = tried.effect, len(tried.parameters)
-        every.setdefault(effect.name, []).extend(places.tolist())
-        of_trials = sum(one.per_trial for one in tried.parameters)
-        count = kinds - of_trials + of_trials * len(study.trials)
-        needs = compute_noncentrality(compute_needed_excess(record, kinds - of_trials), count)
-        squares, total = np.maximum(left.diagonal()[places], 0.0), whole[places]
-        strengths = np.abs(values - p.start) / p.scale
-        strength, at = _strength(
-            strengths, np.where(squares > MIN_REMAINING_SHARE * total, squares, 0.0), needs
-        )
-        if effect.name not in best or strength < best[effect.name][0]:
-            size = float(p.start + (values[at] - p.start) * strength / strengths[at])
-            row = EffectPower(
-                effect=effect.name,
-                stage=effect.stage,
-                parameter=p.name,
-                size=size if p.lower <= size <= p.upper else None,
-                unit=p.unit,
-                absorbed=float(np.clip(1.0 - squares[at] / total[at], 0.0, 1.0)),
-            )
-            best[effect.name] = strength, row
+    for line in lines:
+        name, index = line.runs.effect.name, line.columns
+        every.setdefault(name, []).extend(index.tolist())
+        found = _find_size(line, squares[index], whole[index], record, len(study.trials))
+        if name not in best or found[0] < best[name][0]:
+            best[name] = found
     # A change that the parameters imitate is a rounding error, and like no other.
-    norm = np.where(
-        left.diagonal() > MIN_REMAINING_SHARE * whole, np.sqrt(np.maximum(left.diagonal(), 0.0)), np.inf
-    )
-    cosine = np.abs(left) / np.outer(norm, norm)
-    for name, (_, row) in best.items():
-        if row.size is not None:
-            row.alike = [
-                other
-                for other, places in every.items()
-                if other != name
-                and not is_distinguishable(record, float(cosine[np.ix_(every[name], places)].max()))
-            ]
-    return [row for _, row in best.values()], {n: why for n, why in left_out.items() if n not in best}
+    norm = np.where(products.diagonal() > MIN_REMAINING_SHARE * whole, np.sqrt(squares), np.inf)
+    cosine = np.abs(products) / np.outer(norm, norm)
+    rows = [row for _, row in best.values()]
+    for row in rows:
+        row.alike = _list_alike(row, cosine, every, record)
+    return rows, {n: why for n, why in left_out.items() if n not in best}
 
 
-def _lines(
-    tried: ScreeningRuns, columns: list[list[Array]]
-) -> list[tuple[Parameter, Array, NDArray[np.intp]]]:
-    """Return the parameter directions in which an effect was simulated.
+def _list_alike(
+    row: EffectPower, cosine: Array, columns: Mapping[str, list[int]], record: DataSize
+) -> list[str]:
+    """Return the effects from which the trials never distinguish an effect that they detect.
 
-    A direction has the parameter that states the size of the effect, its tried values, and the column indices
-    of the resulting changes of the trials, which are appended to ``columns``. Further parameters that are not
-    at their null values state place and time.
+    Parameters
+    ----------
+    cosine : ndarray, shape (c, c)
+        Absolute cosines between the changes of the trials.
+    columns : mapping of str to list of int
+        Columns of each effect.
     """
-    null = np.array([p.start for p in tried.parameters])
+    if row.size is None:
+        return []
+    mine = columns[row.effect]
+    others = {name: float(cosine[np.ix_(mine, own)].max()) for name, own in columns.items()}
+    del others[row.effect]
+    return [name for name, largest in others.items() if not is_distinguishable(record, largest)]
+
+
+class _Line(NamedTuple):
+    """Parameter direction in which an effect was simulated.
+
+    Attributes
+    ----------
+    parameter : Parameter
+        Parameter that states the size of the effect. Further parameters that are not at their null values
+        state place and time.
+    values : ndarray, shape (m,)
+        Tried values of this parameter.
+    columns : ndarray of int, shape (m,)
+        Indices of the resulting changes of the trials.
+    """
+
+    runs: ScreeningRuns
+    parameter: Parameter
+    values: Array
+    columns: NDArray[np.intp]
+
+
+def _find_size(
+    line: _Line, squares: Array, whole: Array, record: DataSize, trial_count: int
+) -> tuple[float, EffectPower]:
+    """Return the smallest size of an effect that is detected, in typical scales, and its row.
+
+    Parameters
+    ----------
+    squares, whole : ndarray, shape (m,)
+        Squared changes of the trials, with and without the parameters of the model projected out.
+    """
+    p, parameters = line.parameter, line.runs.parameters
+    per_trial = sum(one.per_trial for one in parameters)
+    count = len(parameters) + per_trial * (trial_count - 1)
+    needs = compute_noncentrality(compute_needed_excess(record, len(parameters) - per_trial), count)
+    strengths = np.abs(line.values - p.start) / p.scale
+    seen = np.where(squares > MIN_REMAINING_SHARE * whole, squares, 0.0)
+    strength, at = _strength(strengths, seen, needs)
+    size = float(p.start + (line.values[at] - p.start) * strength / strengths[at])
+    row = EffectPower(
+        effect=line.runs.effect.name,
+        stage=line.runs.effect.stage,
+        parameter=p.name,
+        size=size if p.lower <= size <= p.upper else None,
+        unit=p.unit,
+        absorbed=float(np.clip(1.0 - squares[at] / whole[at], 0.0, 1.0)),
+    )
+    return strength, row
+
+
+def _lines(runs: ScreeningRuns, columns: list[list[Array]]) -> list[_Line]:
+    """Return the parameter directions of an effect, and append the changes of the trials to ``columns``."""
+    null = np.array([p.start for p in runs.parameters])
     groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
-    for point, changed in tried.points:
+    for point, changed in runs.points:
         moved = tuple(np.flatnonzero(point != null).tolist())
         if moved and sum(float(c @ c) for c in changed) > screening.MIN_SQUARED_CHANGE:
             groups.setdefault(moved, []).append((float(point[moved[0]]), len(columns)))
             columns.append(changed)
-    found = []
+    lines = []
     for moved, members in groups.items():
-        values, places = (np.array(part) for part in zip(*members, strict=True))
-        found.append((tried.parameters[moved[0]], values, places))
-    return found
+        values, index = (np.array(part) for part in zip(*members, strict=True))
+        lines.append(_Line(runs, runs.parameters[moved[0]], values, index))
+    return lines
 
 
 def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:

@@ -38,7 +38,7 @@ Correlation = tuple[Sequence[str], Array]
 NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
 #: Number added to the diagonal of a correlation matrix to make it positive definite. This is necessary
 #: because files round correlations to a few digits.
-CORRELATION_RIDGE = 1e-6
+PRIOR_CORRELATION_RIDGE = 1e-6
 
 
 class StudyPriors:
@@ -163,7 +163,7 @@ class StudyPriors:
         if known:
             places, rows = (list(ends) for ends in zip(*known, strict=True))
             own = correlation[np.ix_(rows, rows)]
-            inverse = np.linalg.inv(own + CORRELATION_RIDGE * np.eye(len(rows)))
+            inverse = np.linalg.inv(own + PRIOR_CORRELATION_RIDGE * np.eye(len(rows)))
             root[np.ix_(places, places)] = np.linalg.cholesky(inverse).T * weight[places]
         rows = [root[weight > 0]]
         for name in self.zero_mean_names if len(problem.trials) > 1 else ():

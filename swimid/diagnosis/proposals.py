@@ -195,6 +195,20 @@ def _size(drive: TailBeat | Cycle) -> float:
     return drive.scale
 
 
+def _start_from_rest(swim: SwimInput) -> SwimInput:
+    """Return the input of a steady beat with the ramp that a trials file has by default."""
+    if swim.beat is None or not swim.steady:
+        return swim
+    ramp_s = Drive.model_fields["ramp_s"].default
+    return replace(swim, beat=replace(swim.beat, steady=False, ramp_s=ramp_s))
+
+
+def _find_beat_hz(trial: Trial) -> float:
+    """Return the frequency of a beat in recorded commands, Hz; NaN if unknown."""
+    frequency = settings.list_settings(trial).get("frequency")
+    return frequency.value if isinstance(frequency, settings.SettingValue) else math.nan
+
+
 class Swim:
     """Protocol of a robot with links that starts from rest under a beat, a stroke or joint commands.
 
@@ -203,19 +217,16 @@ class Swim:
     model : Swimmer
     trials : sequence of Trial
         Trials of the experiment, whose settings the segments multiply.
-    limits : Limits
+    limits : TrialLimits
     """
 
     def __init__(self, model: Swimmer, trials: Sequence[Trial], limits: TrialLimits) -> None:
         self.swimmer, self.limits = model, limits
         self.template = _longest([t for t in trials if t.swim.drive is not None] or trials)
         self.swim = self.template.swim
-        kind = type(self.swim.drive)
-        drives = [t.swim.drive for t in trials if t.swim.drive is not None and type(t.swim.drive) is kind]
-        if self.swim.beat is not None and self.swim.steady:
-            # A trial from rest begins with the ramp that a trials file has by default.
-            ramp_s = Drive.model_fields["ramp_s"].default
-            self.swim = replace(self.swim, beat=replace(self.swim.beat, steady=False, ramp_s=ramp_s))
+        every = [t.swim.drive for t in trials]
+        drives = [d for d in every if d is not None and isinstance(d, type(self.swim.drive))]
+        self.swim = _start_from_rest(self.swim)
         self.beat, self.stroke = self.swim.beat, self.swim.stroke
         #: Frequencies (Hz) and sizes of the drives of the trials; 1 for recorded commands.
         self.frequencies = [float(d.frequency_hz) for d in drives] or [1.0]
@@ -225,10 +236,7 @@ class Swim:
         if self.beat is not None:
             self.unit = math.radians(1.0)
         #: Unit of the frequencies: 1 Hz, or the frequency of a beat in recorded commands (NaN if unknown).
-        self.beat_hz = 1.0
-        if not drives:
-            found = settings.list_settings(self.template).get("frequency")
-            self.beat_hz = found.value if isinstance(found, settings.SettingValue) else math.nan
+        self.beat_hz = 1.0 if drives else _find_beat_hz(self.template)
 
     def __call__(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
         """Return a trial of these segments; its amplitude is lowered to the limits of the joints."""
@@ -249,20 +257,8 @@ class Swim:
 
         The excess is the largest ratio of an angle or a rate to its limit.
         """
-        limits, usual = self.limits, self.swim.drive
-        hz, size = 1.0, 1.0
-        most_hz, most = limits.max_frequency_hz, math.inf
-        if usual is not None:
-            hz, size = float(usual.frequency_hz), _size(usual)
-        elif math.isfinite(self.beat_hz):
-            most_hz /= self.beat_hz
-        if self.beat is not None:
-            most = math.degrees(limits.max_amplitude_rad)
-        f = [choose_level(s.frequency, self.frequencies, hz, most_hz) for s in segments]
-        a = [choose_level(s.amplitude, self.sizes, size, most) for s in segments]
-        if factor < 1.0:
-            a = [round_down(factor * one) for one in a]
-        b = [round_down(s.bias * one) for s, one in zip(segments, a, strict=True)]
+        usual = self.swim.drive
+        f, a, b = self._choose_levels(segments, factor)
         if self.swim.joints is not None and usual is None:
             # A record that is played faster ends earlier.
             duration_s = min(duration_s, _duration(self.template) * len(f) / sum(f))
@@ -284,16 +280,28 @@ class Swim:
         held = {"drive_phase", *(p.name for p in self.swimmer.parameters if p.name.startswith("initial_"))}
         swim = replace(swim, pose=self.swim.pose)
         trial = Trial("proposed", "fit", sampled - sampled[0], {}, swim=swim, held=tuple(sorted(held)))
-        entry: dict[str, Any] = {}
-        if swim.drive is not None:
-            from swimid.simulation.cases import drive_block
-
-            entry["drive"] = drive_block(trial)
-        if self.swim.coefficients:
-            entry["coefficients"] = {name: float(v) for name, v in self.swim.coefficients.items()}
         text = f"{self._words(f, a, b)}, from rest, for {_duration(trial):.3g} s"
         columns = {"t_s": time, **dict(zip(names, angles, strict=True))}
-        return Proposal(text, trial, entry, columns), self._excess(angles)
+        return Proposal(text, trial, _trial_entry(trial), columns), self._excess(angles)
+
+    def _choose_levels(
+        self, segments: Sequence[Segment], factor: float
+    ) -> tuple[list[float], list[float], list[float]]:
+        """Return frequency, size and bias of each segment, with all sizes multiplied by ``factor``."""
+        limits, usual = self.limits, self.swim.drive
+        hz, size = 1.0, 1.0
+        most_hz, most = limits.max_frequency_hz, math.inf
+        if usual is not None:
+            hz, size = float(usual.frequency_hz), _size(usual)
+        elif math.isfinite(self.beat_hz):
+            most_hz /= self.beat_hz
+        if self.beat is not None:
+            most = math.degrees(limits.max_amplitude_rad)
+        f = [choose_level(s.frequency, self.frequencies, hz, most_hz) for s in segments]
+        a = [choose_level(s.amplitude, self.sizes, size, most) for s in segments]
+        if factor < 1.0:
+            a = [round_down(factor * one) for one in a]
+        return f, a, [round_down(s.bias * one) for s, one in zip(segments, a, strict=True)]
 
     def _scale_drive(self, hz: float, size: float, bias_rad: float, *, steady: bool) -> SwimInput:
         """Return the input with a single drive: a beat (size in rad), a stroke, or recorded commands.
@@ -368,6 +376,18 @@ class Swim:
                 word = "without a beat (coast)"
             said.append(word)
         return f"{run} {', then '.join(said)}"
+
+
+def _trial_entry(trial: Trial) -> dict[str, Any]:
+    """Return the keys of a trial of a robot with links in a trials file."""
+    entry: dict[str, Any] = {}
+    if trial.swim.drive is not None:
+        from swimid.simulation.cases import drive_block
+
+        entry["drive"] = drive_block(trial)
+    if trial.swim.coefficients:
+        entry["coefficients"] = {name: float(v) for name, v in trial.swim.coefficients.items()}
+    return entry
 
 
 # ---------------------------------------------------------------- other experiments
@@ -494,15 +514,23 @@ def release(
     return Proposal(text, trial, {}, columns)
 
 
+def _swim_protocol(swimmer: Swimmer, trials: Sequence[Trial], limits: TrialLimits) -> Swim | None:
+    """Return the protocol of a robot with links; None if nothing drives it."""
+    moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
+    return Swim(swimmer, moved, limits) if moved and swimmer.driven else None
+
+
+def _is_steady(trial: Trial) -> bool:
+    """Return whether a trial is one steady beat of known frequency and amplitude."""
+    return len(trial.steady[0]) == 1 and bool(np.isfinite(trial.steady).all())
+
+
 def protocol_of(model: Model, trials: Sequence[Trial], limits: TrialLimits) -> Protocol | None:
     """Return the protocol of an experiment; None if nothing in it can be commanded."""
     swimmer, rig = model.swimmer, model.rig
     if swimmer is not None:
-        moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
-        if not moved or not swimmer.driven:
-            return None
-        return Swim(swimmer, moved, limits)
-    if all(len(t.steady[0]) == 1 and np.isfinite(t.steady).all() for t in trials):
+        return _swim_protocol(swimmer, trials, limits)
+    if all(_is_steady(t) for t in trials):
         return partial(cruise, model, trials, limits)
     if rig is not None and rig.swings:
         return partial(release, rig, trials)

@@ -400,36 +400,52 @@ def beat_hz(trial: Trial) -> float:
 
 def list_descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
     """Return all generic descriptions of residuals for which the model has hooks and the trials have data."""
-    found: list[Description] = []
     dynamic = any(len(t.time_s) > 1 for t in trials)
-    channels = sorted({c for t in trials for c in t.measured})
-
-    def top(name: str, least: float) -> float:
-        """Return the largest absolute change of a channel since the start of a trial, but at least
-        ``least``.
-        """
-        series = (t.measured[name][np.isfinite(t.measured[name])] for t in trials if name in t.measured)
-        return max([least, *(float(np.max(np.abs(y - y[0]))) for y in series if len(y) > 1)])
-
-    length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
+    descriptions: list[Description] = []
     if "force" in model.offers and dynamic:
-        if model.body is None:
-            span = max((top(c, 1e-3) for c in channels if not c.endswith(("_s", "_s2"))), default=1.0)
-            inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
-            mass = float(np.median(inertia)) if inertia else 1.0
-            pushes = [abs(t.rig.pull) for t in trials]
-            swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
-            found.append(ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span))
-        elif model.body.free:
-            arm = sum(model.body.lengths_m)
-            distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
-            speed = max(distance / length, 1e-3)
-            push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
-            for axis in FORCE_AXES:
-                found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed))
+        descriptions += _list_forces(model, trials)
     if "command" in model.offers and dynamic:
-        found.append(StrokeDeviation())
+        descriptions.append(StrokeDeviation())
     if "stroke" in model.offers and any({"frequency_hz", "amplitude_rad"} <= t.inputs.keys() for t in trials):
-        found.append(StrokeTable(trials))
-    found += [SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic) for channel in channels]
-    return found
+        descriptions.append(StrokeTable(trials))
+    for channel in _channels(trials):
+        descriptions.append(SensorTerm(channel, _top(trials, channel, 1e-6), dynamic=dynamic))
+    return descriptions
+
+
+def _channels(trials: Sequence[Trial]) -> list[str]:
+    """Return the measured channels of all trials."""
+    return sorted({c for t in trials for c in t.measured})
+
+
+def _top(trials: Sequence[Trial], channel: str, least: float) -> float:
+    """Return the largest absolute change of a channel since the start of a trial, at least ``least``."""
+    series = (t.measured[channel] for t in trials if channel in t.measured)
+    present = (y[np.isfinite(y)] for y in series)
+    return max([least, *(float(np.max(np.abs(y - y[0]))) for y in present if len(y) > 1)])
+
+
+def _describe_push(trials: Sequence[Trial], length_s: float) -> ResidualPush:
+    """Return the force on a rig, whose size follows from the pulls and from the motion of the body."""
+    spans = [_top(trials, c, 1e-3) for c in _channels(trials) if not c.endswith(("_s", "_s2"))]
+    span = max(spans, default=1.0)
+    inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
+    mass = float(np.median(inertia)) if inertia else 1.0
+    pushes = [abs(t.rig.pull) for t in trials]
+    swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
+    return ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length_s, 1e-3), span)
+
+
+def _list_forces(model: Model, trials: Sequence[Trial]) -> list[Description]:
+    """Return the forces on a rig, or on the base of a robot that moves freely."""
+    length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
+    if model.body is None:
+        return [_describe_push(trials, length)]
+    if not model.body.free:
+        return []
+    arm = sum(model.body.lengths_m)
+    distance = max((_top(trials, c, 1e-3) for c in _channels(trials) if c.endswith("_m")), default=1.0)
+    speed = max(distance / length, 1e-3)
+    push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
+    sizes = {axis: push * (arm if axis == "yaw" else 1.0) for axis in FORCE_AXES}
+    return [ResidualForce(axis, size, speed) for axis, size in sizes.items()]

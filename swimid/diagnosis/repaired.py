@@ -34,7 +34,7 @@ def build_repaired(
     loaded: Loaded,
     folder: Path,
     *,
-    readings: Mapping[str, str],
+    readings: dict[str, str],
     provenance: Mapping[str, Any],
 ) -> ParameterFile | None:
     """Return the model with the causes as the content of a parameter file; None if no cause is named.
@@ -57,33 +57,24 @@ def build_repaired(
     if not named or any(e.name not in causes for e in named):
         return None
     fit = search.base
-    own = [e for e in named if e.adds_to is None and not isinstance(e, OtherReading)]
-    apart = [e for e in own if any(p.per_trial for p in _parameters_of(fit, e))]
-    acting = [e for e in own if e not in apart]
+    acting, apart = _divide_effects(fit)
     status: dict[str, Status] = {}
     for e in named:
-        for name, value in causes[e.name].parameters.items():
-            status[e.adds_to or f"{e.name}/{name}"] = value.status
+        values = causes[e.name].parameters.items()
+        status |= {e.adds_to or f"{e.name}/{name}": value.status for name, value in values}
     errors = compute_stderr(search.study, fit)
     shared = [p for p in search.study.parameters if not p.per_trial]
     written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
     found = {p.name: _estimate(fit, p, fit.changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
-    answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
-    said = [
-        f"the trials cannot distinguish {c.effect} from {join_names(c.equivalent, 'or')}"
-        for c in file.causes
-        if c.equivalent
-    ]
-    said += [f"{e.name} differs from trial to trial and is not in this model" for e in apart]
     made = ParameterFile(
         model=model.name,
         robot=fit_common.robot_reference(experiment, folder),
         effects=[e.name for e in (*model.effects, *acting)],
         parameters=found,
-        identifiability=said,
+        identifiability=_list_limits(file, apart),
         correlation=_correlation(search, fit, found),
-        settings=_settings(loaded, [*model.effects, *acting], {**readings, **answers}),
+        settings=_settings(loaded, [*model.effects, *acting], readings | _list_answers(named)),
         fit=_fit_block(search, fit, loaded),
         provenance=dict(provenance),
     )
@@ -92,6 +83,29 @@ def build_repaired(
         made.delay, made.sample_time_s = known.delay, known.sample_time_s
     made._drag = experiment.facts.get("drag")
     return made
+
+
+def _divide_effects(fit: Hypothesis) -> tuple[list[Effect], list[Effect]]:
+    """Return the effects of the model with the causes, and those that differ from trial to trial."""
+    acting: list[Effect] = []
+    apart: list[Effect] = []
+    for e in fit.effects:
+        if e.adds_to is None and not isinstance(e, OtherReading):
+            differs = any(p.per_trial for p in _parameters_of(fit, e))
+            (apart if differs else acting).append(e)
+    return acting, apart
+
+
+def _list_answers(effects: Sequence[Effect]) -> dict[str, str]:
+    """Return the answers to questions about the robot's source that are causes."""
+    return {e.question: e.option for e in effects if isinstance(e, OtherReading)}
+
+
+def _list_limits(file: GapFile, left_out: Sequence[Effect]) -> list[str]:
+    """Return texts on causes that the trials cannot distinguish, and on effects that are left out."""
+    alike = [c for c in file.causes if c.equivalent]
+    texts = [f"the trials cannot distinguish {c.effect} from {join_names(c.equivalent, 'or')}" for c in alike]
+    return texts + [f"{e.name} differs from trial to trial and is not in this model" for e in left_out]
 
 
 def build_simulator_file(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -116,7 +117,7 @@ def screen_effects(
 
     Returns
     -------
-    list of Tried
+    list of Screening
         Screening results, largest predicted gain first.
     dict of name to reason
         Effects that change no measured sample or make the simulation diverge, with the reason.
@@ -178,56 +179,75 @@ def _screen_shared(
         Squared changes by all columns, with and without the shared parameters projected out.
     """
     parameters, points = tried.parameters, tried.points
-    null = np.array([p.start for p in parameters])
-    lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
-
-    def fit(*chosen: int) -> tuple[Array, Array]:
-        """Fit the changes at some parameter vectors together. Return the gains and the fitted factors."""
-        prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
-        where = [first + i for i in chosen]
-        gains = plain - crossval.compute_held_out(inner, where, prior)
-        return gains, crossval.fit_columns(inner, where, prior)[inner.n_shared :]
-
-    found: list[tuple[Array, Array, tuple[int, ...]]] = []
-    leaders: dict[tuple[int, ...], tuple[float, int]] = {}
-    for i, (point, _) in enumerate(points):
-        if not whole[first + i] > MIN_SQUARED_CHANGE:
-            continue
-        gains, factors = fit(i)
-        moved = tuple(np.flatnonzero(point != null).tolist())
-        if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
-            leaders[moved] = (float(gains.sum()), i)
-        # The factor of the change is limited so that the parameters are within their bounds. An effect
-        # without parameters always acts fully (factor 1).
-        allowed = 1.0
-        if parameters:
-            allowed = _limit_factor(null, point - null, float(factors[0]), lower, upper)
-        if allowed != factors[0]:
-            gains = np.minimum(gains, plain - crossval.compute_held_out_less(inner, first + i, allowed))
-            factors = np.array([allowed])
-        found.append((gains, factors, (i,)))
-    if len(leaders) > 1:
-        together = tuple(i for _, i in leaders.values())
-        found.append((*fit(*together), together))
-    if not found:
+    acting = [i for i in range(len(points)) if whole[first + i] > MIN_SQUARED_CHANGE]
+    if not acting:
         return None
-    gains, factors, chosen = max(found, key=lambda one: one[0].sum())
-    parts = [(f, *points[i]) for f, i in zip(factors, chosen, strict=True)]
-    one = first + chosen[0]
-    absorbed = float(np.clip(1.0 - left[one] / whole[one], 0.0, 1.0))
+    gains, factors, chosen = _fit_points(inner, tried, first, plain, acting)
+    column = first + chosen[0]
     raw = [plain - crossval.compute_held_out_less(inner, first + i) for i in range(len(points))]
     helped = max(range(len(points)), key=lambda i: (raw[i].sum(), i))
     if not tried.effect.smooth and raw[helped].sum() > gains.sum():
         gains = raw[helped]
+    null, lower, upper = (np.array([getattr(p, n) for p in parameters]) for n in ("start", "lower", "upper"))
+    step = sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
     return Screening(
         tried.effect,
         parameters,
-        np.clip(null + sum(f * (point - null) for f, point, _ in parts), lower, upper),
+        np.clip(null + step, lower, upper),
         gains,
-        absorbed,
-        [np.asarray(sum(f * changed[k] for f, _, changed in parts)) for k in range(len(points[0][1]))],
+        float(np.clip(1.0 - left[column] / whole[column], 0.0, 1.0)),
+        _combine(factors, [points[i][1] for i in chosen]),
         points[helped][0],
     )
+
+
+def _fit_points(
+    inner: NormalEquations, tried: ScreeningRuns, first: int, plain: Array, acting: Sequence[int]
+) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return the gains, the factors and the indices of the parameter vectors with the largest gain.
+
+    Parameters
+    ----------
+    acting : sequence of int
+        Indices of the parameter vectors that change the trials.
+    """
+    parameters, points = tried.parameters, tried.points
+    null = np.array([p.start for p in parameters])
+    lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+
+    def fit(*chosen: int) -> tuple[Array, Array, tuple[int, ...]]:
+        """Fit the changes at some parameter vectors together. Return the gains and the fitted factors."""
+        prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
+        where = [first + i for i in chosen]
+        gains = plain - crossval.compute_held_out(inner, where, prior)
+        return gains, crossval.fit_columns(inner, where, prior)[inner.n_shared :], chosen
+
+    fits = {i: fit(i) for i in acting}
+    leaders: dict[tuple[int, ...], int] = {}
+    for i, (gains, _, _) in fits.items():
+        moved = tuple(np.flatnonzero(points[i][0] != null).tolist())
+        leader = leaders.setdefault(moved, i)
+        if gains.sum() > fits[leader][0].sum():
+            leaders[moved] = i
+    rivals = []
+    for i, (gains, factors, chosen) in fits.items():
+        # The factor of the change is limited so that the parameters are within their bounds. An effect
+        # without parameters always acts fully (factor 1).
+        allowed = 1.0
+        if parameters:
+            allowed = _limit_factor(null, points[i][0] - null, float(factors[0]), lower, upper)
+        if allowed != factors[0]:
+            gains = np.minimum(gains, plain - crossval.compute_held_out_less(inner, first + i, allowed))
+        rivals.append((gains, np.array([allowed]), chosen))
+    if len(leaders) > 1:
+        rivals.append(fit(*leaders.values()))
+    return max(rivals, key=lambda one: float(one[0].sum()))
+
+
+def _combine(factors: Array, changes: Sequence[Sequence[Array]]) -> list[Array]:
+    """Return the sum of changes of the trials, each multiplied by its factor."""
+    each = zip(*changes, strict=True)
+    return [np.asarray(sum(f * c for f, c in zip(factors, of, strict=True))) for of in each]
 
 
 def _screen_own(study: GapStudy, base: Hypothesis, tried: ScreeningRuns) -> Screening | None:
@@ -244,12 +264,12 @@ def _screen_own(study: GapStudy, base: Hypothesis, tried: ScreeningRuns) -> Scre
     best: Screening | None = None
     for group in groups.values():
         changes = [changed for _, changed in group.values()]
-        if sum(float(np.vdot(c, c)) for changed in changes for c in changed) < MIN_SQUARED_CHANGE:
+        signature = [np.sum(of_trial, axis=0) for of_trial in zip(*changes, strict=True)]
+        if sum(float(np.vdot(c, c)) for c in chain(*changes)) < MIN_SQUARED_CHANGE:
             continue
         gains = compute_own_gains(study, base, changes)
         if best is None or gains.sum() > best.gain:
             point, _ = next(iter(group.values()))
-            signature = [np.sum(of_trial, axis=0) for of_trial in zip(*changes, strict=True)]
             best = Screening(tried.effect, tried.parameters, point, gains, 0.0, signature)
     return best
 

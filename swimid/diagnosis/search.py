@@ -194,7 +194,7 @@ def prepare_study(given: GapStudy, effects: Sequence[Effect]) -> tuple[GapStudy,
 
     Returns
     -------
-    Study
+    GapStudy
         The study without the failed samples, with its noise model.
     Hypothesis
     Dropouts
@@ -477,7 +477,6 @@ def search_causes(
     asked : collection of str, optional
         Names of the effects that may be causes; all effects by default.
     """
-    odd_trials: dict[str, str] = {}
 
     def start_search(study: GapStudy, fit: Hypothesis) -> HypothesisSearch:
         """Return a search with the fits of single effects."""
@@ -492,6 +491,7 @@ def search_causes(
             search.compare()
         return search
 
+    odd_trials: dict[str, str] = {}
     with threadpool_limits(limits=1, user_api="blas"):
         while True:
             study, fit, dropouts = prepare_study(given, effects)
@@ -513,22 +513,34 @@ def search_causes(
                 search = other
         search.restrict([e for e in effects if asked is None or e.name in asked])
         add_larger_sets(search, most, progress)
-        search.base = base = prefer_parameters(search)
-        singles = search.rank(search.null, search.best(1))
-        known = {h.last_screening.effect.name for h in singles}
-        singles += [h for h in search.first if h.last_screening.effect.name not in known]
-        comparisons = [compare_with_alternatives(search, effect) for effect in base.effects]
-        # A changed parameter comes first, because it needs no additional physics.
-        comparisons.sort(key=lambda c: (c.effect.adds_to is None, -c.ranked[0].gain))
-        between: list[Hypothesis] = []
-        for last in reversed(comparisons[1:]):
-            between.insert(0, search.refit_without(between[0] if between else base, last.effect))
-        if dropouts.count:
-            simulated = base.problem.simulations(base.theta)
-            dropouts = dropouts.confirm(detect_failures(given.trials, simulated))
-        study = search.study.with_noise(noise.with_floors(search.study, base))
-        terms = remainder.simulate_terms(study, base)
-        structure = remainder.find_structure(study, base, terms, rng=search.rng)
+        return _build_result(search, given.trials, dropouts, odd_trials)
+
+
+def _build_result(
+    search: HypothesisSearch, trials: Sequence[Trial], dropouts: Dropouts, odd_trials: dict[str, str]
+) -> SearchResult:
+    """Compare the causes with their alternatives, and describe what remains with them.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Fitted trials with failed samples.
+    """
+    search.base = base = prefer_parameters(search)
+    singles = search.rank(search.null, search.best(1))
+    known = {h.last_screening.effect.name for h in singles}
+    singles += [h for h in search.first if h.last_screening.effect.name not in known]
+    comparisons = [compare_with_alternatives(search, effect) for effect in base.effects]
+    # A changed parameter comes first, because it needs no additional physics.
+    comparisons.sort(key=lambda c: (c.effect.adds_to is None, -c.ranked[0].gain))
+    between: list[Hypothesis] = []
+    for last in reversed(comparisons[1:]):
+        between.insert(0, search.refit_without(between[0] if between else base, last.effect))
+    if dropouts.count:
+        dropouts = dropouts.confirm(detect_failures(trials, base.problem.simulations(base.theta)))
+    study = search.study.with_noise(noise.with_floors(search.study, base))
+    terms = remainder.simulate_terms(study, base)
+    structure = remainder.find_structure(study, base, terms, rng=search.rng)
     return SearchResult(
         study, search.null, base, between, search.posterior, comparisons, singles, search.first_screen,
         search.left_out, search.count, dropouts, structure, odd_trials,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.fitting.model import Array, Trial
-from swimid.logs.beat import find_beat
+from swimid.kinematics.frequency import find_beat
 from swimid.logs.log import FREQUENCY_RTOL
 
 

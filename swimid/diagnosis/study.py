@@ -47,7 +47,7 @@ class Hypothesis:
 
     Attributes
     ----------
-    study : Study
+    study : GapStudy
         Study with the noise model of the fit.
     effects : tuple of Effect
         Effects of the hypothesis.
@@ -57,7 +57,7 @@ class Hypothesis:
         Sum of squared whitened residuals and squared prior terms.
     problem : Problem
         The residual problem that was solved.
-    tried : Tried or None
+    tried : Screening or None
         Screening result of the effect that was added last; None for the model without effects.
     rough : bool
         Whether the fit has not reached its optimum.

@@ -37,7 +37,7 @@ good unless a check warns, ``ambiguous`` and ``partial`` are cautions, and ``une
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,8 +60,6 @@ MIN_CLOSED_SHARE = 0.5
 MIN_DECREASE_PROBABILITY = 0.95
 #: Number of random weights of the held-out parts.
 N_PART_WEIGHTS = 1000
-
-Errors = Callable[[HeldOutTrial], float]
 
 
 @dataclass(frozen=True)
@@ -107,20 +105,24 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
         Question of the rows that are left out, to measure what they contribute.
     """
     failed = [row for row in list_rows(facts) if not row.passed and row.question != without]
-    verdicts: list[Verdict] = ["none", *(row.otherwise for row in failed)]
     causes = tuple(facts.proposed) if all(row.named for row in failed) else ()
+    if _is_doubtful(facts, failed):
+        return Decision("ambiguous", causes)
+    verdicts: list[Verdict] = ["none", *(row.otherwise for row in failed)]
     if causes or facts.failed_samples:
         verdicts.append("explained")
-    found = max(verdicts, key=VERDICT_ORDER.index)
-    is_doubtful = facts.proposed and any(row.question == "gap" for row in failed)
-    within = sum(t.before - t.limit for t in facts.held_out.values()) <= 0.0
-    if is_doubtful and within and not (facts.diverged or facts.unreproduced):
-        # A gap that may not be there leaves nothing unexplained.
-        found = "ambiguous"
-    elif found == "partial" and not causes:
+    weakest = max(verdicts, key=VERDICT_ORDER.index)
+    if weakest == "partial" and not causes:
         # Without a cause, nothing closes a part of the gap.
-        found = "unexplained"
-    return Decision(found, causes)
+        weakest = "unexplained"
+    return Decision(weakest, causes)
+
+
+def _is_doubtful(facts: Facts, failed: Sequence[VerdictRow]) -> bool:
+    """Return whether there may be no gap. Such a gap leaves nothing unexplained."""
+    within = sum(t.before - t.limit for t in facts.held_out.values()) <= 0.0
+    doubts = facts.proposed and any(row.question == "gap" for row in failed)
+    return bool(doubts) and within and not (facts.diverged or facts.unreproduced)
 
 
 def list_rows(facts: Facts) -> Iterator[VerdictRow]:
@@ -170,58 +172,52 @@ def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
     """Yield the rows of a model to which the fits add causes."""
     names = join_names(list(facts.proposed))
     name, first = next(iter(facts.proposed.items()))
-    none = facts.no_gap or 0.0
+    none, sure = facts.no_gap or 0.0, f"≥ {percent(MIN_SURE_PROBABILITY)}"
+    found, needed = f"no gap {probability_text(none)}", f"≤ {percent(MAX_NO_GAP_PROBABILITY)}"
     reason = f"no gap has a probability of {probability_text(none)}"
-    yield VerdictRow(
-        "gap",
-        f"no gap {probability_text(none)}",
-        f"≤ {percent(MAX_NO_GAP_PROBABILITY)}",
-        none <= MAX_NO_GAP_PROBABILITY,
-        "ambiguous",
-        True,
-        reason,
-    )
-    inside, outside = facts.catalogue or 0.0, facts.outside or 0.0
-    share = inside / max(inside + outside, 1e-300)
+    yield VerdictRow("gap", found, needed, none <= MAX_NO_GAP_PROBABILITY, "ambiguous", True, reason)
+    share = _catalogue_share(facts)
     found = f"{probability_text(share)} of the probability of a gap"
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
-    _, before, after, _ = _sums(facts.held_out)
-    # An effect with values of its own in each trial also fits those of a held-out trial. An effect at its
-    # bound stands in for a cause outside.
-    left = compute_remaining_share(facts, as_given=_is_change(facts))
-    is_stretched = any(one.at_bound for one in facts.proposed.values())
-    closes = left is not None and left <= 1.0 - MIN_CLOSED_SHARE and not first.per_trial and not is_stretched
-    lowers = (
-        share > 0.5 or closes or (share > MAX_NO_GAP_PROBABILITY and after <= before and is_imitated(facts))
-    )
-    otherwise: Verdict = "partial" if lowers else "unexplained"
-    yield VerdictRow(
-        "cause in the catalogue",
-        found,
-        f"≥ {percent(MIN_SURE_PROBABILITY)}",
-        share >= MIN_SURE_PROBABILITY,
-        otherwise,
-        lowers,
-        reason,
-    )
-    rivals = join_names(first.equivalent, "or")
-    reason = f"these trials cannot tell {name} from {rivals or 'other effects'}"
+    is_named = _is_supported(facts)
+    otherwise: Verdict = "partial" if is_named else "unexplained"
+    passed = share >= MIN_SURE_PROBABILITY
+    yield VerdictRow("cause in the catalogue", found, sure, passed, otherwise, is_named, reason)
+    rivals = join_names(first.equivalent, "or") or "other effects"
+    reason = f"these trials cannot tell {name} from {rivals}"
     passed = first.alone >= MIN_SURE_PROBABILITY and not first.crowded
     found = f"{probability_text(first.alone)} of the probability of cause and rivals"
-    yield VerdictRow(
-        "cause against its rivals",
-        found,
-        f"≥ {percent(MIN_SURE_PROBABILITY)}",
-        passed,
-        "ambiguous",
-        True,
-        reason,
-    )
+    yield VerdictRow("cause against its rivals", found, sure, passed, "ambiguous", True, reason)
     if facts.diverged:
         reason = f"a simulation of held-out data diverges with {names}"
         yield VerdictRow("held-out simulation", "diverges", "finite", False, "unexplained", False, reason)
     if facts.held_out:
         yield from _of_errors(facts, names)
+
+
+def _catalogue_share(facts: Facts) -> float:
+    """Return the probability of causes in the catalogue, divided by that of all causes."""
+    inside, outside = facts.catalogue or 0.0, facts.outside or 0.0
+    return inside / max(inside + outside, 1e-300)
+
+
+def _is_supported(facts: Facts) -> bool:
+    """Return whether causes are named although a cause outside the catalogue is probable.
+
+    The causes must be more probable than that cause, close half of the gap, or be imitated by a refit.
+    """
+    share = _catalogue_share(facts)
+    if share > 0.5:
+        return True
+    left = compute_remaining_share(facts, as_given=_is_change(facts))
+    closes = left is not None and left <= 1.0 - MIN_CLOSED_SHARE
+    # An effect with values of its own in each trial also fits those of a held-out trial. An effect at its
+    # bound stands in for a cause outside.
+    first, *_ = facts.proposed.values()
+    if closes and not first.per_trial and not any(one.at_bound for one in facts.proposed.values()):
+        return True
+    _, before, after, _ = _sums(facts.held_out)
+    return share > MAX_NO_GAP_PROBABILITY and after <= before and is_imitated(facts)
 
 
 def _of_errors(facts: Facts, names: str) -> Iterator[VerdictRow]:
@@ -230,17 +226,25 @@ def _of_errors(facts: Facts, names: str) -> Iterator[VerdictRow]:
     The errors without a changed parameter are those of the parameters as given, because every refit changes
     it, too. So are those of a cause that a refit imitates.
     """
-    needed = f"probability ≥ {percent(MIN_DECREASE_PROBABILITY)}"
     is_change = _is_change(facts)
     as_given = is_change or is_imitated(facts)
     if as_given and not is_change:
         reason = f"refitted parameters of the file close the gap on held-out data as well as {names}"
-        yield VerdictRow(
-            "cause against the parameters", "imitated", "distinct", False, "ambiguous", True, reason
-        )
+        question = "cause against the parameters"
+        yield VerdictRow(question, "imitated", "distinct", False, "ambiguous", True, reason)
+    yield _row_of_decrease(facts, names, as_given=as_given)
+    yield _row_of_remainder(facts, names, as_given=as_given)
+    worse = join_names([n for n, t in facts.held_out.items() if _is_worse(t, as_given)])
+    verb = "makes" if len(facts.proposed) == 1 else "make"
+    found, reason = worse or "none worse", f"{names} {verb} the error of {worse} larger"
+    yield VerdictRow("held-out trials", found, "none worse", not worse, "ambiguous", True, reason)
+
+
+def _row_of_decrease(facts: Facts, names: str, *, as_given: bool) -> VerdictRow:
+    """Return the row about the probability that held-out errors fall with the causes."""
     falls = compute_decrease_probability(facts, as_given=as_given)
     found = f"probability {probability_text(falls)}"
-    carried = "" if is_change else find_carrying_part(facts)
+    carried = "" if _is_change(facts) else find_carrying_part(facts)
     passed = falls >= MIN_DECREASE_PROBABILITY and not carried
     otherwise: Verdict = "unexplained"
     reason = f"held-out errors do not clearly fall with {names} ({found})"
@@ -248,31 +252,21 @@ def _of_errors(facts: Facts, names: str) -> Iterator[VerdictRow]:
         otherwise, reason = "ambiguous", f"held-out errors fall with {names} in {carried} only"
     elif (facts.no_gap or 0.0) > MAX_NO_GAP_PROBABILITY:
         otherwise = "ambiguous"
-    yield VerdictRow("held-out errors fall", found, needed, passed, otherwise, bool(carried), reason)
-    left = compute_remaining_share(facts, as_given=as_given)
-    given, before, _, _ = _sums(facts.held_out)
+    needed = f"probability ≥ {percent(MIN_DECREASE_PROBABILITY)}"
+    return VerdictRow("held-out errors fall", found, needed, passed, otherwise, bool(carried), reason)
+
+
+def _row_of_remainder(facts: Facts, names: str, *, as_given: bool) -> VerdictRow:
+    """Return the row about the share of the squared gap on held-out data that the causes leave."""
+    left, needed = compute_remaining_share(facts, as_given=as_given), f"≤ {percent(CALIBRATED.form)}"
     if left is None:
-        said = reason = "held-out data have no gap, so that the share which remains is unknown"
-    else:
-        said = f"{percent(left, 2)} of the squared gap"
-        is_given = as_given or given < before
-        reason = f"{said} {'as given' if is_given else 'after a refit'} remains on held-out data with {names}"
-    passed = left is not None and left <= CALIBRATED.form
-    otherwise = "ambiguous" if left is None else "partial"
-    yield VerdictRow("remaining gap", said, f"≤ {percent(CALIBRATED.form)}", passed, otherwise, True, reason)
-    worse = [n for n, t in facts.held_out.items() if _is_worse(t, as_given)]
-    reason = (
-        f"{names} {'makes' if len(facts.proposed) == 1 else 'make'} the error of {join_names(worse)} larger"
-    )
-    yield VerdictRow(
-        "held-out trials",
-        join_names(worse) or "none worse",
-        "none worse",
-        not worse,
-        "ambiguous",
-        True,
-        reason,
-    )
+        text = "held-out data have no gap, so that the share which remains is unknown"
+        return VerdictRow("remaining gap", text, needed, False, "ambiguous", True, text)
+    given, before, _, _ = _sums(facts.held_out)
+    against = "as given" if as_given or given < before else "after a refit"
+    text = f"{percent(left, 2)} of the squared gap"
+    reason = f"{text} {against} remains on held-out data with {names}"
+    return VerdictRow("remaining gap", text, needed, left <= CALIBRATED.form, "partial", True, reason)
 
 
 def _is_change(facts: Facts) -> bool:

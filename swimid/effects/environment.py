@@ -642,18 +642,8 @@ def find_lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     grid = np.linspace(max(LOWEST, PERIODS / length), HIGHEST, count)
     power, weight = np.zeros(count), np.zeros(count)
     for trial in use:
-        there = np.isfinite(trial.measured[name])
-        time = trial.time_s[there] - trial.time_s[0]
+        time, rest, known, harmonics = _remove_beat(model, trial, name)
         width = 1.0 / max(float(time[-1]), 1e-9)
-        beat = trial.swim.beat
-        simulated = _simulate_channel(model, trial, name)[there]
-        beating = find_oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
-        harmonics = [k * beating for k in (1, 2, 3) if beating > 0.0]
-        slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
-        waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
-        known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
-        rest = trial.measured[name][there] - simulated
-        rest = rest - known @ (known.T @ rest)
         highest = 0.5 / max(float(np.median(np.diff(time))), 1e-9)
         for k, f in enumerate(grid):
             if f > highest or any(abs(f - h) < width for h in harmonics):
@@ -668,6 +658,32 @@ def find_lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in strongest):
             strongest.append(float(grid[k]))
     return tuple(strongest[:LINES])
+
+
+def _remove_beat(model: Model, trial: Trial, channel: str) -> tuple[Array, Array, Array, list[float]]:
+    """Remove a polynomial in time and the harmonics of the beat from the residuals of a track.
+
+    Returns
+    -------
+    time, rest : ndarray, shape (n,)
+        Time since the start of the trial, s, and what remains of the residuals.
+    known : ndarray, shape (n, m)
+        Orthonormal basis of what was removed.
+    harmonics : list of float
+        Frequencies of the beat, Hz.
+    """
+    there = np.isfinite(trial.measured[channel])
+    time = trial.time_s[there] - trial.time_s[0]
+    width = 1.0 / max(float(time[-1]), 1e-9)
+    beat = trial.swim.beat
+    simulated = _simulate_channel(model, trial, channel)[there]
+    beating = find_oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
+    harmonics = [k * beating for k in (1, 2, 3) if beating > 0.0]
+    slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
+    waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
+    known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
+    rest = trial.measured[channel][there] - simulated
+    return time, rest - known @ (known.T @ rest), known, harmonics
 
 
 def find_oscillation(time_s: Array, series: Array) -> float:

@@ -17,7 +17,7 @@ from swimid.errors import InputError
 from swimid.files.yamlio import ASK
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import SurgeInput, Trial
-from swimid.logs.beat import find_beat, stated_against_found
+from swimid.kinematics.frequency import find_beat, stated_against_found
 from swimid.logs.experiments import (
     EVERYWHERE,
     Drive,

@@ -11,7 +11,7 @@ from pydantic import Field
 from swimid.errors import InputError
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import RigInput, Trial, choose_parameters
-from swimid.logs import tracks
+from swimid.kinematics.jumps import WINDOW, find_jumps
 from swimid.logs.experiments import Trials
 from swimid.logs.log import longest_run, runs
 from swimid.notices import warn
@@ -59,8 +59,8 @@ class Towed(Trials):
             known = np.flatnonzero(~missing)
             # A force may change in one step, as dry friction does where the body reverses. Spikes are errors.
             spikes = known[:0]
-            if len(known) > tracks.WINDOW:
-                spikes = known[~tracks.find_jumps(log.time_s[known], force[known, None], brief=True)[0]]
+            if len(known) > WINDOW:
+                spikes = known[~find_jumps(log.time_s[known], force[known, None], brief=True)[0]]
             missing[spikes] = True
             if len(spikes):
                 first = log.time_s[spikes[0]]

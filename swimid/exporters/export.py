@@ -9,18 +9,17 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NotRequired
+from typing import Any
 
 import swimid
 from swimid.errors import InputError, UsageError
-from swimid.exporters import gazebo, mjcf, movement, vehicle
+from swimid.exporters import gazebo, mjcf, vehicle
 from swimid.exporters.causes import ExportedCause, filters_text, limits_of
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Exported, ExportedLink, ExportSource, central
 from swimid.files import atomic, tabular
 from swimid.files.provenance import digests_of, is_own
 from swimid.fitting.model import Parameter
-from swimid.logs.log import LogLike
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.results import numbers, parameters
@@ -47,13 +46,11 @@ CONVENTIONS = (
 class ExportedText(Text):
     """Result of ``export``, whose ``document`` is the text of the exported file."""
 
-    keys = {"target": str, "limits": list[str], "compared": NotRequired[dict[str, float]]}
-
 
 @takes(ExportOptions)
 def export(
-    params: parameters.Source | LogLike, *, options: ExportOptions, output: str | Path | None = None
-) -> ExportedText | movement.Dataset:
+    params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None
+) -> ExportedText:
     """Write the coefficients and causes of a parameter file in the format of a simulator.
 
     Causes are the effects that a diagnosis found. The robot file that the parameter file names is searched in
@@ -63,7 +60,7 @@ def export(
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
-        Parameters of a robot with links in one plane. For ``movement``, a log: path, DataFrame or Log.
+        Parameters of a robot with links in one plane.
     output : path, optional
         Path of the file to write. With None or ``-`` the text is only returned. Beside ``tfish.xml`` are
         written ``tfish_mjcf_causes.py``, which filters the commands for causes that the simulator cannot
@@ -75,7 +72,7 @@ def export(
         ``.document`` is the text of the file (XML or JSON), in SI units. ``.data`` has ``target``,
         ``added_mass``, ``causes`` and ``limits``, the effects that the format cannot represent. Each limit is
         also a warning SWM060. If no file is written, ``filters`` is the text of the Python file that filters
-        the commands, or empty. For ``movement``, ``.document`` is an ``xarray.Dataset``.
+        the commands, or empty.
 
     Raises
     ------
@@ -94,41 +91,28 @@ def export(
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('tfish', [])
     """
-    if options.to != "movement":
-        return _to_simulator(params, options, output)
-    if options.draws or options.draw:
-        raise UsageError("a log has no random samples of parameters", hint="leave out --draws and --draw")
-    return movement.export(params, output)
-
-
-def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None) -> ExportedText:
-    """Write a parameter file in the format of a simulator."""
     source = load(params)
     title, write = _format_of(source, options.to)
-    out = None if output is None or str(output) == "-" else Path(output)
-    if out is not None:
-        atomic.check_writable(out, inputs=[parameters.origin(params)])
-    elif options.draws:
-        raise UsageError(
-            "--draws writes a file beside the output, and there is none", hint="name it: -o FILE"
-        )
-    samples: list[dict[str, float]] = []
-    if options.draws or options.draw:
-        samples = _samples(source, max(options.draws or 0, options.draw or 0), options.seed)
-    if options.draw:
-        source = _at(source, samples[options.draw - 1], f"draw {options.draw} of seed {options.seed}")
+    out = _check_output(params, options, output)
+    source, samples = _draw_samples(source, options)
     text, limits, filtered = write(source, options)
-    filters = ""
-    if filtered:
-        filters = filters_text(filtered, source.model, source.origin)
-    held = source.parameters.parameters
-    unknown = [name for name, one in held.items() if one.status == "unidentifiable" and "[" not in name]
-    if unknown:
-        names = ", ".join(unknown)
-        warn("SWM010", f"exported as they stand, though their trials do not determine them: {names}")
-    for limit in limits:
-        warn("SWM060", f"{title}: {limit}")
-    result = {
+    filters = filters_text(filtered, source.model, source.origin) if filtered else ""
+    _warn_of_limits(source, title, limits)
+    result = _describe(source, options, limits)
+    if out is None:
+        texts = {"text": text, "filters": filters}
+        return ExportedText("export", text.rstrip("\n"), result | texts, document=text)
+    files = _write_files(out, text, filters, samples, source, options)
+    summary = f"{source.robot.name} as {title}: everything is carried"
+    if limits:
+        summary = f"{source.robot.name} as {title}: {len(limits)} limits, see the warnings"
+    summary += _compare_with_mujoco(source, options, params, text, result)
+    return ExportedText("export", summary, result, files, document=text)
+
+
+def _describe(source: ExportSource, options: ExportOptions, limits: list[str]) -> dict[str, Any]:
+    """Return the origin of an exported document and its limits, for ``--json``."""
+    return {
         "target": options.to,
         "model": source.parameters.model,
         "robot": source.robot.name,
@@ -136,27 +120,68 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
         "causes": source.parameters.effects,
         "limits": limits,
     }
-    if out is None:
-        texts = {"text": text, "filters": filters}
-        return ExportedText("export", text.rstrip("\n"), result | texts, document=text)
+
+
+def _check_output(
+    params: parameters.Source, options: ExportOptions, output: str | Path | None
+) -> Path | None:
+    """Return the path of the output, or None for the standard output; raise an error if it cannot be used."""
+    if output is not None and str(output) != "-":
+        return atomic.check_writable(Path(output), inputs=[parameters.origin(params)])
+    if options.draws:
+        text = "--draws writes a file beside the output, and there is none"
+        raise UsageError(text, hint="name it: -o FILE")
+    return None
+
+
+def _draw_samples(
+    source: ExportSource, options: ExportOptions
+) -> tuple[ExportSource, list[dict[str, float]]]:
+    """Return the source with the values of the random sample that the options ask for, and the samples."""
+    count = max(options.draws or 0, options.draw or 0)
+    samples = _samples(source, count, options.seed) if count else []
+    if options.draw:
+        words = f"draw {options.draw} of seed {options.seed}"
+        source = _at(source, samples[options.draw - 1], words)
+    return source, samples
+
+
+def _warn_of_limits(source: ExportSource, title: str, limits: list[str]) -> None:
+    """Warn of parameters that are not identified, and of each effect that the format cannot represent."""
+    estimates = source.parameters.parameters
+    unknown = [name for name, e in estimates.items() if e.status == "unidentifiable" and "[" not in name]
+    if unknown:
+        names = ", ".join(unknown)
+        warn("SWM010", f"exported as they stand, though their trials do not determine them: {names}")
+    for limit in limits:
+        warn("SWM060", f"{title}: {limit}")
+
+
+def _write_files(
+    out: Path,
+    text: str,
+    filters: str,
+    samples: list[dict[str, float]],
+    source: ExportSource,
+    options: ExportOptions,
+) -> list[Path]:
+    """Write the exported text, the filters of the commands and the random samples; return the files.
+
+    Filters of an earlier export are removed if this export needs none.
+    """
     files = {out: text}
     beside = out.with_name(f"{out.stem}_{options.to}_causes.py")
     if filters:
         files[beside] = filters
     if options.draws:
-        rows = samples[: options.draws]
-        files[out.with_name(f"{out.stem}_draws.csv")] = _table(source, rows, options.seed)
+        table = _table(source, samples[: options.draws], options.seed)
+        files[out.with_name(f"{out.stem}_draws.csv")] = table
     with atomic.write_together():
         for path, written in files.items():
             atomic.write_text(path, written)
         if not filters and beside.exists() and is_own(beside):
             atomic.remove(beside)
-    carried = "everything is carried"
-    if limits:
-        carried = f"{len(limits)} limits, see the warnings"
-    summary = f"{source.robot.name} as {title}: {carried}"
-    summary += _compare_with_mujoco(source, options, params, text, result)
-    return ExportedText("export", summary, result, list(files), document=text)
+    return list(files)
 
 
 def _compare_with_mujoco(
@@ -228,7 +253,7 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
     try:
         source.assembly.check(source.values)
     except InputError as error:
-        raise robot.located(error, Path(place)) from error
+        raise robot.add_location(error, Path(place)) from error
     known = {parameter.name for parameter in source.model.parameters}
     known |= set(source.parameters.settings.get("shared") or {})
     for name in source.parameters.parameters:

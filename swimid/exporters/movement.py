@@ -32,7 +32,6 @@ class Dataset(Result):
 
     kind = "Dataset"
     ending = ".nc"
-    keys = {"target": str}
 
     def _write(self, path: Path) -> list[Path]:
         with atomic.replace_file(path) as temporary:

@@ -219,7 +219,7 @@ def _head(path: Path) -> str:
 def command_line() -> str:
     """Return the command line of this process, with paths as results state them.
 
-    The options for the number of threads and for a cluster are left out, because they change no result.
+    The option for the number of threads is left out, because it changes no result.
     """
     program = Path(sys.argv[0]).name.replace("__main__.py", "swimid")
     words = _IDLE.sub("", "\0".join([program, *sys.argv[1:], ""])).split("\0")[:-1]
@@ -227,7 +227,7 @@ def command_line() -> str:
 
 
 #: Pattern of options that change no result, in a command line whose words end with a zero.
-_IDLE = re.compile(r"(?<=\0)--(?:jobs|cluster)[=\0][^\0]*\0")
+_IDLE = re.compile(r"(?<=\0)--jobs[=\0][^\0]*\0")
 
 
 def _publish(value: Any) -> Any:

@@ -1008,7 +1008,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
     """Return a check that the beat frequency found in each log equals the one stated in the trials file.
 
-    The module :mod:`swimid.logs.beat` finds the frequency.
+    The module :mod:`swimid.kinematics.frequency` finds the frequency.
     """
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong, shown = [], "yes"

@@ -5,20 +5,18 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swimid import executors
 from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult
-from swimid.fitting.problem import Problem, map_in_threads
+from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent
 
 #: Maximum relative difference between the costs of two fits that count as the same minimum.
@@ -48,7 +46,6 @@ def multistart(
     jobs: int | None = None,
     max_iterations: int = UNFINISHED_ITERATIONS,
     first: FitResult | None = None,
-    elsewhere: Callable[[Array], Array] | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
     """Fit from several starting points, and return the best fit.
@@ -64,9 +61,6 @@ def multistart(
         Starting points that are used first. The default is one point, the start values of the parameters.
     first : FitResult, optional
         Result of the fit from the first starting point, if it is already known.
-    elsewhere : callable, optional
-        Function that searches from a starting point on another machine, and returns the end point. The fits
-        then begin at the end points.
 
     Returns
     -------
@@ -92,15 +86,12 @@ def multistart(
     results: list[FitResult] = []
     ends: list[Start] = []
     failures: list[NoTrustworthyResult] = []
-    searched: AbstractContextManager[Iterable[Array]] = nullcontext(points)
-    if elsewhere is not None:
-        searched = map_in_threads(elsewhere, points, executors.WAITING)
-    with progress("starts", total=starts) as step, searched as begun:
-        for k, (begin, nearer) in enumerate(zip(points, begun, strict=True)):
+    with progress("starts", total=starts) as step:
+        for k, begin in enumerate(points):
             try:
                 found = {0: first}.get(k) or output_error.fit_output_error(
                     model, trials, parameters=parameters,
-                    jobs=jobs, begin=nearer, tested=False, max_iterations=max_iterations,
+                    jobs=jobs, begin=begin, tested=False, max_iterations=max_iterations,
                 )  # fmt: skip
             except KeyboardInterrupt:
                 if not results:

@@ -9,7 +9,7 @@ import swimid.options as fits
 from swimid.options import Options
 
 
-class FitOptions(Options, command="fit", section="Identify", makes="parameters"):
+class FitOptions(Options, makes="parameters"):
     """Identify the model of an experiment that has no command of its own.
 
     TRIALS is a trials file of an experiment that is one Python file, your own or one of swimid

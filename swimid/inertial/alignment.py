@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
+from swimid.imports.clocks import MIN_EXPLAINED, MIN_SAMPLES, Offset, clock_offset, without_slow
 from swimid.inertial import record as recording
 from swimid.inertial.record import Array, AttitudeSource, ImuRecord, Poses, integral, resampled, turns_of
-from swimid.logs.clocks import MIN_EXPLAINED, MIN_SAMPLES, Offset, clock_offset, without_slow
-from swimid.logs.kinematics import angles
+from swimid.kinematics.attitude import angles
 
 #: Minimum period of a motion that counts as drift, s: in integrated turn rates, and in accelerations
 #: integrated twice.

@@ -25,10 +25,10 @@ from swimid.inertial.smoother import (
     Nominal,
     Observation,
     SmoothedMotion,
-    cross_product_matrix,
     jacobian,
+    skew_matrices,
 )
-from swimid.logs.kinematics import angles
+from swimid.kinematics.attitude import angles
 from swimid.logs.sampling import white_noise_sd
 
 #: Standard deviation of position (m) and yaw (rad) at the first sample, before any observation. It is small
@@ -394,7 +394,7 @@ def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Ar
         *place.shape,
         position=np.eye(3),
         velocity=np.eye(3) * (when - path.node_s[nodes])[:, None, None],
-        rotation=-cross_product_matrix(lever),
+        rotation=-skew_matrices(lever),
         lever=matrices,
         clock_s=(velocity + np.cross(spin, lever))[:, :, None],
     )
@@ -504,7 +504,7 @@ def _departure(setup: ImuSetup, smoothed: SmoothedMotion, rest: recording.Rest) 
     h = jacobian(
         path.states,
         3,
-        rotation=-cross_product_matrix(force),
+        rotation=-skew_matrices(force),
         acceleration_bias=-turn,
         acceleration_scale=-np.kron(turn, mean(record.acceleration)),
     )

@@ -16,12 +16,12 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
+from swimid.imports.mapping import in_order
 from swimid.inertial import record as recording
 from swimid.inertial.record import CHANNELS, DEG, GRAVITY_M_S2, Array, Finding, Flags, ImuRecord, turns_of
+from swimid.kinematics.attitude import rearranged
 from swimid.logs import sampling
-from swimid.logs.kinematics import rearranged
 from swimid.logs.log import runs
-from swimid.logs.mapping import in_order
 
 #: Type of a test for a fault. A test returns the record, repaired if the fault was found, and a finding on
 #: the fault, or None without the fault. It raises an InputError for a fault that cannot be repaired.

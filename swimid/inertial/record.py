@@ -21,11 +21,13 @@ from scipy.spatial.transform import Rotation, Slerp
 from swimid.errors import InputError, UsageError, extra_needed
 from swimid.files.provenance import path_of
 from swimid.files.tabular import column_error
+from swimid.imports import mapping
+from swimid.imports.clocks import BAND as BAND
+from swimid.imports.clocks import resampled as resampled
 from swimid.inertial.options import TrackImuOptions
-from swimid.logs import log, mapping, tracks
-from swimid.logs.clocks import BAND as BAND
-from swimid.logs.clocks import resampled as resampled
-from swimid.logs.kinematics import angles, from_angles, with_angles
+from swimid.kinematics.attitude import angles, from_angles, with_angles
+from swimid.kinematics.jumps import clean_track
+from swimid.logs import log
 from swimid.logs.log import Log, runs
 from swimid.logs.sampling import usual_step
 from swimid.notices import Progress, warn
@@ -139,8 +141,8 @@ class Poses:
     time_s: Array
     #: Positions along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
-    #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.kinematics.angles`, shape (m, 3); NaN
-    #: where not measured. A log has all three angles, or only yaw, or only pitch, or none. A row has all
+    #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.kinematics.attitude.angles`, shape (m, 3);
+    #: NaN where not measured. A log has all three angles, or only yaw, or only pitch, or none. A row has all
     #: angles of its log or none.
     angles: Array
 
@@ -252,7 +254,7 @@ def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
     repeated = np.zeros_like(wrong)
     seen = np.flatnonzero(np.isfinite(position).any(axis=0))
     if len(read) >= MIN_TRACK_SAMPLES and usual_step(read.time_s) <= MAX_TRACK_STEP_S and len(seen) > 1:
-        cleaning = tracks.clean(read.time_s, [position[:, k] for k in seen], list(turn.T))
+        cleaning = clean_track(read.time_s, [position[:, k] for k in seen], list(turn.T))
         repeated, wrong = cleaning.repeated, wrong | cleaning.jumped
     out = repeated | wrong
     if out.any():

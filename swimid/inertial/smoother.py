@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from swimid.inertial import record as recording
 from swimid.inertial.record import Array, ImuRecord, ImuSetup, Sensor, SensorNoise, integral, resampled
-from swimid.logs.kinematics import angles
+from swimid.kinematics.attitude import angles
 from swimid.logs.log import runs
 
 #: Slice of each quantity in the vector of errors that the smoother estimates. Errors of scale are 3 x 3
@@ -65,7 +65,7 @@ HIDDEN_S, RHYTHM_S = 0.1, 0.5
 #: For long records the time between them is longer.
 NODE_S, MAX_NODES = 0.02, 20_000
 #: Value added to the diagonal of a predicted correlation matrix, so that the matrix can be inverted.
-CORRELATION_RIDGE = 1e-12
+NODE_RIDGE = 1e-12
 
 
 def jacobian(states: int, *shape: int, **by: Array) -> Array:
@@ -216,7 +216,7 @@ def smooth_errors(
     for k in range(nodes - 2, -1, -1):
         # Divide the errors by their standard deviations, because these differ by many powers of ten.
         size = np.sqrt(np.maximum(np.diag(predicted_cov[k + 1]), 1e-300))[:, None]
-        scaled = predicted_cov[k + 1] / size / size.T + CORRELATION_RIDGE * np.eye(states)
+        scaled = predicted_cov[k + 1] / size / size.T + NODE_RIDGE * np.eye(states)
         gain = (np.linalg.solve(scaled, transition[k] @ covs[k] / size) / size).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
         # Joseph's form: a difference of nearly equal covariances would be rounding error.
@@ -249,7 +249,7 @@ def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, A
     return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely
 
 
-def cross_product_matrix(vectors: Array) -> Array:
+def skew_matrices(vectors: Array) -> Array:
     """Return the matrices M with ``M u = v x u`` for vectors v, shape (..., 3, 3)."""
     return np.swapaxes(np.cross(vectors[..., None, :], np.eye(3)), -1, -2)
 
@@ -486,7 +486,7 @@ def _transitions(record: ImuRecord, path: Nominal) -> tuple[Array, Array]:
         parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
         return np.stack(parts, axis=-1).reshape(-1, 3, 9)
 
-    by_force, by_bias = -cross_product_matrix(mean(path.rotation.apply(path.force))), -mean(turn)
+    by_force, by_bias = -skew_matrices(mean(path.rotation.apply(path.force))), -mean(turn)
     by_scale_a, by_scale_w = -turn_by(record.acceleration), -turn_by(record.rate)
     by_tilt = -recording.GRAVITY_M_S2 * np.eye(3)[:, :2]
     place = jacobian(states, len(dt), 3, velocity=np.eye(3))
@@ -580,13 +580,13 @@ def _transfer_velocity(smoothed: SmoothedMotion) -> tuple[Array, Array, Array, A
     matrix = rotation.as_matrix()
     shape = (path.states, len(rows), 3)
     arm, swing = rotation.apply(lever), rotation.apply(np.cross(rate, lever))
-    by_place = jacobian(*shape, position=np.eye(3), rotation=-cross_product_matrix(arm), lever=matrix)
+    by_place = jacobian(*shape, position=np.eye(3), rotation=-skew_matrices(arm), lever=matrix)
     by_speed = jacobian(
         *shape,
         velocity=np.eye(3),
-        rotation=-cross_product_matrix(swing),
-        rate_bias=matrix @ cross_product_matrix(lever),
-        lever=matrix @ cross_product_matrix(rate),
+        rotation=-skew_matrices(swing),
+        rate_bias=matrix @ skew_matrices(lever),
+        lever=matrix @ skew_matrices(rate),
     )
     by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
     velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
@@ -639,7 +639,7 @@ def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Ar
     of derivatives.
     """
     to_body = np.swapaxes(body.as_matrix(), 1, 2)
-    return np.asarray(to_body @ (speed_error + cross_product_matrix(velocity) @ turn_error))
+    return np.asarray(to_body @ (speed_error + skew_matrices(velocity) @ turn_error))
 
 
 def surge_within_stroke(smoothed: SmoothedMotion, cutoff_hz: float) -> Motion:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
+from swimid.imports import mapping
 from swimid.inertial import estimate as estimation
 from swimid.inertial import faults, smoother
 from swimid.inertial import record as recording
@@ -19,10 +20,12 @@ from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY,
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import BAND, DEG, GRAVITY_M_S2, Array, Finding, ImuRecord, ImuSetup
 from swimid.inertial.smoother import Motion, SmoothedMotion
-from swimid.logs import beat, log, mapping
-from swimid.logs.beat import Rhythm
+from swimid.kinematics import frequency
+from swimid.kinematics.frequency import stated_frequency
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.stroke import Rhythm, find_stroke
+from swimid.logs import log
 from swimid.logs.log import Log, LogLike
-from swimid.logs.tracks import Logged
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
@@ -41,11 +44,6 @@ from swimid.results.evidence import (
 
 class Integrated(Logged):
     """Result of ``track_imu``: log with velocity, position and attitude."""
-
-    keys = {
-        "method": str, "attitude_from": str, "still_periods": list[dict[str, Any]],
-        "faults": list[dict[str, Any]], "stroke": dict[str, Any] | None,
-    }  # fmt: skip
 
 
 @takes(TrackImuOptions)
@@ -116,22 +114,33 @@ def track_imu(
         given.append(log.unread(other, name="other"))
     if output is not None:
         output = atomic.check_writable(output, inputs=given)
-    if options.method == "paper" and other is not None:
-        hint = "leave out --with, or take --method smoother"
-        raise UsageError("--method paper fuses with nothing", hint=hint)
     with record_warnings(repeat=True) as notices:
         named = given[0 if rules is None else 1]
-        record, notes = recording.read_record(unread, rules, provenance.path_of(named), progress)
-        record, findings = faults.repair(record)
-        poses = None if other is None else recording.read_poses(log.of(other, name="other"))
-        setup, more = recording.prepare_setup(record, options)
-        with progress("smoothing", total=None) as step:
-            made = estimate_by_method(replace(setup, advance=step), [*findings, *more], poses)
-        for note in notes:
-            warn("SWM004", f"{record.name}: {note}")
-        origin = provenance.collect(given, settings=options.settings())
-        result = _result(made, notices, origin)
+        run = _estimate(unread, rules, provenance.path_of(named), options, progress)
+        result = _result(run, notices, provenance.collect(given, settings=options.settings()))
     return result.write_output(output)
+
+
+def _estimate(
+    unread: Path | Log,
+    rules: mapping.Mapping | None,
+    named: Path,
+    options: TrackImuOptions,
+    progress: Progress,
+) -> ImuRun:
+    """Read and repair a recording, and estimate its motion; ``named`` is the file in messages on columns."""
+    if options.method == "paper" and options.other is not None:
+        hint = "leave out --with, or take --method smoother"
+        raise UsageError("--method paper fuses with nothing", hint=hint)
+    record, notes = recording.read_record(unread, rules, named, progress)
+    record, findings = faults.repair(record)
+    poses = None if options.other is None else recording.read_poses(log.of(options.other, name="other"))
+    setup, more = recording.prepare_setup(record, options)
+    with progress("smoothing", total=None) as step:
+        run = estimate_by_method(replace(setup, advance=step), [*findings, *more], poses)
+    for note in notes:
+        warn("SWM004", f"{record.name}: {note}")
+    return run
 
 
 # ---------------------------------------------------------------- motion
@@ -202,9 +211,9 @@ class ImuRun:
         stroke, stated_hz = self.stroke, self.stated_hz
         if stroke is None or stated_hz is None:
             return None
-        if stroke.maybe_double and beat.contradiction(stroke.beat, 2 * stated_hz) is None:
+        if stroke.maybe_double and frequency.contradiction(stroke.beat, 2 * stated_hz) is None:
             return None
-        return beat.contradiction(stroke.beat, stated_hz)
+        return frequency.contradiction(stroke.beat, stated_hz)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the motion log by name, in the order of the log."""
@@ -258,8 +267,8 @@ def estimate_by_method(setup: ImuSetup, findings: list[Finding], poses: recordin
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
     readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
-    stated_hz = beat.stated_frequency(record.metadata)
-    stroke, cutoff = beat.find_stroke(t, readings), LOWEST_HZ
+    stated_hz = stated_frequency(record.metadata)
+    stroke, cutoff = find_stroke(t, readings), LOWEST_HZ
     if stroke is not None:
         cutoff = STROKE_SHARE * stroke.beat.frequency_hz
     run = ImuRun(setup, findings, stroke, stated_hz, cutoff, {}, poses)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-    from swimid.logs.plot import Drawn
+    from swimid.kinematics.plot import Drawn
 
 Array = NDArray[np.float64]
 TIME = "t_s"

@@ -15,7 +15,7 @@ from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import UNSTEADY
+from swimid.kinematics.cycles import UNSTEADY
 from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions

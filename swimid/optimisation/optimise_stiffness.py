@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -22,7 +23,15 @@ from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.problem import GaitProblem
-from swimid.optimisation.study import BEAT, Performance, StudyFile, in_parallel, points_of, study_of
+from swimid.optimisation.study import (
+    BEAT,
+    OptimisationStudy,
+    Performance,
+    StudyFile,
+    in_parallel,
+    points_of,
+    study_of,
+)
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -224,42 +233,52 @@ def optimise_stiffness(
     with record_warnings(repeat=True) as notices:
         performance = Performance.of_options(options)
         problem = _problem(performance, options)
-        (coefficient,), (between,) = problem.vary, problem.vary.values()
-        axes = {"amplitude_deg": [performance.drive.get("amplitude_deg", math.nan)]}
+        amplitude_deg = [performance.drive.get("amplitude_deg", math.nan)]
+        axes = {"amplitude_deg": amplitude_deg, "frequency_hz": []}
         axes |= {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
-        frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
-        points = points_of({"amplitude_deg": amplitudes, "frequency_hz": frequencies})
         study = study_of(performance, options, output)
-        keep = study.checkpoint
         performance.model.prepare(progress)
         ends = {name: (axis[0], axis[-1]) for name, axis in axes.items()}
-        problem.performance = performance = performance.at_step({**ends, **problem.vary})
-        problems = [replace(problem, fixed=point) for point in points]
-        reference = float(performance.values[performance.model.index(coefficient)])
-
-        def front(k: int) -> Array:
-            return keep.get_or_compute(
-                f"front {k}", lambda: _front_at(problems[k], k, reference, options).ravel()
-            )
-
-        fronts = in_parallel(front, len(points), options.jobs, "fronts", progress)
-        optima = [_optimum(one, found.reshape(-1, 3)) for one, found in zip(problems, fronts, strict=True)]
-        file = RuleFile(
-            **study.head,
-            coefficient=coefficient,
-            unit=performance.axes[coefficient],
-            between=between,
-            objective=options.objective,
-            objectives=tuple(quantity for quantity, _ in problem.goals),  # type: ignore[arg-type]
-            reference=reference,
-            frequency_hz=(frequencies[0], frequencies[-1]),
-            amplitude_deg=(amplitudes[0], amplitudes[-1]),
-            curves=[_curve(optima, amplitude) for amplitude in amplitudes],
-            optima=optima,
-            uncertain=bool(performance.applied.uncertain()[0]),
-        )
-        _assess(performance, file)
+        problem.performance = performance.at_step({**ends, **problem.vary})
+        file = _fit_rule(problem, axes, study, options, progress)
+        _assess(problem.performance, file)
     return study.save(StiffnessRule, file, make_rule_evidence(file, notices, study.origin))
+
+
+def _fit_rule(
+    problem: GaitProblem,
+    axes: dict[str, list[float]],
+    study: OptimisationStudy,
+    options: OptimiseStiffnessOptions,
+    progress: Progress,
+) -> RuleFile:
+    """Search for the Pareto front at each grid point, and fit a curve for each amplitude."""
+    performance, ((coefficient, between),) = problem.performance, problem.vary.items()
+    points = points_of(axes)
+    problems = [replace(problem, fixed=point) for point in points]
+    reference = float(performance.values[performance.model.index(coefficient)])
+
+    def front(k: int) -> Array:
+        compute = partial(_front_at, problems[k], k, reference, options)
+        return study.checkpoint.get_or_compute(f"front {k}", lambda: compute().ravel())
+
+    fronts = in_parallel(front, len(points), options.jobs, "fronts", progress)
+    optima = [_optimum(one, values.reshape(-1, 3)) for one, values in zip(problems, fronts, strict=True)]
+    frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
+    return RuleFile(
+        **study.head,
+        coefficient=coefficient,
+        unit=performance.axes[coefficient],
+        between=between,
+        objective=options.objective,
+        objectives=tuple(quantity for quantity, _ in problem.goals),  # type: ignore[arg-type]
+        reference=reference,
+        frequency_hz=(frequencies[0], frequencies[-1]),
+        amplitude_deg=(amplitudes[0], amplitudes[-1]),
+        curves=[_curve(optima, amplitude) for amplitude in amplitudes],
+        optima=optima,
+        uncertain=bool(performance.applied.uncertain()[0]),
+    )
 
 
 def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> GaitProblem:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -14,13 +13,12 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
-from swimid import executors
 from swimid.errors import UsageError
 from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import UNSTEADY
+from swimid.kinematics.cycles import UNSTEADY
 from swimid.logs.log import to_xarray
 from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
@@ -161,47 +159,66 @@ def performance_map(
     """
     with record_warnings(repeat=True) as notices:
         performance = Performance.of_options(options)
-        if len(options.over) > 2:
-            raise UsageError("a map has one axis or two")
-        performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
-        if any(axis[2] < 2 for axis in options.over.values()):
-            raise UsageError("--over: an axis has two points or more")
-        if math.prod(axis[2] for axis in options.over.values()) > MAX_GRID_POINTS:
-            raise UsageError(f"a map has at most {MAX_GRID_POINTS} points")
-        axes = {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
+        axes = _axes_of(performance, options)
         study = studies.study_of(performance, options, output)
-        keep = study.checkpoint
-        points = points_of(axes)
-        uncertain = performance.applied.uncertain()[0]
+        uncertain = bool(performance.applied.uncertain()[0])
         performance.model.prepare(progress)
         performance = performance.at_step({name: (axis[0], axis[-1]) for name, axis in axes.items()})
-        cells = Cells(performance, bool(uncertain))
-        found = _simulate(cells, points, options, keep, progress)
-        values, stderr = found[..., 0], found[..., 1]
-        performance.insist(values)
+        table = _simulate(Cells(performance, uncertain), points_of(axes), options, study.checkpoint, progress)
+        performance.insist(table[..., 0])
         if uncertain:
             performance.applied.warn_without_error("the deviations of the map")
-        shape = (len(next(iter(axes.values()))), -1)
-        quantities = {}
-        for k, (name, unit) in enumerate(performance.units.items()):
-            shown = {"values": values[:, k].reshape(shape), "stderr": stderr[:, k].reshape(shape)}
-            if not uncertain:
-                del shown["stderr"]
-            if np.isfinite(values[:, k]).any():
-                quantities[name] = Mapped(unit=unit, **shown)  # type: ignore[arg-type]
-        units = list(performance.units)
-        speed = values[:, units.index("mean_speed_m_s")]
-        change = np.zeros(len(values))
-        if "speed_change_per_beat_m_s" in units:
-            change = values[:, units.index("speed_change_per_beat_m_s")]
-        file = MapFile(
-            **study.head,
-            axes=[MapAxis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
-            quantities=quantities,
-            broken=int((~np.isfinite(values)).all(axis=1).sum()),
-            unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
-        )
+        file = _map_file(study, performance, axes, table, uncertain=uncertain)
     return study.save(PerformanceMap, file, make_map_evidence(file, notices, study.origin))
+
+
+def _axes_of(performance: Performance, options: MapOptions) -> dict[str, list[float]]:
+    """Return the values of the varied parameters along each axis of a map.
+
+    Raises
+    ------
+    UsageError
+        If the options describe no map of one or two axes, or one with too many points.
+    """
+    over = options.over
+    if len(over) > 2:
+        raise UsageError(f"--over has {len(over)} axes: a map has one axis or two")
+    performance.check_gaits({name: axis[:2] for name, axis in over.items()}, "--over")
+    if any(axis[2] < 2 for axis in over.values()):
+        raise UsageError("--over: an axis has two points or more")
+    count = math.prod(axis[2] for axis in over.values())
+    if count > MAX_GRID_POINTS:
+        raise UsageError(f"--over has {count} points: a map has at most {MAX_GRID_POINTS} points")
+    return {name: np.linspace(*axis).tolist() for name, axis in over.items()}
+
+
+def _map_file(
+    study: studies.OptimisationStudy,
+    performance: Performance,
+    axes: dict[str, list[float]],
+    table: Array,
+    *,
+    uncertain: bool,
+) -> MapFile:
+    """Return the content of a map file. ``table`` has values and standard errors, (points, quantities, 2)."""
+    values, stderr = table[..., 0], table[..., 1]
+    shape = (len(next(iter(axes.values()))), -1)
+    quantities, columns = {}, {}
+    for k, (name, unit) in enumerate(performance.units.items()):
+        columns[name] = values[:, k]
+        shown = {"values": values[:, k].reshape(shape)}
+        if uncertain:
+            shown["stderr"] = stderr[:, k].reshape(shape)
+        if np.isfinite(values[:, k]).any():
+            quantities[name] = Mapped(unit=unit, **shown)  # type: ignore[arg-type]
+    change = np.abs(columns.get("speed_change_per_beat_m_s", np.zeros(len(values))))
+    return MapFile(
+        **study.head,
+        axes=[MapAxis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
+        quantities=quantities,
+        broken=int((~np.isfinite(values)).all(axis=1).sum()),
+        unsettled=int((change > UNSTEADY * np.abs(columns["mean_speed_m_s"])).sum()),
+    )
 
 
 @dataclass(frozen=True)
@@ -213,7 +230,7 @@ class Cells:
 
     @classmethod
     def of_options(cls, options: MapOptions) -> Cells:
-        """Build the cells of a map, on a worker of a cluster."""
+        """Build the cells of a map."""
         performance = Performance.of_options(options)
         return cls(performance, bool(performance.applied.uncertain()[0]))
 
@@ -239,17 +256,11 @@ def _simulate(
     if cells.uncertain:
         size = 1
     parts = [points[k : k + size] for k in range(0, len(points), size)]
-    compute, jobs = cells.compute, options.jobs
-    place = "swimid.optimisation.performance_map:Cells.of_options"
-    chosen = options.model_copy(update={"dt": cells.performance.model.max_step})
-    with executors.on_cluster(options.cluster, place, chosen) as rebuilt:
-        if rebuilt is not None:
-            compute, jobs = partial(rebuilt.call, "compute"), executors.WAITING
 
-        def one(k: int) -> Array:
-            return checkpoint.get_or_compute(f"points {k}", lambda: compute(parts[k]))
+    def one(k: int) -> Array:
+        return checkpoint.get_or_compute(f"points {k}", lambda: cells.compute(parts[k]))
 
-        found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
+    found = studies.in_parallel(one, len(parts), options.jobs, "gaits", progress)
     return np.concatenate([rows.reshape(-1, len(cells.performance.units), 2) for rows in found])
 
 

@@ -99,19 +99,11 @@ def descend(
         active = np.flatnonzero(radius >= last)
         if not len(active):
             break
-        stencil = np.repeat(points[active][:, None, :], 2 * width, axis=1)
-        for k in range(width):
-            stencil[:, 2 * k, k] -= radius[active]
-            stencil[:, 2 * k + 1, k] += radius[active]
-        stencil = np.clip(stencil, 0.0, 1.0)
+        stencil = _stencil(points[active], radius[active])
         around = evaluate(stencil.reshape(-1, width), np.repeat(active, 2 * width))
         around = around.reshape(len(active), 2 * width, -1)
-        suggested = np.array(
-            [
-                _model_minimum(points[j], parts[j], stencil[n], around[n], radius[j])
-                for n, j in enumerate(active)
-            ]
-        )
+        each = zip(points[active], parts[active], stencil, around, radius[active], strict=True)
+        suggested = np.array([_model_minimum(*rows) for rows in each])
         tried = evaluate(suggested, active)
         tried_values = merit(tried)
         for n, j in enumerate(active):
@@ -128,6 +120,16 @@ def descend(
                 radius[j] *= 0.5
         advance()
     return Minima(points, values)
+
+
+def _stencil(points: Array, radius: Array) -> Array:
+    """Return the points of central differences about n points of the unit cube, shape (n, 2 d, d)."""
+    width = points.shape[1]
+    stencil = np.repeat(points[:, None, :], 2 * width, axis=1)
+    for k in range(width):
+        stencil[:, 2 * k, k] -= radius
+        stencil[:, 2 * k + 1, k] += radius
+    return np.clip(stencil, 0.0, 1.0)
 
 
 @cache

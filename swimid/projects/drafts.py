@@ -20,13 +20,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import yamlio
 from swimid.files.yamlio import ASK
+from swimid.imports.formats import open_table
+from swimid.imports.mapping import FORMAT as MAPPING
+from swimid.imports.mapping import guess_mapping
 from swimid.logs.experiments import FORMAT as TRIALS
 from swimid.logs.experiments import Trials
-from swimid.logs.foreign import UNITS, canonical, open_table
-from swimid.logs.mapping import FORMAT as MAPPING
-from swimid.logs.mapping import guess_mapping
-from swimid.logs.point_files import tracked_points
+from swimid.logs.units import UNITS, canonical
 from swimid.notices import Progress, silent
+from swimid.points.point_files import tracked_points
 from swimid.projects.survey import SurveyedFile, several
 from swimid.robots.file import list_built_in_robots
 from swimid.runs.plan import folder_of, resolve

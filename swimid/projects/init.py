@@ -38,11 +38,6 @@ class Drafted(Result):
         Text of each drafted file.
     """
 
-    keys = {
-        "recordings": list[dict[str, str]], "others": list[str], "files": list[str],
-        "questions": list[dict[str, Any]], "missing": list[str], "commands": list[str], "next": str,
-    }  # fmt: skip
-
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the first command of the project."""
         return str(self.data["next"])

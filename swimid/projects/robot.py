@@ -62,11 +62,6 @@ WATER = {
 class DraftedRobot(Result):
     """Result of ``robot``. Its ``data`` has the questions, what the draft leaves out, and the differences."""
 
-    keys = {
-        "robot": str, "plane": str, "asks": list[str], "left_out": list[str],
-        "differences": dict[str, float],
-    }  # fmt: skip
-
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return no command: a fit needs trials, which the draft does not know."""
         return ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import shutil
 from pathlib import Path
-from typing import NotRequired
 
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import atomic, download, yamlio
@@ -25,11 +24,6 @@ SAMPLE_FOLDERS = (Path(__file__).parents[1] / "sample_logs", Path(__file__).pare
 
 class Sample(Result):
     """Result of ``sample``. Its ``data`` has the folder and the command for the sample, or all samples."""
-
-    keys = {
-        "samples": NotRequired[dict[str, dict[str, str]]], "sample": NotRequired[str],
-        "folder": NotRequired[str], "about": NotRequired[str], "command": NotRequired[str],
-    }  # fmt: skip
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the command for the copied sample, or the command that copies the first sample."""

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from swimid.errors import InputError
+from swimid.imports.formats import formats, open_table
+from swimid.imports.table import Peek, is_text
 from swimid.logs import log
 from swimid.logs.experiments import Trials
-from swimid.logs.foreign import Peek, formats, is_text, open_table
-from swimid.logs.point_files import tracked_points
 from swimid.notices import Progress, record_warnings, silent
+from swimid.points.point_files import tracked_points
 from swimid.tracking.frames import PICTURE_EXTENSIONS as PICTURES
 from swimid.tracking.frames import Video
 

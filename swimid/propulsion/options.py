@@ -8,7 +8,7 @@ import swimid.options as fits
 from swimid.options import Options, Source, option
 
 
-class FitPropulsionOptions(Options, command="fit-propulsion", section="Identify", makes="parameters"):
+class FitPropulsionOptions(Options, makes="parameters"):
     """Identify the propulsion of a caudal fin.
 
     TRIALS is a trials file of a cruise experiment (energy recoil law: efficiency and amplitude

@@ -24,8 +24,6 @@ FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
 POSSIBLE = "Values a swimmer reaches"
 #: Maximum number of points of a trace in a figure. A longer trace is drawn as its envelope.
 MAX_TRACE_POINTS = 2000
-#: Maximum number of failed checks whose reasons the text of a verdict states.
-MAX_REASONS = 3
 
 
 class _Part(BaseModel):
@@ -266,31 +264,31 @@ def make_check(
 
 
 def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict on a result: its answer, followed by the reasons of the checks that do not pass.
+    """Return the verdict on a result: its answer, then the number of failed checks and their reasons.
 
-    The level is bad if a check fails, caution if a check warns, and good otherwise.
+    The level is bad if a check has the verdict ``fail``, caution if one has ``warn``, and good otherwise.
     """
-    for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
-        failed = (c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade)
-        shown = list(dict.fromkeys(failed))
-        if shown:
-            if len(shown) > MAX_REASONS:
-                shown[MAX_REASONS:] = [f"and {len(shown) - MAX_REASONS} more"]
-            return Verdict(level=level, text=f"{answer} {words}: {'; '.join(shown)}.")  # type: ignore[arg-type]
-    return Verdict(level="good", text=answer)
+    failed = [check for grade in ("fail", "warn") for check in checks if check.verdict == grade]
+    if not failed:
+        return Verdict(level="good", text=answer)
+    level: Literal["caution", "bad"] = "caution"
+    if failed[0].verdict == "fail":
+        level = "bad"
+    count = sum(check.verdict != "info" for check in checks)
+    noun = "check" if count == 1 else "checks"
+    reasons = "; ".join(dict.fromkeys(c.reason or f"{c.name} {c.value}".strip() for c in failed))
+    return Verdict(level=level, text=f"{answer} {len(failed)} of {count} {noun} failed: {reasons}.")
 
 
 def count_checks(checks: Sequence[Check]) -> str:
-    """Return a sentence with the number of checks that pass, and the names of those that do not.
+    """Return a sentence with the number of checks if all pass; empty otherwise, and without checks.
 
-    Checks that are for information only do not count. Without other checks the sentence is empty.
+    The text of the verdict states the number of checks that fail (:func:`make_verdict`).
     """
-    judged_checks = [check for check in checks if check.verdict != "info"]
-    others = [check.name for check in judged_checks if check.verdict != "pass"]
-    count = len(judged_checks)
-    if others:
-        return f"{count - len(others)} of {count} checks pass. Not passed: {', '.join(others)}."
-    return f"{count} {'check passes' if count == 1 else 'checks pass'}." * bool(count)
+    tested = [check.verdict for check in checks if check.verdict != "info"]
+    if set(tested) != {"pass"}:
+        return ""
+    return f"{len(tested)} {'check passes' if len(tested) == 1 else 'checks pass'}."
 
 
 def leaf_table(id: str, title: str, entries: dict[str, Any], caption: str = "") -> Table:

@@ -49,7 +49,6 @@ class Page(Text):
     """Result of ``report``, whose ``document`` is the text of the page."""
 
     next_step = "python -m webbrowser {file}"
-    keys = {"title": str, "verdict": dict[str, Any], "results": list[dict[str, Any]]}
 
 
 @takes(ReportOptions)

@@ -8,7 +8,7 @@ import os
 import re
 import shlex
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from swimid.commands import KINDS, find_commands
+from swimid.commands import COMMANDS, KINDS
 from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
 from swimid.files import atomic, provenance, tabular, yamlio
 from swimid.files.provenance import paths_of, sha256
@@ -39,7 +39,7 @@ File = TypeVar("File", bound="ResultFile")
 #: defined.
 _CLASSES: dict[str, type[FileResult[Any]]] = {}
 #: Modules with the classes of the two results that several packages make: parameters, and logs.
-PARAMETERS, LOG = "swimid.results.parameters", "swimid.logs.tracks"
+PARAMETERS, LOG = "swimid.results.parameters", "swimid.kinematics.logged"
 LOG_ENDINGS = (".csv", *tabular.PARQUET_ENDINGS)
 
 #: Maximum width of a line on a terminal, and minimum width of a table column with shortened texts,
@@ -136,8 +136,6 @@ class Result:
     ending: ClassVar[str] = ".yaml"
     #: Whether a report of several results begins with the verdict of this result.
     leads_page: ClassVar[bool] = False
-    #: Type of each key of :attr:`data`, for ``swimid schema answer``, if the result is no YAML file.
-    keys: ClassVar[Mapping[str, Any]] = {}
     #: Command that a user may run next. ``{file}`` stands for the result file, ``{trials}`` and ``{params}``
     #: for two of its inputs, ``{data[key]}`` for a name in :attr:`data`, ``{free[gap.yaml]}`` for an output.
     next_step: ClassVar[Any] = ""
@@ -624,14 +622,14 @@ def _format_name(form: str) -> str:
 
 def list_result_formats() -> list[str]:
     """Return the names of the formats of all result files, such as ``gap`` for ``swimid-gap/1``."""
-    names = [name for spec in find_commands().values() for name in spec.makes.split("|") if name not in KINDS]
+    names = [name for spec in COMMANDS.values() for name in spec.usage.makes.split("|") if name not in KINDS]
     return ["parameters", *names]
 
 
 def class_of(name: str) -> type[FileResult[Any]]:
     """Return the class of the results of a format; the module of its command is imported if need be."""
     import_module(PARAMETERS)
-    for spec in find_commands().values():
-        if name not in _CLASSES and name in spec.makes.split("|"):
+    for spec in COMMANDS.values():
+        if name not in _CLASSES and name in spec.usage.makes.split("|"):
             spec.run()
     return _CLASSES[name]

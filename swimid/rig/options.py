@@ -9,7 +9,7 @@ import swimid.options as fits
 from swimid.options import Options, StartState, option
 
 
-class FitDragOptions(Options, command="fit-drag", section="Identify", makes="parameters"):
+class FitDragOptions(Options, makes="parameters"):
     """Identify drag, added mass and friction from a rig.
 
     TRIALS is a trials file of a falling-weight, towed or free-decay experiment.

@@ -1,7 +1,6 @@
 """One item of a batch, in a process of its own.
 
-:func:`run_item` starts the process, tries an item again after a crash, and records an item that fails. Its
-arguments are texts, so that any executor can send it to any machine. The module run as a program is that
+:func:`run_item` starts the process, and records an item that fails. The module run as a program is that
 process.
 """
 
@@ -12,12 +11,10 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
@@ -29,10 +26,8 @@ from swimid.files import atomic
 from swimid.results import evidence as ev
 from swimid.runs import status as states
 from swimid.runs.plan import TRIALS, Item, ItemStep, folder_of, is_linked, item_of
-from swimid.runs.status import LOG, STATUS_FILE, USAGE, Status, StepStatus
+from swimid.runs.status import LOG, STAMPS, STATUS_FILE, Status, StepStatus
 
-#: Number of times that an item is tried again after a crash.
-MAX_RETRIES = 2
 #: Exit status of the process of an item that another process does (EX_TEMPFAIL), and after Ctrl-C.
 BUSY, INTERRUPTED = 75, 130
 #: Size of the end of the log that is kept, bytes, and number of its lines that an error shows.
@@ -59,9 +54,8 @@ def stop() -> None:
 def run_item(run: str, ident: str) -> str:
     """Do one item of a run, and return its state.
 
-    After a crash the item is tried twice more. Then it is ``failed``, and its status has the end of its log.
-    An item beyond its time or memory limit fails at once. An item whose folder is a symbolic link is left
-    alone.
+    An item that crashes or exceeds its time limit is ``failed``, and its status has the end of its log. An
+    item whose folder is a symbolic link is left alone.
 
     Parameters
     ----------
@@ -80,38 +74,36 @@ def run_item(run: str, ident: str) -> str:
     if is_linked(folder):
         return "failed"
     folder.mkdir(parents=True, exist_ok=True)
-    for attempt in range(1, MAX_RETRIES + 2):
-        if stopping.is_set():
-            return "missing"
-        code, log = _process(folder, run, ident, attempt, limits.time_s)
-        if code == BUSY:
-            return "busy"
-        if stopping.is_set() or code == INTERRUPTED:
-            return "missing"
-        (folder / LOG).write_text(log, encoding="utf-8")
-        found = states.read(folder)
-        if code == 0 and found is not None:
-            return found.state
-        if code is None:
-            message = f"it took longer than the limit of {limits.time_s:g} s"
-            break
-        message = f"it ended with status {code} in each of {attempt} attempts"
-        if code < 0:
-            with suppress(ValueError):
-                message = f"{signal.Signals(-code).name} ended it in each of {attempt} attempts"
+    if stopping.is_set():
+        return "missing"
+    code, log = _process(folder, run, ident, limits.time_s)
+    if code == BUSY:
+        return "busy"
+    if stopping.is_set() or code == INTERRUPTED:
+        return "missing"
+    (folder / LOG).write_text(log, encoding="utf-8")
+    status = states.read(folder)
+    if code == 0 and status is not None:
+        return status.state
+    message = f"it ended with status {code}"
+    if code is None:
+        message = f"it took longer than the limit of {limits.time_s:g} s"
+    elif code < 0:
+        with suppress(ValueError):
+            message = f"{signal.Signals(-code).name} ended it"
     error = {"type": "Failed", "message": message, "log": "\n".join(log.splitlines()[-MAX_LINES:])}
     with reading.record():
         _status(item, folder, "failed", [], error).write(folder)
     return "failed"
 
 
-def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | None, str]:
+def _process(folder: Path, run: str, ident: str, limit_s: float) -> tuple[int | None, str]:
     """Do an item in a new process. Return its exit status and the end of its log.
 
     The exit status is None if the item took longer than its time limit. Locks that the process leaves are
     removed.
     """
-    command = [sys.executable, "-m", "swimid.runs.item", str(Path(run).resolve()), ident, str(attempt)]
+    command = [sys.executable, "-m", "swimid.runs.item", str(Path(run).resolve()), ident]
     package = str(Path(swimid.__file__).parents[1])
     paths = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
     with tempfile.TemporaryFile() as log:
@@ -152,7 +144,7 @@ def _status(
 ) -> Status:
     files = [path for path in folder.iterdir() if path.is_file() and path.suffix not in KEPT_ENDINGS]
     outputs = [
-        path.name for path in files if path.name not in (STATUS_FILE, USAGE, LOG) and path.name[0] != "."
+        path.name for path in files if path.name not in (STATUS_FILE, STAMPS, LOG) and path.name[0] != "."
     ]
     return Status(
         id=item.id,
@@ -186,27 +178,19 @@ def _read(item: Item, folder: Path) -> dict[str, reading.Opened]:
 # ---------------------------------------------------------------- process of an item
 
 
-def _main(run: str, ident: str, attempt: str) -> int:
-    began = time.monotonic()
-    item, limits = item_of(run, ident)
+def _main(run: str, ident: str) -> int:
+    item, _ = item_of(run, ident)
     folder = folder_of(Path(run), ident)
-    _limit_memory(limits.memory_mb)
     os.chdir(folder)
     try:
         with atomic.hold_lock(folder / STATUS_FILE), reading.record():
             _clear(folder)
             _read(item, folder)
-            status = _run_steps(item, folder, limits.memory_mb)
+            status = _run_steps(item, folder)
             if status is None:
                 return INTERRUPTED
-            costs = {
-                "seconds": round(time.monotonic() - began, 2),
-                "memory_mb": _peak_mb(),
-                "attempts": int(attempt),
-                "host": socket.gethostname(),
-                "inputs": {name: opened.stamp for name, opened in _read(item, folder).items()},
-            }
-            atomic.write_text(folder / USAGE, json.dumps(costs, indent=1) + "\n")
+            stamps = {name: opened.stamp for name, opened in _read(item, folder).items()}
+            atomic.write_text(folder / STAMPS, json.dumps(stamps, indent=1) + "\n")
             status.write(folder)
     except UsageError as error:
         if "is being written by" not in str(error):
@@ -225,7 +209,7 @@ def _clear(folder: Path) -> None:
             path.unlink()
 
 
-def _run_steps(item: Item, folder: Path, memory_mb: float) -> Status | None:
+def _run_steps(item: Item, folder: Path) -> Status | None:
     """Run the steps of an item, and return its status; None after Ctrl-C."""
     steps: list[StepStatus] = []
     state = "done"
@@ -248,7 +232,6 @@ def _run_steps(item: Item, folder: Path, memory_mb: float) -> Status | None:
         if "cannot be written" in error.get("message", ""):  # The disk may be full, and the input is sound.
             state = "failed"
         if error.get("type") == "NotEnoughMemory":
-            error["message"] += f" (limit of an item: {memory_mb:g} MB)"
             state = "failed"
         error["step"] = step.name
         break
@@ -291,27 +274,6 @@ def _command(argv: list[str]) -> tuple[int, dict[str, Any]]:
     with suppress(ValueError):
         return code, json.loads(out.getvalue())
     return code or 1, {"error": {"type": "UsageError", "message": "the command gave no answer; see log.txt"}}
-
-
-def _limit_memory(limit_mb: float) -> None:
-    """Limit the memory of this process. Only Linux counts private memory in this limit."""
-    if sys.platform == "linux":
-        import resource
-
-        size = int(limit_mb * 1e6)
-        resource.setrlimit(resource.RLIMIT_DATA, (size, size))
-
-
-def _peak_mb() -> float | None:
-    """Return the maximum memory that this process has used, MB; None on Windows."""
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    if sys.platform == "darwin":
-        return round(peak / 1e6, 1)
-    return round(peak / 1e3, 1)
 
 
 def _end_with_parent() -> None:

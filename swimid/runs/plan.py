@@ -25,7 +25,7 @@ from pydantic import BaseModel, Field, field_validator
 
 import swimid
 from swimid.cli.main import check_words
-from swimid.commands import CommandSpec, find_commands
+from swimid.commands import COMMANDS, CommandSpec
 from swimid.errors import InputError, SwimidError, UsageError, suggestion
 from swimid.files import atomic, yamlio
 from swimid.options import Declared
@@ -70,11 +70,10 @@ def _steps(value: Any) -> Any:
 
 
 class ItemLimits(yamlio.Document):
-    """Maximum time and memory of one item."""
+    """Limit of one item."""
 
+    #: Maximum time of an item, s.
     time_s: float = Field(default=14400.0, gt=0, le=1e8)
-    #: Memory of the process of an item, MB. Only Linux enforces it.
-    memory_mb: float = Field(default=4000.0, gt=0, le=1e9)
 
 
 class ItemGroup(yamlio.Document):
@@ -463,27 +462,27 @@ class _Chain:
         if command == TRIALS:
             self.add_trials(options)
             return
-        specs = {name: spec for name, spec in find_commands().items() if spec.section != "Many at once"}
+        specs = {name: spec for name, spec in COMMANDS.items() if spec.section != "Many at once"}
         if command not in specs:
-            known = [TRIALS, *(name for name, spec in specs.items() if spec.kind)]
+            known = [TRIALS, *(name for name, spec in specs.items() if spec.usage.kind)]
             raise self.plan.error(f"there is no command '{command}'", *place, hint=suggestion(command, known))
         spec = specs[command]
         name = str(options.get("as", command.replace(" ", "-")))
-        step = ItemStep(name=name, command=command, outputs=[], metrics=list(spec.metrics))
+        step = ItemStep(name=name, command=command, outputs=[], metrics=list(spec.usage.metrics))
         words, stems = [(self.argument(spec, place), self.what)], [name]
-        if spec.argument in EACH:
+        if spec.usage.argument in EACH:
             words = [([source], file) for source, file in zip(words[0][0], self.files, strict=True)]
             stems = _file_names([Path(file).stem for file in self.files], self.files)
         for (files, file), stem in zip(words, stems, strict=True):
             typed = self.plan.options(command, options, file)
             output = self.name_output(spec, stem, typed.pop("as", None), place)
-            flag = spec.output_flags[0]
+            flag = spec.usage.output_flags[0]
             argv = [*command.split(), *files, *self.option_words(spec, typed, place), flag, str(output)]
             self.check(spec, argv[len(command.split()) :], typed, place)
             step.argv.append(argv)
             step.outputs.append(str(output))
         self.steps.append(step)
-        self.made.setdefault(spec.kind, []).extend(step.outputs)
+        self.made.setdefault(spec.usage.kind, []).extend(step.outputs)
 
     def name_output(self, spec: CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
         """Return the name of the output of a step, with the usual ending if the stated name has none."""
@@ -491,10 +490,10 @@ class _Chain:
         if Path(name).name != name or name.startswith("."):
             raise self.plan.error(f"'as: {name}' must be the name of a file without a folder", *place)
         if stated is None or not Path(name).suffix:
-            if spec.kind not in OUTPUT_ENDINGS:
+            if spec.usage.kind not in OUTPUT_ENDINGS:
                 hint = "add as: NAME.ENDING"
                 raise self.plan.error(f"'{spec.command}' needs a name for its file", *place, hint=hint)
-            name += OUTPUT_ENDINGS[spec.kind]
+            name += OUTPUT_ENDINGS[spec.usage.kind]
         if name in self.written:
             raise self.plan.error(f"two files would be named {name}", *place, hint="as: NAME names a file")
         self.written.add(name)
@@ -508,7 +507,7 @@ class _Chain:
         An import takes the logs that tracking has made, to which a mapping joins other files.
         """
         made = self.made
-        if spec.argument == "FILE" and len(made.get("log", [])) == len(self.sources):
+        if spec.usage.argument == "FILE" and len(made.get("log", [])) == len(self.sources):
             return made.pop("log")
         chosen = {
             **dict.fromkeys(EACH, self.sources),
@@ -516,8 +515,8 @@ class _Chain:
             "LOG...": made.get("log", self.sources),
             "RESULT...": [p for kind in ("log", "parameters", "result") for p in made.get(kind, [])],
             "PARAMS": made.get("parameters", self.sources)[-1:],
-        }.get(spec.argument, [])
-        if spec.argument == "TRIALS" and TRIALS not in made:
+        }.get(spec.usage.argument, [])
+        if spec.usage.argument == "TRIALS" and TRIALS not in made:
             if "log" in made:
                 hint = "a step 'trials: {experiment: ..., robot: ...}' before it writes one"
                 raise self.plan.error(f"'{spec.command}' needs a trials file of the logs", *place, hint=hint)
@@ -525,7 +524,7 @@ class _Chain:
                 raise self.plan.error(
                     f"'{spec.command}' takes one trials file", *place, hint="together: false"
                 )
-        if spec.argument == "RESULT..." and not chosen:
+        if spec.usage.argument == "RESULT..." and not chosen:
             raise self.plan.error(f"no step before '{spec.command}' makes a result", *place)
         return chosen
 
@@ -631,22 +630,19 @@ class _Chain:
 def _words(entry: Declared, key: str, value: Any) -> list[str]:
     """Return the words of a command line for an option and its value in a plan."""
     on, _, off = entry.flags.partition("/")
-    if entry.kind is bool:
-        if key in off:
-            value = not value
-        flag = on if value else off
-        return [flag] if flag else []
     if value is None:
         return []
+    if entry.kind is bool:
+        return list(filter(None, [on if value is not (key in off) else off]))
+    is_pair = get_origin(entry.kind) is tuple and get_args(entry.kind)[-1] is not Ellipsis
+    values = value
     if isinstance(value, Mapping):
-        return [word for name, one in value.items() for word in (entry.flag, f"{name}={_word(one)}")]
-    if isinstance(value, list) and not entry.separated:
-        if get_origin(entry.kind) is tuple and get_args(entry.kind)[-1] is not Ellipsis:
-            if "," in (entry.metavar or ""):
-                return [entry.flag, _word(value)]
-            return [entry.flag, *map(_word, value)]
-        return [word for one in value for word in (entry.flag, _word(one))]
-    return [entry.flag, _word(value)]
+        values = [f"{name}={_word(one)}" for name, one in value.items()]
+    elif not isinstance(value, list) or entry.separated or (is_pair and "," in (entry.metavar or "")):
+        values = [value]
+    elif is_pair:
+        return [entry.flag, *map(_word, value)]
+    return [word for one in values for word in (entry.flag, _word(one))]
 
 
 def _word(value: Any) -> str:

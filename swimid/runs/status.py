@@ -1,4 +1,4 @@
-"""Files that an item leaves in its folder: ``status.json`` with its state, and ``usage.json`` with its costs.
+"""Files that an item leaves in its folder: ``status.json`` with its state, and ``stamps.json`` of its inputs.
 
 The status is written last. It has the state, the SHA-256 of every input and output, and the verdicts and
 estimates that the summary of the run shows. An item whose steps, inputs or version are not those of its
@@ -28,7 +28,7 @@ State = Literal["done", "no result", "refused", "failed"]
 STATES = ("failed", "refused", "no result", "busy", "missing", "outdated", "done")
 #: Levels of a verdict from the worst to the best; empty for a result without a verdict.
 VERDICT_LEVELS = ("bad", "caution", "good", "")
-STATUS_FILE, USAGE, LOG = "status.json", "usage.json", "log.txt"
+STATUS_FILE, STAMPS, LOG = "status.json", "stamps.json", "log.txt"
 #: Maximum number of traces, and of points of each, in the sketch of a figure.
 MAX_TRACES, MAX_SKETCHED = 3, 48
 
@@ -125,13 +125,12 @@ def read(folder: Path) -> Status | None:
         return None
 
 
-def usage(folder: Path) -> dict[str, Any]:
-    """Read time, memory, attempts and host of an item; empty if they are not known."""
+def read_stamps(folder: Path) -> dict[str, Any]:
+    """Read size and time of modification of each input of an item; empty if they are not known."""
     try:
-        found: dict[str, Any] = json.loads((folder / USAGE).read_bytes())
-    except (OSError, ValueError):
+        return dict(json.loads((folder / STAMPS).read_bytes()))
+    except (OSError, ValueError, TypeError):
         return {}
-    return found
 
 
 def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
@@ -150,7 +149,7 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
         return "missing", None
     if status.steps_sha256 != item.digest():
         return "outdated", status
-    stated = usage(folder).get("inputs", {})
+    stated = read_stamps(folder)
     for name, digest in status.inputs.items():
         # As in other tools, an unchanged size and time of modification stand for unchanged content.
         files = reading.files_of(folder / name)

@@ -11,7 +11,7 @@ from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers
 
 
-class SensitivityOptions(Options, command="sensitivity", section="Diagnose", makes="sensitivity"):
+class SensitivityOptions(Options, makes="sensitivity"):
     """Rank the coefficients of a model by their effect on each output.
 
     TRIALS is a trials file of any experiment. All coefficients vary at once over their ranges. Outputs are

@@ -21,7 +21,7 @@ from swimid.files.yamlio import Number
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.steps import choose_step
-from swimid.logs.kinematics import CYCLE_QUANTITIES
+from swimid.kinematics.cycles import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes

@@ -1,8 +1,8 @@
 """Cases of the command ``simulate``: a robot driven by a beat, a weight or a log, and recorded trials.
 
-The quantities of simulated swimming are defined in :mod:`swimid.logs.kinematics`. :class:`SwimRun` samples a
-simulation so that it ends in whole cycles. It adds the quantities that need the model: amplitudes of passive
-joints, tail excursion and power.
+The quantities of simulated swimming are defined in :mod:`swimid.kinematics.cycles`. :class:`SwimRun` samples
+a simulation so that it ends in whole cycles. It adds the quantities that need the model: amplitudes of
+passive joints, tail excursion and power.
 """
 
 from __future__ import annotations
@@ -20,11 +20,21 @@ from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import Cycle
 from swimid.fitting.model import Array, Model, SwimInput, Trial
-from swimid.logs import kinematics
+from swimid.kinematics.cycles import (
+    PER_CYCLE,
+    QUANTITIES,
+    Window,
+    cycle_quantities,
+    is_straight,
+    last_cycles,
+    plane_quantities,
+    settling_time,
+    tail_excursion,
+    whole_cycles,
+)
+from swimid.kinematics.frequency import find_beat
 from swimid.logs import log as log_format
-from swimid.logs.beat import find_beat
 from swimid.logs.experiments import StrokeDrive, read_experiments
-from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.logs.sampling import DURATION_S, even_times
 from swimid.notices import warn
 from swimid.propulsion.trials import table_columns
@@ -438,7 +448,7 @@ class SwimRun:
     Attributes
     ----------
     trial : Trial
-        Trial with :data:`~swimid.logs.kinematics.PER_CYCLE` samples per cycle, from the start of the
+        Trial with :data:`~swimid.kinematics.cycles.PER_CYCLE` samples per cycle, from the start of the
         simulation on.
     window : Window
         Last whole beats of the simulation; for a robot that moves in 3-D, its last cycle.
@@ -463,10 +473,10 @@ class SwimRun:
             if stroke is not None:
                 # end with the last cycle of the stroke, because its joints rest afterwards
                 ends = np.minimum(ends, stroke.cycles / frequency_hz)
-            window: Window | None = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
+            window: Window | None = next(reversed(whole_cycles(ends, frequency_hz)), None)
         else:
             ramp = 0.0 if beat is None else beat.ramp_s
-            window = kinematics.last_cycles(max(begin, ramp), end, frequency_hz)
+            window = last_cycles(max(begin, ramp), end, frequency_hz)
         if window is None:
             return None
         times = window.times()
@@ -517,7 +527,7 @@ class SwimRun:
         """
         body, time = model.body, self.trial.time_s
         if body is None:
-            found = kinematics.cycle_quantities(time, columns, self.window)
+            found = cycle_quantities(time, columns, self.window)
         else:
             count = self.window.cycles * PER_CYCLE + 1
             last = {name: series[-count:] for name, series in columns.items()}
@@ -532,7 +542,7 @@ class SwimRun:
         """Return the quantities of the last whole cycles of a simulation, from the channels in the window."""
         length = body.length(values)
         pose = [columns[name] for name in body.pose]
-        found = kinematics.plane_quantities(
+        found = plane_quantities(
             pose,
             [columns[name] for name in body.velocity],
             self.window,
@@ -541,10 +551,10 @@ class SwimRun:
             commanded_turn=self.commanded_turn,
         )
         speed = found["mean_speed_m_s"]
-        if kinematics.is_straight(pose[2], speed, length):
+        if is_straight(pose[2], speed, length):
             rear = int(np.argmax(body.straight(values)[1]))
             x, y = body.rear_ends(body.frames(values, columns))
-            excursion = kinematics.tail_excursion(x[rear], y[rear])
+            excursion = tail_excursion(x[rear], y[rear])
             found["tail_excursion_m"] = excursion
             found["strouhal"] = self.window.frequency_hz * excursion / speed
         return found
@@ -554,7 +564,7 @@ class SwimRun:
         time, surge = self.trial.time_s, columns[body.velocity[0]]
         return {
             "mean_surge_from_start_m_s": float(np.trapezoid(surge, time) / (time[-1] - time[0])),
-            "settling_time_s": kinematics.settling_time(time, surge, self.window.frequency_hz),
+            "settling_time_s": settling_time(time, surge, self.window.frequency_hz),
             "path_extent_m": max(float(np.ptp(columns[name])) for name in body.pose[:2]),
         }
 

@@ -17,8 +17,13 @@ from swimid.files import atomic, provenance
 from swimid.fitting import fit_common, mistakes
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Trial
-from swimid.logs import kinematics
-from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES
+from swimid.kinematics.cycles import (
+    CYCLE_QUANTITIES,
+    QUANTITIES,
+    cycle_quantities,
+    whole_cycles,
+    world_velocity,
+)
 from swimid.logs.sampling import slope
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, record_warnings, silent
@@ -257,7 +262,7 @@ def _with_speeds(done: Compared, side: str) -> dict[str, Array]:
     for rate, name in rates.items():
         if name in columns:
             columns.setdefault(rate, slope(time, columns[name], half))
-    velocity = kinematics.world_velocity(time, columns)
+    velocity = world_velocity(time, columns)
     if velocity is not None:
         columns["speed_m_s"] = np.hypot(*velocity)
     return columns
@@ -320,8 +325,8 @@ def _cycles(
     each = []
     for done, sides in zip(members, series, strict=True):
         time, stroke = done.trial.time_s, done.trial.swim.stroke
-        windows = [] if stroke is None else kinematics.whole_cycles(time, stroke.frequency_hz)
-        each.append([[kinematics.cycle_quantities(time, c, window) for c in sides] for window in windows])
+        windows = [] if stroke is None else whole_cycles(time, stroke.frequency_hz)
+        each.append([[cycle_quantities(time, c, window) for c in sides] for window in windows])
     comparisons = []
     for k, repeats in enumerate(zip(*each, strict=False), 1):
         one = CycleComparison(cycle=k, measured={}, simulated={})

@@ -17,7 +17,7 @@ from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.fitting.output_error import Series
 from swimid.fitting.steps import StepChoice, choose_step
-from swimid.logs import kinematics
+from swimid.kinematics.cycles import body_velocity, cycle_means, cycle_speeds, last_cycles
 from swimid.notices import warn
 from swimid.simulation import compare_wave
 from swimid.simulation.cases import beat_frequency, drive_block
@@ -50,7 +50,7 @@ class ChannelScore(yamlio.Document):
 class Speed(yamlio.Document):
     """Measured and simulated mean speed of a trial over its last whole beats, m/s.
 
-    See :func:`swimid.logs.kinematics.cycle_speeds`.
+    See :func:`swimid.kinematics.cycles.cycle_speeds`.
     """
 
     measured: float
@@ -431,7 +431,7 @@ def _velocity_pairs(
         return {}
     half = HALF_WIDTH_BEATS / frequency_hz if frequency_hz else HALF_WIDTH_S
     measured, simulated = (
-        kinematics.body_velocity(trial.time_s, [getattr(pairs[name], side) for name in body.pose], half)
+        body_velocity(trial.time_s, [getattr(pairs[name], side) for name in body.pose], half)
         for side in ("measured", "simulated")
     )
     channels = {c.name: c for c in model.channels}
@@ -509,14 +509,14 @@ def compute_body_speed(
     begin = float(time[0])
     if beat is not None:
         begin = max(begin, beat.ramp_s)
-    window = kinematics.last_cycles(begin, float(time[-1]), frequency_hz)
+    window = last_cycles(begin, float(time[-1]), frequency_hz)
     if window is None:
         return None
     speeds = {}
     for side, rows in series.items():
-        each = kinematics.cycle_means(time, rows[0][known], window.edges_s)
+        each = cycle_means(time, rows[0][known], window.edges_s)
         if has_path:
-            each = kinematics.cycle_speeds(time, rows[:2, known], window, *rows[2:, known])
+            each = cycle_speeds(time, rows[:2, known], window, *rows[2:, known])
         speeds[side] = float(each.mean())
     return Speed(**speeds, beats=window.cycles)
 

@@ -1,7 +1,7 @@
 """Body wave of a trial, measured and simulated, for ``compare``.
 
 The lateral motion of the joints and of the ends of the body follows from the pose and the joint angles. The
-same function (:func:`swimid.logs.wave.measure`) measures both waves in the same windows.
+same function (:func:`swimid.kinematics.wave.measure`) measures both waves in the same windows.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from swimid.files import yamlio
 from swimid.files.yamlio import Number
 from swimid.fitting.model import Array, Model, Trial
-from swimid.logs import wave
-from swimid.logs.tracks import Estimate
+from swimid.kinematics import wave
+from swimid.kinematics.speed import Estimate
 from swimid.results import evidence as ev
 
 WAVE_SIDES = ("measured", "simulated")

@@ -27,13 +27,7 @@ def own_effects() -> Any:
     return option((), flag="--effect", metavar="FILE", help=help, recorded=False)
 
 
-class CompareOptions(
-    Options,
-    command="compare",
-    section="Simulate and compare",
-    makes="comparison",
-    metrics=("channels.*.nrmse",),
-):
+class CompareOptions(Options, makes="comparison", metrics=("channels.*.nrmse",)):
     """Compare recorded trials with their simulation.
 
     TRIALS is a trials file of any experiment that the model of the parameter file describes. The result has
@@ -83,13 +77,7 @@ class DriveOptions(Options):
 
 
 class SimulateOptions(
-    DriveOptions,
-    command="simulate",
-    section="Simulate and compare",
-    argument="",
-    output="Log to write (.csv or .parquet).",
-    beside=(),
-    makes="log",
+    DriveOptions, argument="", output="Log to write (.csv or .parquet).", beside=(), makes="log"
 ):
     """Simulate any robot from any parameter file.
 

@@ -19,8 +19,8 @@ from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting import fit_common, steps
 from swimid.fitting.model import Array
+from swimid.kinematics.cycles import CYCLE_QUANTITIES, UNSTEADY
 from swimid.logs import log as log_format
-from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
@@ -175,7 +175,6 @@ class Simulation(Result):
 
     ending = ".csv"
     next_step = "swimid plot {file} -o {free[log.svg]}"
-    keys = {"model": str, "robot": str, "runs": list[dict[str, Any]]}
 
     @property
     def runs(self) -> dict[str, Simulated]:

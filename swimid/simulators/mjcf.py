@@ -457,46 +457,53 @@ class MjcfModel(SimulatorModel):
         With the offsets the outputs have their first measured values. Offsets that no measured output shows
         are held at zero.
         """
-        module = mujoco()
-        data = module.MjData(self.compiled)
-        shown = {c: o for c, o in self.outputs.items() if o.place and c in trial.measured}
-        first = {c: _first(trial.time_s, trial.measured[c]) for c in shown}
-        shown = {c: o for c, o in shown.items() if first[c] is not None}
-        known = [begin for begin in first.values() if begin is not None]
+        first = {c: _first(trial.time_s, trial.measured[c]) for c in self.outputs if c in trial.measured}
+        shown = {c: v for c, v in first.items() if v is not None and self.outputs[c].place}
         names = [p.name for p in self.parameters[len(self.attributes) :]]
-        if not known:
+        if not shown:
             return replace(trial, held=tuple(names))
-        rest, count = self._rest[0], len(self.dofs)
-
-        def outputs(offset: Array) -> Array:
-            data.qpos[:] = rest
-            module.mj_integratePos(self.compiled, data.qpos, offset, 1.0)
-            module.mj_forward(self.compiled, data)
-            return np.array([o.of(data.sensordata) for o in shown.values()])
-
-        def slopes(offset: Array) -> Array:
-            size = 1e-5
-            moved = [outputs(offset + size * row) - outputs(offset - size * row) for row in np.eye(count)]
-            return np.array(moved).T / (2.0 * size)
-
-        turning = np.array([o.turns for o in shown.values()])
-        target, offset = np.array([value for value, _, _ in known]), np.zeros(count)
-        chosen = _independent(slopes(offset))
-        for _ in range(6):
-            missing = target - outputs(offset)
-            missing[turning] = np.angle(np.exp(1j * missing[turning]))
-            offset[chosen] += np.linalg.lstsq(slopes(offset)[:, chosen], missing, rcond=NO_EFFECT)[0]
-        at = slopes(offset)
-        rates = np.array([slope for _, slope, _ in known])
-        errors = np.array([error for _, _, error in known])
-        moving = state == "estimate" or (state == "auto" and bool(np.any(np.abs(rates) > MOVES * errors)))
+        target, rates, errors = np.array(list(shown.values())).T
+        pose = _StartPose(self, [self.outputs[channel] for channel in shown])
+        chosen = _independent(pose.slopes(np.zeros(len(self.dofs))))
+        offset = pose.solve(target, chosen)
         starts = {f"start_{self.dofs[k]}": float(offset[k]) for k in chosen}
-        free = {f"start_{self.dofs[k]}" for k in chosen}
-        if moving:
-            speed = np.linalg.lstsq(at[:, chosen], rates, rcond=None)[0]
+        moves = bool(np.any(np.abs(rates) > MOVES * errors))
+        if {"rest": False, "estimate": True}.get(state, moves):
+            speed = np.linalg.lstsq(pose.slopes(offset)[:, chosen], rates, rcond=None)[0]
             starts |= {f"initial_{self.dofs[k]}_s": float(v) for k, v in zip(chosen, speed, strict=True)}
-            free |= {f"initial_{self.dofs[k]}_s" for k in chosen}
-        return replace(trial, starts=starts, held=tuple(name for name in names if name not in free))
+        return replace(trial, starts=starts, held=tuple(name for name in names if name not in starts))
+
+
+class _StartPose:
+    """Outputs of a model at rest as functions of the start offsets of its degrees of freedom."""
+
+    def __init__(self, model: MjcfModel, outputs: Sequence[SensorOutput]) -> None:
+        self._compiled, self._rest, self._outputs = model.compiled, model._rest[0], outputs
+        self._data, self._count = mujoco().MjData(model.compiled), len(model.dofs)
+
+    def outputs(self, offset: Array) -> Array:
+        """Return the outputs at an offset."""
+        self._data.qpos[:] = self._rest
+        mujoco().mj_integratePos(self._compiled, self._data.qpos, offset, 1.0)
+        mujoco().mj_forward(self._compiled, self._data)
+        return np.array([output.of(self._data.sensordata) for output in self._outputs])
+
+    def slopes(self, offset: Array) -> Array:
+        """Return the derivatives of the outputs with respect to the offset, shape (outputs, offsets)."""
+        size = 1e-5
+        rows = size * np.eye(self._count)
+        moved = [self.outputs(offset + row) - self.outputs(offset - row) for row in rows]
+        return np.array(moved).T / (2.0 * size)
+
+    def solve(self, target: Array, chosen: NDArray[np.intp]) -> Array:
+        """Return the offset with which the outputs have given values; only chosen elements differ from 0."""
+        turning, offset = np.array([output.turns for output in self._outputs]), np.zeros(self._count)
+        for _ in range(6):
+            missing = target - self.outputs(offset)
+            missing[turning] = np.angle(np.exp(1j * missing[turning]))
+            slopes = self.slopes(offset)[:, chosen]
+            offset[chosen] += np.linalg.lstsq(slopes, missing, rcond=NO_EFFECT)[0]
+        return offset
 
 
 class _Scales(Scales):
@@ -581,36 +588,25 @@ def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool
     InputError
         If the file has no such element, or the attribute cannot be a parameter.
     """
-    module = mujoco()
     parts = place.split("/")
     kind, name, word = parts[0], "/".join(parts[1:-1]), parts[-1]
     bracket = re.fullmatch(r"(\w+)\[(\d)\]", word)
     key, part = (bracket[1], int(bracket[2])) if bracket else (word, None)
-    table = {**dict.fromkeys(JOINT_ARRAYS), "kp": None, "kv": None} if kind in ("joint", "actuator") else {}
-    table |= ATTRIBUTES.get(kind, {})
     if kind not in (*ATTRIBUTES, "joint"):
-        raise InputError(
-            f"'{place}' names no kind of element", file=path, hint=suggestion(kind, [*ATTRIBUTES, "joint"])
-        )
-    if key not in table or (kind == "joint" and key not in JOINT_ARRAYS):
+        hint = suggestion(kind, [*ATTRIBUTES, "joint"])
+        raise InputError(f"'{place}' names no kind of element", file=path, hint=hint)
+    allowed = list(JOINT_ARRAYS if kind == "joint" else ATTRIBUTES[kind])
+    if kind == "actuator":
+        allowed = ["kp", "kv", *allowed]
+    if key not in allowed:
         text = f"'{key}' of {place} cannot be a parameter"
-        raise InputError(
-            text, file=path, hint=suggestion(key, [*(JOINT_ARRAYS if kind == "joint" else table)])
-        )
+        raise InputError(text, file=path, hint=suggestion(key, allowed))
     if kind == "option":
         field, column, unit = ATTRIBUTES[kind][key]
         return Attribute(place, (ArrayEntries(field, (_component(column, part, place, path) or 0,)),), unit)
     number = find_element(compiled, kind, name, path)
     if kind == "joint":
-        angular = compiled.jnt_type[number] != module.mjtJoint.mjJNT_SLIDE
-        at: Any = number
-        if JOINT_ARRAYS[key].startswith("dof"):
-            begin = int(compiled.jnt_dofadr[number])
-            wide = {0: 6, 1: 3}.get(int(compiled.jnt_type[number]), 1)
-            at = slice(begin, begin + wide) if part is None and wide > 1 else begin + (part or 0)
-        elif key == "springref":
-            at = int(compiled.jnt_qposadr[number])
-        return Attribute(place, (ArrayEntries(JOINT_ARRAYS[key], (at,)),), UNITS[key][int(angular)])
+        return _joint_attribute(compiled, number, place, key, part)
     if key == "kp":
         return Attribute(place, _servo(compiled, number, place, path), "1")
     if key == "kv":
@@ -622,6 +618,19 @@ def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool
         index = (number, 0)
     inertia = number if (kind, key) == ("body", "mass") and scale_inertia else None
     return Attribute(place, (ArrayEntries(field, index),), unit, inertia)
+
+
+def _joint_attribute(compiled: Any, number: int, place: str, key: str, part: int | None) -> Attribute:
+    """Return an attribute of a joint, for its component ``part`` or for all its degrees of freedom."""
+    angular = compiled.jnt_type[number] != SLIDE
+    at: Any = number
+    if JOINT_ARRAYS[key].startswith("dof"):
+        begin = int(compiled.jnt_dofadr[number])
+        wide = {0: 6, 1: 3}.get(int(compiled.jnt_type[number]), 1)
+        at = slice(begin, begin + wide) if part is None and wide > 1 else begin + (part or 0)
+    elif key == "springref":
+        at = int(compiled.jnt_qposadr[number])
+    return Attribute(place, (ArrayEntries(JOINT_ARRAYS[key], (at,)),), UNITS[key][int(angular)])
 
 
 def _component(column: int | None, part: int | None, place: str, path: Path) -> int | None:

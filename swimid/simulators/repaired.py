@@ -264,30 +264,34 @@ def _with_masses(model: MjcfModel, text: str, wanted: dict[str, Any]) -> tuple[s
     """Return a text in which bodies with another mass, inertia or centre of mass state them."""
     compiled, said = model.compiled, []
     parts = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
+    changed = [n for n in parts if n in wanted]
     for body in range(1, compiled.nbody):
-        names = [n for n in parts if n in wanted]
-        if all(np.array_equal(base_array(compiled, n)[body], wanted[n][body]) for n in names):
+        if all(np.array_equal(base_array(compiled, n)[body], wanted[n][body]) for n in changed):
             continue
-        own = {n: np.asarray(wanted[n] if n in wanted else base_array(compiled, n))[body] for n in parts}
         name = element_name(compiled, "body", body)
         element = _find(text, "body", name) if name else None
         if element is None:
             continue
+        own = {n: np.asarray(wanted.get(n, base_array(compiled, n)))[body] for n in parts}
         inertial = (
             f'<inertial pos="{_words(own["body_ipos"])}" quat="{_words(own["body_iquat"])}" '
             f'mass="{_words(own["body_mass"])}" diaginertia="{_words(own["body_inertia"])}"/>'
         )
-        raw = text.encode()
-        inner = next((e for e in elements(text) if e.first >= element.end), None)
-        if inner is not None and inner.tag == "inertial" and inner.around[-1] == "body":
-            text = (raw[: inner.first] + inertial.encode() + raw[inner.end :]).decode()
-        else:
-            indent = re.search(rb"[ \t]*$", raw[: element.first])
-            gap = "\n" + (indent[0].decode() if indent else "") + "  "
-            text = (raw[: element.end] + (gap + inertial).encode() + raw[element.end :]).decode()
+        text = _with_inertial(text, element, inertial)
         before = _words(compiled.body_mass[body])
         said.append(f"body {name}: mass {before} to {_words(own['body_mass'])}, with its inertial element")
     return text, said
+
+
+def _with_inertial(text: str, body: XmlElement, inertial: str) -> str:
+    """Return a text with an element ``inertial`` as the first element of a body."""
+    raw = text.encode()
+    inner = next((e for e in elements(text) if e.first >= body.end), None)
+    if inner is not None and inner.tag == "inertial" and inner.around[-1] == "body":
+        return (raw[: inner.first] + inertial.encode() + raw[inner.end :]).decode()
+    indent = re.search(rb"[ \t]*$", raw[: body.first])
+    gap = "\n" + (indent[0].decode() if indent else "") + "  "
+    return (raw[: body.end] + (gap + inertial).encode() + raw[body.end :]).decode()
 
 
 def _differences(model: MjcfModel, text: str, wanted: dict[str, Any]) -> list[str]:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
-from swimid.executors import Rebuilt, on_cluster
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error, rivals
@@ -141,8 +139,7 @@ def fit_graybox(
         _require_steady_swimming(experiment, parameters)
         files = [parameters_format.origin(p) for p in (options.start_from, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
-        with on_cluster(options.cluster, "swimid.swimmer.fit_graybox:Posed.of", trials, options) as rebuilt:
-            search = _search(posed, output, origin, rebuilt, progress)
+        search = _search(posed, output, origin, progress)
         result = output_error.complete_fit(search.result)
         folder = (output or trials_format.place(trials)).parent
         file = _parameter_file(posed, result, origin, folder)
@@ -210,7 +207,7 @@ def _fit_simulator(
 
 @dataclass(frozen=True)
 class FitSetup:
-    """Trials, model and parameters of a fit. A worker of a cluster builds its own."""
+    """Trials, model and parameters of a fit."""
 
     experiment: Experiment
     model: Model
@@ -257,24 +254,6 @@ class FitSetup:
         jobs, scales = self.options.jobs or os.cpu_count() or 1, self.options.scales
         return Profiles(self.model, self.parameters, trials, names, scales=scales, jobs=jobs)
 
-    def objectives(self, points: Array, profile: str | None) -> Array:
-        """Return the objectives at points of the search of a Pareto front, shape (n, m)."""
-        return self.profiles.evaluate(points, profile)
-
-    def end_of(self, begin: Array) -> Array:
-        """Return the estimate of the fit from a starting point, or the starting point if the fit fails."""
-        with suppress(NoTrustworthyResult):
-            return output_error.fit_output_error(
-                self.model,
-                self.experiment.trials,
-                parameters=self.parameters,
-                jobs=self.options.jobs,
-                begin=begin,
-                tested=False,
-                max_iterations=self.options.max_iterations,
-            ).estimate
-        return begin
-
 
 @dataclass(frozen=True)
 class _Search:
@@ -300,29 +279,25 @@ class _Search:
     starts: int = 1
 
 
-def _search(
-    posed: FitSetup, output: Path | None, origin: dict[str, Any], rebuilt: Rebuilt | None, progress: Progress
-) -> _Search:
-    """Estimate the parameters with the method that the options name. Workers of a cluster use ``rebuilt``."""
+def _search(posed: FitSetup, output: Path | None, origin: dict[str, Any], progress: Progress) -> _Search:
+    """Estimate the parameters with the method that the options name."""
     options, model = posed.options, posed.model
     model.prepare(progress)
     if options.method == "least-squares":
-        search = _least_squares(posed, None, rebuilt, progress)
+        search = _least_squares(posed, None, progress)
     else:
         from swimid.swimmer import front
 
         checkpoint = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
-        found, chosen = front.fit(posed, checkpoint, rebuilt, progress)
+        found, chosen = front.fit_front(posed, checkpoint, progress)
         search = _Search(chosen)
         if options.method == "hybrid":
-            search = _least_squares(posed, found.starts(options.starts or 1), rebuilt, progress)
+            search = _least_squares(posed, found.starts(options.starts or 1), progress)
         search = replace(search, front=found, checkpoint=checkpoint)
     return search
 
 
-def _least_squares(
-    posed: FitSetup, begins: Sequence[Array] | None, rebuilt: Rebuilt | None, progress: Progress
-) -> _Search:
+def _least_squares(posed: FitSetup, begins: Sequence[Array] | None, progress: Progress) -> _Search:
     """Estimate the parameters by output error from one or several starting points.
 
     Several starting points are used if the user asks for them, or if the fit from the first starting point
@@ -344,8 +319,6 @@ def _least_squares(
             return _Search(first)
         starts = DEFAULT_STARTS
     settings |= {"starts": starts, "seed": options.seed, "begins": begins, "first": first}
-    if rebuilt is not None:
-        settings["elsewhere"] = partial(rebuilt.call, "end_of")
     result, ends = multistart(model, trials, progress=progress, **settings)
     return _Search(result, ends=ends, starts=starts)
 

@@ -19,7 +19,6 @@ import numpy as np
 import pandas as pd
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
-from swimid.executors import WAITING, Rebuilt
 from swimid.files import atomic
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, global_search, output_error
@@ -27,7 +26,7 @@ from swimid.fitting.fit_common import dtw_distance
 from swimid.fitting.global_search import Front
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult, Series
-from swimid.fitting.problem import Problem, map_in_threads
+from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -47,8 +46,6 @@ KINDS = {
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 MAX_SHIFT_SHARE = 0.05
-#: Number of points of a generation that one call on a cluster evaluates.
-SENT = 8
 #: Rules for the choice of one point of a Pareto front, by name.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 #: Titles of three fits: before the search of the front, at the chosen point, and after least squares from
@@ -296,7 +293,7 @@ class FrontResult:
 
 
 def fit_front(
-    posed: FitSetup, checkpoint: Checkpoint, rebuilt: Rebuilt | None = None, progress: Progress = silent
+    posed: FitSetup, checkpoint: Checkpoint, progress: Progress = silent
 ) -> tuple[FrontResult, FitResult]:
     """Search or read the Pareto fronts, choose a point, and return the fronts and the fit at this point.
 
@@ -306,8 +303,6 @@ def fit_front(
         Trials, model and parameters.
     checkpoint : Checkpoint
         Stores the generations, so that an interrupted search can be resumed.
-    rebuilt : Rebuilt, optional
-        ``posed`` on the workers of a cluster, which then evaluate the generations.
     progress : Progress
 
     Raises
@@ -321,7 +316,7 @@ def fit_front(
     profiles, options = posed.profiles, posed.options
     searches: dict[str, Front] = {}
     if options.front is None:
-        searches = _search(profiles, options, checkpoint, rebuilt, progress)
+        searches = _search(profiles, options, checkpoint, progress)
         table = _join_fronts(profiles, searches)
     else:
         table = read(options.front, profiles)
@@ -351,18 +346,9 @@ def _search(
     profiles: Profiles,
     options: FitGrayboxOptions,
     checkpoint: Checkpoint,
-    rebuilt: Rebuilt | None,
     progress: Progress,
 ) -> dict[str, Front]:
     """Search the Pareto front of each motion profile by NSGA-II."""
-
-    def evaluate(points: Array, profile: str) -> Array:
-        if rebuilt is None:
-            return profiles.evaluate(points, profile)
-        parts = np.array_split(points, max(len(points) // SENT, 1))
-        with map_in_threads(lambda part: rebuilt.call("objectives", part, profile), parts, WAITING) as found:
-            return np.concatenate(list(found))
-
     searches: dict[str, Front] = {}
     total = options.generations * len(profiles.names)
     done: list[str] = []
@@ -376,7 +362,7 @@ def _search(
 
             for number, name in enumerate(profiles.names):
                 searches[name] = global_search.nsga2(
-                    partial(evaluate, profile=name),
+                    partial(profiles.evaluate, profile=name),
                     profiles.lower,
                     profiles.upper,
                     objectives=len(profiles.objectives_of(name)),

@@ -52,13 +52,7 @@ def start_state() -> Any:
 FRONT = "front"
 
 
-class FitGrayboxOptions(
-    Options,
-    command="fit-graybox",
-    section="Identify",
-    beside=(".evidence.json", ".front.csv"),
-    makes="parameters",
-):
+class FitGrayboxOptions(Options, beside=(".evidence.json", ".front.csv"), makes="parameters"):
     """Identify the coefficients of a multi-link swimmer.
 
     TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
@@ -131,7 +125,6 @@ class FitGrayboxOptions(
         "Default: 0.05 m, 0.05 m/s, 5 deg, 10 deg/s.",
     )
     jobs: int | None = fits.jobs()
-    cluster: str | None = fits.cluster()
 
     @model_validator(mode="after")
     def _belong_together(self) -> Self:

@@ -18,12 +18,8 @@ from swimid.fitting import drives, fit_common
 from swimid.fitting.drives import Cycle
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, SwimInput, Trial
-from swimid.logs.beat import (
-    compare_course,
-    find_beat,
-    is_in_degrees,
-    stated_against_found,
-)
+from swimid.kinematics.course import compare_course, is_in_degrees
+from swimid.kinematics.frequency import find_beat, stated_against_found
 from swimid.logs.experiments import Drive, FreeSwimTrial, Params, StrokeDrive
 from swimid.logs.log import Log, unwrapped
 from swimid.notices import warn

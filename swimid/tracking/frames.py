@@ -31,8 +31,8 @@ import cv2
 
 from swimid import reading
 from swimid.errors import InputError
-from swimid.logs.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.notices import warn
+from swimid.points.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.tracking.setup import HsvRange, Setup
 
 Array = NDArray[np.float64]
@@ -555,7 +555,8 @@ class Blob:
     #: Coordinates of the centre of the patch, with sub-pixel resolution.
     x: float
     y: float
-    #: Area of the patch in pixels of the picture.
+    #: Area of the marker: sum of the weights of all pixels, px. Unlike the number of pixels in the mask, it
+    #: does not change if motion or the codec blurs the rim.
     area: float
     #: Left, top, right and bottom side of the patch's bounding box, px. Right and bottom are exclusive.
     box: tuple[int, int, int, int]
@@ -677,25 +678,8 @@ def measure_blob(
     picture : (int, int)
         Width and height of the picture, px.
     """
-    rows, columns = window.shape[0], window.shape[1]
-    left, top, right, bottom = patch.sides
-    margin, rim = max(MARGIN // step, 4), (_KERNEL5, _KERNEL3)[step >= 3]
-    x0, y0 = max(left - margin, 0), max(top - margin, 0)
-    x1 = min(right + margin, (columns - step // 2) // step)
-    y1 = min(bottom + margin, (rows - step // 2) // step)
-    hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
-    # Give weight 1 to the core of the patch's convex hull, so that a reflection on the marker leaves no hole.
-    kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
-    core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
-    if not core.any():
-        core = hull
-    near = cv2.dilate(hull, rim)
-    far = cv2.dilate(near, rim)
-    part = window[step * y0 : step * y1, step * x0 : step * x1]
-    if step > 1:
-        size = part.shape[1::-1]
-        core, near, far = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (core, near, far))
+    x0, y0, core, near, far = _regions(patch, step, window.shape[0], window.shape[1])
+    part = window[y0 : y0 + core.shape[0], x0 : x0 + core.shape[1]]
     back, deviation = (values[:, 0] for values in cv2.meanStdDev(part, mask=cv2.bitwise_not(far)))
     colour = np.array(cv2.mean(part, core)[:3])
     axis = colour - back
@@ -719,8 +703,33 @@ def measure_blob(
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     if at_edge:
         confidence *= 0.6
-    x, y = origin[0] + step * x0 + column, origin[1] + step * y0 + row
-    return Blob(x, y, patch.area, box, contrast, confidence, mean_hsv(colour), at_edge)
+    x, y = origin[0] + x0 + column, origin[1] + y0 + row
+    return Blob(x, y, m["m00"], box, contrast, confidence, mean_hsv(colour), at_edge)
+
+
+def _regions(patch: Patch, step: int, rows: int, columns: int) -> tuple[int, int, Any, Any, Any]:
+    """Return left and top side of a part of the window about a patch, px, and masks of this part.
+
+    The masks have 255 for the pixels of the core, of the core with its rim, and of the surroundings of both.
+    """
+    left, top, right, bottom = patch.sides
+    margin, rim = max(MARGIN // step, 4), (_KERNEL5, _KERNEL3)[step >= 3]
+    x0, y0 = max(left - margin, 0), max(top - margin, 0)
+    x1 = min(right + margin, (columns - step // 2) // step)
+    y1 = min(bottom + margin, (rows - step // 2) // step)
+    hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
+    # Give weight 1 to the core of the patch's convex hull, so that a reflection on the marker leaves no hole.
+    kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
+    core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    if not core.any():
+        core = hull
+    near = cv2.dilate(hull, rim)
+    far = cv2.dilate(near, rim)
+    if step > 1:
+        size = (min(step * x1, columns) - step * x0, min(step * y1, rows) - step * y0)
+        core, near, far = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (core, near, far))
+    return step * x0, step * y0, core, near, far
 
 
 #: Type of the values of one detection: x, y, area, confidence, status, whether the edge of the picture cuts

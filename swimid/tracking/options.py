@@ -23,8 +23,6 @@ def _rate() -> Any:
 
 class TrackVideoOptions(
     Options,
-    command="track video",
-    section="Make logs",
     argument="VIDEO",
     output="The log, CSV or Parquet by its ending.",
     required=True,
@@ -111,9 +109,7 @@ class Pick:
         return cls(name, x, y)
 
 
-class TrackCameraOptions(
-    Options, command="track camera", section="Make logs", argument="PICTURE...", required=True, makes="camera"
-):
+class TrackCameraOptions(Options, argument="PICTURE...", required=True, makes="camera"):
     """Calibrate a camera and its lens from pictures of a checkerboard.
 
     PICTURE is a picture, or a folder of them. Take ten or more in the mode in which the camera films, with
@@ -144,8 +140,6 @@ class TrackCameraOptions(
 
 class TrackSetupOptions(
     Options,
-    command="track setup",
-    section="Make logs",
     argument="VIDEO",
     output="The setup file to write.",
     required=True,

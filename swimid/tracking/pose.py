@@ -28,8 +28,8 @@ from scipy.optimize import minimize_scalar
 from swimid.errors import NoTrustworthyResult
 from swimid.files.kernels import numba
 from swimid.logs.log import runs, unwrap
-from swimid.logs.plane import Plane
 from swimid.logs.sampling import Held, find_held
+from swimid.points.plane import Plane
 from swimid.tracking.frames import CUT, LOST, STATUS_NAMES, Array, RawTrack
 from swimid.tracking.setup import Setup
 
@@ -324,10 +324,6 @@ def smooth_path(
         Measurements from which the noise is estimated. The errors of the other measurements are correlated
         from sample to sample, so that the likelihood would attribute them to motion.
 
-    Returns
-    -------
-    Smoothed
-
     Notes
     -----
     The acceleration of a swimmer is not white noise, because it follows the stroke. Therefore the standard
@@ -338,21 +334,11 @@ def smooth_path(
     (Harvey, A. C., 1989, *Forecasting, structural time series models and the Kalman filter*, section 3.4).
     The smoother is that of Rauch, Tung and Striebel (1965, AIAA J. 3(8), 1445-1450, doi:10.2514/3.3166).
     """
+    step = float(np.median(np.diff(times)))
+    known = values if trusted is None else np.where(trusted, values, np.nan)
+    variance, power, order = noise = _path_noise(times, known, weights, segments, min_sd)
     names = ("position", "velocity", "position_sd", "velocity_sd", "innovation")
     out = {name: np.full(values.shape, np.nan) for name in names}
-    known = values if trusted is None else np.where(trusted, values, np.nan)
-    pieces = [
-        (times[a:b], row[a:b], weights[a:b])
-        for row, (a, b) in product(known, segments)
-        if np.count_nonzero(~np.isnan(row[a:b])) >= MIN_NOISE_SAMPLES
-    ]
-    step = float(np.median(np.diff(times)))
-    order, ratio, fitted = 2, 1e-2, max(min_sd, 1e-12) ** 2
-    if pieces:
-        fits = {order: _estimate_noise(pieces, order, step) for order in (2, 3)}
-        order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
-    variance = max(fitted, min_sd**2)
-    noise = (variance, ratio * fitted / step ** (2 * order - 1), order)
     for (i, row), (a, b) in product(enumerate(values), segments):
         means, covariances, innovation = _smooth_piece(times[a:b], row[a:b], weights[a:b], noise, step)
         out["position"][i, a:b], out["velocity"][i, a:b] = means[:, 0], means[:, 1]
@@ -367,7 +353,24 @@ def smooth_path(
                 factors[key] = _gap_factor(times, row, weights, out["position"][i], key[1], noise)
             out["position_sd"][i, first:last] *= factors[key]
             out["velocity_sd"][i, first:last] *= factors[key]
-    return SmoothedPath(**out, measurement_sd=np.sqrt(variance), process_noise=float(noise[1]), order=order)
+    return SmoothedPath(**out, measurement_sd=np.sqrt(variance), process_noise=float(power), order=order)
+
+
+def _path_noise(
+    times: Array, values: Array, weights: Array, segments: list[tuple[int, int]], min_sd: float
+) -> tuple[float, float, int]:
+    """Return measurement variance, power of the driving noise and order of the likeliest model of a path."""
+    pieces = [
+        (times[a:b], row[a:b], weights[a:b])
+        for row, (a, b) in product(values, segments)
+        if np.count_nonzero(~np.isnan(row[a:b])) >= MIN_NOISE_SAMPLES
+    ]
+    step = float(np.median(np.diff(times)))
+    order, ratio, fitted = 2, 1e-2, max(min_sd, 1e-12) ** 2
+    if pieces:
+        fits = {order: _estimate_noise(pieces, order, step) for order in (2, 3)}
+        order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
+    return max(fitted, min_sd**2), ratio * fitted / step ** (2 * order - 1), order
 
 
 def warm_up() -> None:
@@ -395,11 +398,11 @@ class Pose:
     raw : ndarray, shape (2, n)
         Measured position of the reference point, or of the head marker if the positions of the markers on the
         robot are unknown.
-    path : Smoothed
+    path : SmoothedPath
         Two coordinates, in units of the world.
     raw_angle : ndarray, shape (n,), or None
         Measured heading (pitch in the vertical plane, nose up), rad, unwrapped.
-    angle : Smoothed or None
+    angle : SmoothedPath or None
         Smoothed heading, rad; None for a single marker.
     markers : ndarray, shape (m, 2, n)
         Measured position of every marker in the world; NaN if it was not measured.
@@ -491,7 +494,6 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     # A frame repeats the previous picture if no marker centre moves between the two.
     ramp = RAMP_PX * np.arange(len(times))
     held = find_held(times, [values + ramp for row in rows for values in track.centre(row)])
-    clock, clock_sd = _picture_times(times, held)
     measured: NDArray[np.bool_] = np.all(track.is_whole[rows], axis=0) & ~held.repeated
     segments, segment = _segments(times, measured, setup.max_gap_s), np.zeros(len(times), dtype=np.int64)
     for number, (start, end) in enumerate(segments, start=1):
@@ -502,57 +504,106 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
             "close enough to each other to give a speed"
         )
     measured &= segment > 0
-    head, tail = rows[0], rows[-1]
-    pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
-    trusted = ~np.any(hidden[rows] > 0, axis=0)
-    weights = _weights(track, head, hidden[head])
-    raw = np.where((segment > 0) & ~held.repeated, markers[head], np.nan)
-    lever, forward = np.zeros(2), markers[head] - markers[tail]
-    white, lasting = MIN_NOISE_PX * pixel, SYSTEMATIC_PX * pixel
-    angle = raw_angle = separation = None
-    if tail != head:
-        separation = np.hypot(*forward)
-        distance = float(np.nanmedian(separation))
-        centroid = _centroid_errors(np.where(measured & trusted, separation, np.nan))
-        white, lasting = max(white, centroid[0]), float(np.hypot(centroid[1], lasting))
-        both = np.maximum(weights, _weights(track, tail, hidden[tail]))
-        if setup.places is not None:
-            # Compute the mid-point only where both markers are measured. With one marker only, an error of
-            # the scale would shift the reference point.
-            raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
-            places = np.array(setup.places)
-            lever, weights = -places.mean(axis=0), both
-            ahead, aside = places[0] - places[1]
-            forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
-        raw_angle = np.where(measured, unwrap(np.arctan2(forward[1], forward[0])), np.nan)
-        turn = np.sqrt(2) / max(distance, 1e-12)
-        angle = smooth_path(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
-        # The centre and the rear point of a silhouette follow from the same outline. Therefore the distance
-        # between them does not show all errors of the heading.
-        along = lasting if setup.markers[0].method == "background" else centroid[1]
-        # Add the errors of partly hidden markers, which do not average out: they last as long as the markers
-        # are hidden.
-        off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
-        angle = _add_errors(angle, turn * along, off)
-        # Turn the lever from the mid-point of the markers to the reference point by the smoothed heading. The
-        # measured heading would add its noise to the path.
-        raw = raw + _rotate(lever, angle.position[0])
-    path = smooth_path(clock, raw, weights, segments, min_sd=white, trusted=trusted)
-    used = [head] if setup.places is None else rows
-    path = _add_errors(path, lasting, hidden[used].max(axis=0) * pixel / TWO_SIDED)
-    if angle is not None:
-        # Add the position error that results from the error of the heading. It is perpendicular to the line
-        # from the mid-point of the markers to the reference point.
-        across = np.abs(_rotate(np.array([-lever[1], lever[0]]), angle.position[0]))
-        velocity_sd = np.hypot(path.velocity_sd, across * angle.velocity_sd)
-        path = replace(_add_errors(path, across * angle.position_sd), velocity_sd=velocity_sd)
+    body = _MarkedBody(track, setup, plane, rows, markers, hidden, measured)
+    clock, clock_sd = _picture_times(times, held)
+    angle = body.smooth_angle(clock, segments)
+    raw, path = body.smooth_position(clock, segments, (segment > 0) & ~held.repeated, angle)
     if held.repeated.any():
         path = _at_stamps(path, clock, times, segments, clock_sd)
         if angle is not None:
             angle = _at_stamps(angle, clock, times, segments, clock_sd)
-    path, angle = _with_plane_error(path, angle, plane, separation)
-    heading = (raw_angle, angle, markers, separation)
+    path, angle = _with_plane_error(path, angle, plane, body.separation)
+    heading = (body.raw_angle, angle, markers, body.separation)
     return Pose(times, measured, segment, raw, path, *heading, held, hidden, plane, rows)
+
+
+class _MarkedBody:
+    """Rigid body through the head and the tail marker, or a point if there is one marker only.
+
+    Its noise follows from the distance between the two markers.
+    """
+
+    separation: Array | None = None
+    raw_angle: Array | None = None
+
+    def __init__(
+        self,
+        track: RawTrack,
+        setup: Setup,
+        plane: Plane,
+        rows: list[int],
+        markers: Array,
+        hidden: Array,
+        measured: NDArray[np.bool_],
+    ) -> None:
+        head, tail = rows[0], rows[-1]
+        self.setup, self.rows, self.markers, self.hidden = setup, rows, markers, hidden
+        self.measured, self.trusted = measured, ~np.any(hidden[rows] > 0, axis=0)
+        self.weights = [_weights(track, row, hidden[row]) for row in rows]
+        self.pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
+        # Standard deviations of the white error of a marker's centre, and of the error that does not average
+        # out: of the heading, and of the position.
+        self.white, self.along = MIN_NOISE_PX * self.pixel, 0.0
+        self.lasting = SYSTEMATIC_PX * self.pixel
+        if tail == head:
+            return
+        forward = markers[head] - markers[tail]
+        self.separation = np.hypot(*forward)
+        self.distance = float(np.nanmedian(self.separation))
+        white, self.along = _centroid_errors(np.where(measured & self.trusted, self.separation, np.nan))
+        self.white, self.lasting = max(self.white, white), float(np.hypot(self.along, self.lasting))
+        if setup.markers[0].method == "background":
+            # The centre and the rear point of a silhouette follow from the same outline. Therefore the
+            # distance between them does not show all errors of the heading.
+            self.along = self.lasting
+        if setup.places is not None:
+            ahead, aside = np.subtract(*setup.places)
+            forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
+        self.raw_angle = np.where(measured, unwrap(np.arctan2(forward[1], forward[0])), np.nan)
+
+    def smooth_angle(self, clock: Array, segments: list[tuple[int, int]]) -> SmoothedPath | None:
+        """Return the smoothed heading; None for a single marker."""
+        if self.raw_angle is None:
+            return None
+        turn = np.sqrt(2) / max(self.distance, 1e-12)
+        weights, least = np.maximum(*self.weights), turn * self.white
+        angle = smooth_path(
+            clock, self.raw_angle[None], weights, segments, min_sd=least, trusted=self.trusted
+        )
+        # Add the errors of partly hidden markers, which do not average out: they last as long as the markers
+        # are hidden.
+        off = np.hypot(*self.hidden[self.rows]) * self.pixel / TWO_SIDED / self.distance
+        return _add_errors(angle, turn * self.along, off)
+
+    def smooth_position(
+        self,
+        clock: Array,
+        segments: list[tuple[int, int]],
+        fresh: NDArray[np.bool_],
+        angle: SmoothedPath | None,
+    ) -> tuple[Array, SmoothedPath]:
+        """Return measured and smoothed position of the reference point. ``fresh`` are the frames to use."""
+        head, weights, used = self.rows[0], self.weights[0], self.rows[:1]
+        raw, lever = np.where(fresh, self.markers[head], np.nan), np.zeros(2)
+        if self.setup.places is not None and angle is not None:
+            # Compute the mid-point only where both markers are measured. With one marker only, an error of
+            # the scale would shift the reference point.
+            raw = np.where(self.measured, self.markers[self.rows].mean(axis=0), np.nan)
+            lever, weights = -np.mean(self.setup.places, axis=0), np.maximum(*self.weights)
+            used = self.rows
+        if angle is not None:
+            # Turn the lever from the mid-point of the markers to the reference point by the smoothed heading.
+            # The measured heading would add its noise to the path.
+            raw = raw + _rotate(lever, angle.position[0])
+        path = smooth_path(clock, raw, weights, segments, min_sd=self.white, trusted=self.trusted)
+        path = _add_errors(path, self.lasting, self.hidden[used].max(axis=0) * self.pixel / TWO_SIDED)
+        if angle is not None:
+            # Add the position error that results from the error of the heading. It is perpendicular to the
+            # line from the mid-point of the markers to the reference point.
+            across = np.abs(_rotate(np.array([-lever[1], lever[0]]), angle.position[0]))
+            velocity_sd = np.hypot(path.velocity_sd, across * angle.velocity_sd)
+            path = replace(_add_errors(path, across * angle.position_sd), velocity_sd=velocity_sd)
+        return raw, path
 
 
 def _add_errors(values: SmoothedPath, *sds: Array | float) -> SmoothedPath:

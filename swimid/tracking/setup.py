@@ -16,7 +16,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.tabular import find_repeated
 from swimid.files.yamlio import Document
-from swimid.logs.scale import Camera, Point, Points, Positive, Scale
+from swimid.points.scale import Camera, Point, Points, Positive, Scale
 
 FORMAT = "swimid-setup/1"
 
@@ -133,6 +133,10 @@ class Setup(Document):
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(f"facing: {self.facing} goes with plane: vertical")
+        return self
+
+    @model_validator(mode="after")
+    def _boxes_fit(self) -> Setup:
         for box in self.ignore_px:
             if box[2] <= box[0] or box[3] <= box[1]:
                 raise ValueError(f"box {list(box)} must be [left, top, right, bottom]")

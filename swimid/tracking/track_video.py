@@ -15,14 +15,17 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
-from swimid.logs import kinematics, log, point_evidence, point_files, points
-from swimid.logs.kinematics import Swimming
+from swimid.kinematics import swimming
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.speed import Estimate
+from swimid.kinematics.swimming import MIN_WINDOW_SAMPLES, Swimming, measure
+from swimid.logs import log
 from swimid.logs.log import Log, runs
-from swimid.logs.plane import Plane
-from swimid.logs.points import Posed
-from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
+from swimid.points import point_evidence, point_files, points
+from swimid.points.plane import Plane
+from swimid.points.points import Posed
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.robots import file as robot_format
@@ -82,11 +85,6 @@ class Track(Logged):
 
     pose: Pose | None = None
     setup: Setup | None = None
-
-    keys = {
-        "frames": int, "found": int, "found_share": float, "duration_s": float, "interpolated": int,
-        "gaps": int, "longest_gap_s": float, "unit": str, "swimming": dict[str, Any],
-    }  # fmt: skip
 
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
@@ -195,11 +193,11 @@ def _evaluate(
     faults = [notice.text for notice in notices if notice.code in ("SWM043", "SWM044")]
     plane = pose.orient_plane(track, rules, plane)
     made = pose.build(track, rules, plane)
-    checks = checks_of(track, made, rules, run.kept)
+    swum = _swimming(made, (options.from_s, options.to_s))
+    checks = checks_of(track, made, rules, run.kept, swum)
     if faults:
         reason = "; ".join(faults)
         checks.insert(0, ev.make_check("Frames of the film", "not all", False, "all", reason=reason))
-    swum = _swimming(made, (options.from_s, options.to_s))
     if swum.stroke is not None:
         if swum.doubt:
             warn("SWM033", swum.doubt)
@@ -214,40 +212,40 @@ def _evaluate(
         facts["Pixels"] = f"{video.pixel_aspect:.4g} times as wide as high; px count those of the file"
     if joints is not None:
         checks += point_evidence.checks(joints)
-    verdict = ev.make_verdict(_answer(made, swum), checks)
     rows = _rows(swum, rules, plane.unit)
-    tables, figures = [_table(rows, swum.steady)], _figures(made, rules, swum)
-    methods, references, findings = _methods(rules, made), [*REFERENCES], {}
-    if joints is not None:
-        stroke_hz = None if swum.stroke is None else swum.stroke.frequency_hz
-        beat = point_evidence.wave_of(joints, stroke_hz)
-        facts["Joints"] = point_evidence.facts(joints)["Points"]
-        tables += point_evidence.tables(joints, beat)
-        figures += point_evidence.figures(joints, beat)
-        methods += point_evidence.METHODS
-        references += point_evidence.REFERENCES
-        findings["points"] = joints.data
+    settings = options.settings(setup=rules.model_dump(mode="json", exclude_none=True))
     evidence = ev.Evidence(
         command="track video",
         title=f"Track of {video.path.name}",
-        verdict=verdict,
+        verdict=ev.make_verdict(_answer(made, swum), checks),
         facts=facts,
         checks=checks,
-        tables=tables,
-        figures=figures,
+        tables=[_table(rows, swum.steady)],
+        figures=_figures(made, rules, swum),
         images=painter.images(),
         notices=ev.notices(notices),
-        methods=methods,
-        references=references,
-        provenance=provenance.collect(
-            [video.path, source],
-            settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
-        ),
+        methods=_methods(rules, made),
+        references=[*REFERENCES],
+        provenance=provenance.collect([video.path, source], settings=settings),
     )
-    data = _data(made, rows, swum) | findings | {"verdict": verdict.model_dump()}
+    data = _data(made, rows, swum)
+    if joints is not None:
+        _add_joints(evidence, joints, swum)
+        data["points"] = joints.data
+    data["verdict"] = evidence.verdict.model_dump()
     data["checks"] = [check.model_dump() for check in checks]
     document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
     return Track("track video", "", data, (), evidence, document, columns, made, rules), painter
+
+
+def _add_joints(evidence: ev.Evidence, joints: Posed, swum: Swimming) -> None:
+    """Add facts, tables, figures and methods on the joint angles to the evidence, in place."""
+    beat = point_evidence.wave_of(joints, None if swum.stroke is None else swum.stroke.frequency_hz)
+    evidence.facts["Joints"] = point_evidence.facts(joints)["Points"]
+    evidence.tables += point_evidence.tables(joints, beat)
+    evidence.figures += point_evidence.figures(joints, beat)
+    evidence.methods += point_evidence.METHODS
+    evidence.references += point_evidence.REFERENCES
 
 
 def _metadata(run: FilmTrack, plane: Plane, times: Array) -> dict[str, Any]:
@@ -335,7 +333,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     seen, path = pose.times[pose.measured], pose.path
     begin, end = (one if one is not None else seen[k] for one, k in zip(window_s, (0, -1), strict=True))
     inside = int(((seen >= begin) & (seen <= end)).sum())
-    if inside < kinematics.MIN_WINDOW_SAMPLES and window_s != (None, None):
+    if inside < MIN_WINDOW_SAMPLES and window_s != (None, None):
         raise UsageError(
             f"only {inside} frames with the markers are between {begin:g} and {end:g} s; the track runs from "
             f"{seen[0]:.4g} to {seen[-1]:.4g} s",
@@ -347,7 +345,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     if pose.angle is not None and pose.separation is not None:
         angle = pose.angle.position[0]
         angle_error = math.sqrt(2) * error / max(float(np.nanmedian(pose.separation)), 1e-12)
-    track = kinematics.Track(
+    track = swimming.Track(
         time_s=pose.times,
         measured=pose.measured,
         raw=pose.raw,
@@ -358,7 +356,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         error=error,
         angle_error=angle_error,
     )
-    return kinematics.measure(track, window_s)
+    return measure(track, window_s)
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
@@ -439,12 +437,19 @@ def _grade(
 
 
 def checks_of(
-    track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None
+    track: RawTrack,
+    pose: Pose,
+    setup: Setup,
+    kept: dict[int, Frame] | None = None,
+    swum: Swimming | None = None,
 ) -> list[ev.Check]:
-    """Return all checks of a track in order of importance. ``kept`` are some frames of the film."""
+    """Return all checks of a track in order of importance.
+
+    ``kept`` are some frames of the film, and ``swum`` are the speeds and the stroke of the track.
+    """
     return [
         *_presence(track, pose, setup),
-        _motion(track, setup),
+        _motion(track, setup, swum),
         *_camera(kept or {}),
         *_looks(track),
         *_others(track, setup),
@@ -495,8 +500,12 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     yield _judge("SWM047", "Longest gap", f"{longest:.3f} s", limit, segments == 1, reason)
 
 
-def _motion(track: RawTrack, setup: Setup) -> ev.Check:
-    """Check that at least one marker moves, because a motionless object passes all other checks."""
+def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
+    """Check that at least one marker moves, because a motionless object passes all other checks.
+
+    A robot that hardly leaves its place passes if it has a stroke. The stroke of a robot keeps its phase
+    (:func:`swimid.kinematics.frequency.find_beats`). Ripples or passing objects that shift a centre do not.
+    """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
     # Compute the distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh
@@ -509,7 +518,10 @@ def _motion(track: RawTrack, setup: Setup) -> ev.Check:
         reason += ", which is its noise"
     reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
-    passed = radii >= frames.MIN_RADII and not still
+    strokes = swum is not None and swum.stroke is not None and not swum.doubt
+    if strokes:
+        limit = f">= {noise:.2g} px of noise, with a stroke"
+    passed = (radii >= frames.MIN_RADII or strokes) and not still
     return _judge("SWM067", "Motion", value, limit, passed, reason, fails=still)
 
 
@@ -743,7 +755,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     up, turn, side = setup.axes
     spans = [ev.Span(start=start, end=end, label="gap") for start, end in pose.gaps][:MAX_GAPS]
     every = slice(None, None, max(len(t) // MAX_POINTS, 1))
-    (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
+    raw_x, raw_y = pose.raw[:, every]
 
     def over_time(label: str, traces: Sequence[ev.Trace], marks: Sequence[ev.Mark] = ()) -> ev.Panel:
         return ev.panel("time (s)", label, traces, spans=spans, marks=list(marks))
@@ -772,21 +784,12 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         speeds[f"{turn} rate (°/s)"] = degrees * pose.angle.velocity[0]
     begin = ev.Mark(at=found.begin_s, axis="x", label="averaging window")
     window = [begin, ev.Mark(at=found.end_s, axis="x")]
-    first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
-    path = [
-        ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
-        ev.Trace(x=x, y=y, label="smoothed", group=0),
-        ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
-    ]
-    about = "Path of the reference point."
-    if pose.gaps:
-        about += " The line without points is a gap."
     seen = np.ones(len(t), dtype=bool)
     for start, end in pose.gaps:
         seen &= (t <= start) | (t >= end)
     curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
-        ev.make_figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
+        _path_figure(pose, f"x ({unit})", f"{up} ({unit})", every),
         ev.panels(
             "pose",
             "Pose over time",
@@ -800,6 +803,21 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
             [over_time(label, [curve], window) for label, curve in curves.items()],
         ),
     ]
+
+
+def _path_figure(pose: Pose, x_title: str, y_title: str, every: slice) -> ev.Figure:
+    """Return the figure of the measured and the smoothed path, thinned to some frames."""
+    (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
+    first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
+    path = [
+        ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
+        ev.Trace(x=x, y=y, label="smoothed", group=0),
+        ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
+    ]
+    about = "Path of the reference point."
+    if pose.gaps:
+        about += " The line without points is a gap."
+    return ev.make_figure("path", "Path", about, x_title, y_title, path, equal_aspect=True)
 
 
 # ---------------------------------------------------------------- frames with the track drawn in

@@ -21,8 +21,8 @@ from scipy.optimize import linear_sum_assignment
 
 from swimid.errors import InputError
 from swimid.logs.log import runs
-from swimid.logs.plane import camera_matrix
 from swimid.notices import Step, warn
+from swimid.points.plane import camera_matrix
 from swimid.tracking import frames
 from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Box, HsvRange, Marker, Setup
@@ -240,10 +240,19 @@ class MarkerGroup:
         return list(zip(new, sorted(best, key=lambda blob: blob.x), strict=False))
 
     def note_rivals(self, rivals: list[Blob], frame: int) -> None:
-        """Store objects that have the colour of the markers, so that none is taken for a lost marker.
+        """Store objects that have the colour of the markers, so that none is taken for a lost marker."""
+        self._note_scenery(rivals)
+        self.most_rivals = max(self.most_rivals, len(rivals))
+        known = next((target for target in self.targets if target.whole), None)
+        if known is not None:
+            bright = [b for b in rivals if not b.at_edge and b.contrast > 0.5 * known.contrast]
+            like = [(b.x, b.y) for b in bright if 0.5 < b.area / known.usual_area < 2.0]
+            self.looks.append((frame, (self.targets[0].x, self.targets[0].y), like))
+        self.next_look = frame + self.pause
+        self.pause = min(2 * self.pause, 60)
 
-        Objects that stay in place while a marker moves are stored as scenery.
-        """
+    def _note_scenery(self, rivals: list[Blob]) -> None:
+        """Store objects that stay in place while a marker moves as scenery."""
         here = [(target.x, target.y) for target in self.targets]
         moved = any(
             math.dist(place, before) > target.radius + 2
@@ -254,15 +263,6 @@ class MarkerGroup:
             self.scenery += [blob for blob in still if not is_among(blob, self.scenery)]
         if moved or not self.seen_from or math.isnan(self.seen_from[0][0]):
             self.rivals, self.seen_from = rivals, here
-        self.most_rivals = max(self.most_rivals, len(rivals))
-        known = [target for target in self.targets if target.whole]
-        if known:
-            size, contrast = known[0].usual_area, known[0].contrast
-            whole = [one for one in rivals if not one.at_edge and one.contrast > 0.5 * contrast]
-            like = [(one.x, one.y) for one in whole if 0.5 < one.area / size < 2.0]
-            self.looks.append((frame, here[0], like))
-        self.next_look = frame + self.pause
-        self.pause = min(2 * self.pause, 60)
 
     def describe_moving_others(self) -> str:
         """Return a sentence on other objects that look like the marker and move; empty if there are none.
@@ -307,6 +307,80 @@ def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
     return all(blob.distance_to(other.x, other.y) > 2 for other in others)
 
 
+class ColourSearch:
+    """Search of a picture for the blobs of one colour.
+
+    Parameters
+    ----------
+    setup : Setup
+        Setup with the boxes of the picture that are ignored.
+    width, height : int
+        Size of the picture, px.
+    """
+
+    def __init__(self, setup: Setup, width: int, height: int) -> None:
+        self._ignored, self._size = setup.ignore_px, (width, height)
+
+    def search_window(
+        self, group: MarkerGroup, frame: Frame, cx: float, cy: float, half: float, step: int = 1
+    ) -> tuple[list[Blob], Box | None]:
+        """Return the blobs inside a square window, and the box about the largest patch that the window cuts.
+
+        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
+        every ``step``-th pixel, and the centre of a blob is computed from all pixels.
+        """
+        width, height = self._size
+        x0, y0 = max(int(cx - half), 0), max(int(cy - half), 0)
+        x1, y1 = min(int(cx + half) + 2, width), min(int(cy + half) + 2, height)
+        if min(x1 - x0, y1 - y0) < 3 * step:
+            return [], None
+        window = frame[y0:y1, x0:x1]
+        mask = frames.marker_mask(frames.thin_window(window, step), group.model)
+        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
+        patches = frames.find_patches(mask, group.area_px, step=step, inside=inside)
+        blobs = []
+        for patch in [patch for patch in patches if not patch.clipped]:
+            blob = frames.measure_blob(window, patch, step, (x0, y0), self._size)
+            if blob and not self._is_ignored(blob.x, blob.y) and not is_among(blob, group.scenery):
+                blobs.append(blob)
+        if step > 1 and any(blob.at_edge for blob in blobs):
+            # On a coarse mask, a marker that ends just before the edge of the window looks cut. Search again
+            # on all pixels.
+            return self.search_window(group, frame, cx, cy, half)
+        cut = max((patch for patch in patches if patch.clipped), key=lambda patch: patch.area, default=None)
+        return blobs, None if cut is None else cut.box((x0, y0), step)
+
+    def search_picture(self, group: MarkerGroup, frame: Frame, area: float) -> list[Blob]:
+        """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
+
+        ``area`` is the expected area of a blob in px, or 0 if unknown.
+        """
+        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self._size) / 2))
+        blobs = self._search_mask(group, frame, area, step)
+        if not blobs and not area and step > 1:
+            blobs = self._search_mask(group, frame, area, 1)
+        return blobs
+
+    def _search_mask(self, group: MarkerGroup, frame: Frame, area: float, step: int) -> list[Blob]:
+        """Return the blobs of the whole picture, found on a mask of every ``step``-th pixel."""
+        mask = frames.marker_mask(frames.thin_window(frame, step), group.model)
+        coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
+        expected = area or group.area_px[1] / COARSE_AREA_SHARE
+        coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
+        boxes = [patch.box((0, 0), step) for patch in coarse]
+        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
+        blobs: list[Blob] = []
+        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
+            half = 0.5 * size + 2 * step + frames.MARGIN
+            found, _ = self.search_window(group, frame, x, y, half, mask_step(size / 12))
+            blobs += [blob for blob in found if is_new(blob, blobs)]
+        return blobs
+
+    def _is_ignored(self, x: float, y: float) -> bool:
+        """Return whether a point of the picture is in a box that the setup ignores."""
+        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self._ignored)
+
+
 class Follower:
     """Tracker of all markers of a setup, frame by frame.
 
@@ -319,7 +393,7 @@ class Follower:
 
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.setup = setup
-        self._size = (width, height)
+        self._search = ColourSearch(setup, width, height)
         # The default area of a marker is from 12 px to 5 % of the picture.
         self.groups: list[MarkerGroup] = []
         for marker in setup.markers:
@@ -379,88 +453,40 @@ class Follower:
         names = self.setup.marker_names
         return RawTrack.of_table(self._times, names, table, rivals, self._mistaken, others)
 
-    # ------------------------------------------------------------ patches of a colour
-
-    def _search_window(
-        self, group: MarkerGroup, frame: Frame, cx: float, cy: float, half: float, step: int = 1
-    ) -> tuple[list[Blob], Box | None]:
-        """Return the blobs inside a square window, and the box about the largest patch that the window cuts.
-
-        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
-        every ``step``-th pixel, and the centre of a blob is computed from all pixels.
-        """
-        width, height = self._size
-        x0, y0 = max(int(cx - half), 0), max(int(cy - half), 0)
-        x1, y1 = min(int(cx + half) + 2, width), min(int(cy + half) + 2, height)
-        if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
-            return [], None
-        window = frame[y0:y1, x0:x1]
-        mask = frames.marker_mask(frames.thin_window(window, step), group.model)
-        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
-        found = frames.find_patches(mask, group.area_px, step=step, inside=inside)
-        whole = [patch for patch in found if not patch.clipped]
-        measured = [frames.measure_blob(window, patch, step, (x0, y0), self._size) for patch in whole]
-        seen = [blob for blob in measured if blob is not None and not self._is_ignored(blob.x, blob.y)]
-        blobs = [blob for blob in seen if not is_among(blob, group.scenery)]
-        if step > 1 and any(blob.at_edge for blob in blobs):
-            # On a coarse mask, a marker that ends just before the edge of the window looks cut. Search again
-            # on all pixels.
-            return self._search_window(group, frame, cx, cy, half)
-        cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
-        return blobs, None if cut is None else cut.box((x0, y0), step)
-
-    def _search_picture(self, group: MarkerGroup, frame: Frame, area: float) -> list[Blob]:
-        """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
-
-        ``area`` is the expected area of a blob in px, or 0 if unknown.
-        """
-        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self._size) / 2))
-        blobs = self._search_coarse(group, frame, area, step)
-        if not blobs and not area and step > 1:
-            blobs = self._search_coarse(group, frame, area, 1)
-        return blobs
-
-    def _search_coarse(self, group: MarkerGroup, frame: Frame, area: float, step: int) -> list[Blob]:
-        mask = frames.marker_mask(frames.thin_window(frame, step), group.model)
-        coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
-        expected = area or group.area_px[1] / COARSE_AREA_SHARE
-        coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
-        boxes = [patch.box((0, 0), step) for patch in coarse]
-        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
-        blobs: list[Blob] = []
-        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
-            half = 0.5 * size + 2 * step + frames.MARGIN
-            found, _ = self._search_window(group, frame, x, y, half, mask_step(size / 12))
-            blobs += [blob for blob in found if is_new(blob, blobs)]
-        return blobs
-
-    def _is_ignored(self, x: float, y: float) -> bool:
-        """Return whether a point of the picture is in a box that the setup ignores."""
-        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self.setup.ignore_px)
-
     # ------------------------------------------------------------ one colour in one frame
 
     def _follow(self, group: MarkerGroup, time: float, frame: Frame) -> dict[str, Blob]:
         """Find the targets of one colour in a frame; return the blob of each target, by its name."""
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
-        lost = [
-            t for t in group.targets if t.name not in sights and not self._is_hidden(t, known, sights, time)
-        ]
+        lost = [t for t in group.targets if t.name not in sights]
+        lost = [t for t in lost if not self._is_hidden(t, known, sights, time)]
         unsure = [t for t in known if t.name in sights and not t.whole]
         if lost or unsure:
-            blobs = self._others(group, frame, lost, sights)
-            for target, blob in self._find_lost(group, lost, blobs, time):
-                sights[target.name] = blob
-                blobs = [b for b in blobs if b is not blob]
-            for target in [t for t in known if t.name not in sights or t in unsure]:
-                winner = self._contest(group, target, blobs, time)
-                if winner is not None:
-                    sights[target.name] = winner
-                    blobs = [b for b in blobs if b is not winner]
-        if not lost and not unsure and self._frame >= group.next_look:
+            self._search_lost(group, time, frame, lost, sights)
+        elif self._frame >= group.next_look:
             group.note_rivals(self._others(group, frame, group.targets, sights), self._frame)
         return sights
+
+    def _search_lost(
+        self, group: MarkerGroup, time: float, frame: Frame, lost: list[Target], sights: dict[str, Blob]
+    ) -> None:
+        """Search the whole picture for lost targets and for objects that may replace targets.
+
+        The blobs that are found are added to ``sights``, in place.
+        """
+        unsure = [t for t in group.targets if t.name in sights and not t.whole]
+        blobs = self._others(group, frame, lost, sights)
+        for target, blob in self._find_lost(group, lost, blobs, time):
+            sights[target.name] = blob
+            blobs = [b for b in blobs if b is not blob]
+        for target in list(group.targets):
+            if not target.sights or (target.name in sights and target not in unsure):
+                continue
+            winner = self._contest(group, target, blobs, time)
+            if winner is not None:
+                sights[target.name] = winner
+                blobs = [b for b in blobs if b is not winner]
 
     def _others(
         self, group: MarkerGroup, frame: Frame, targets: list[Target], sights: dict[str, Blob]
@@ -470,7 +496,7 @@ class Follower:
         The search expects blobs as large as the markers of ``targets``.
         """
         area, taken = max((target.area for target in targets), default=0.0), list(sights.values())
-        return [blob for blob in self._search_picture(group, frame, area) if is_new(blob, taken)]
+        return [blob for blob in self._search.search_picture(group, frame, area) if is_new(blob, taken)]
 
     def _in_windows(
         self, group: MarkerGroup, known: list[Target], time: float, frame: Frame
@@ -501,7 +527,7 @@ class Follower:
         cx, cy = target.predict(time)
         half = 1.3 * target.radius + target.search_range(time - target.time) + 4
         for status in (frames.WINDOW, frames.GROWN, frames.GROWN):
-            blobs, cut = self._search_window(group, frame, cx, cy, half, mask_step(target.radius / 6))
+            blobs, cut = self._search.search_window(group, frame, cx, cy, half, mask_step(target.radius / 6))
             if any(group.is_alike(target, blob) for blob in blobs):
                 for blob in blobs:
                     blob.status = status

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.logs import log, mapping
+from swimid.imports import mapping
+from swimid.logs import log
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]

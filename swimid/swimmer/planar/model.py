@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
-from swimid.logs import wave
+from swimid.kinematics import wave
 from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer import drive

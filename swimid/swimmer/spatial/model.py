@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.fitting.model import Array, Hooks, Trial
-from swimid.logs.kinematics import angles, from_angles
+from swimid.kinematics.attitude import angles, from_angles
 from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer.model import Swimmer, flows, rotate_vector
