@@ -232,7 +232,7 @@ def test_only_what_was_asked_of_an_import_is_recorded() -> None:
         (["fit-graybox", "t.yaml", "--front", "f.csv"], "--front belongs to --method nsga2 or hybrid"),
         (["fit-drag", "t.yaml", "--points", "1"], "--points: '1' should be two numbers with a comma"),
         (["map", "--over", "f=1:2"], "--over: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
-        (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' must look like"),
+        (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' is not a name"),
         (["simulate", "--asymmetry", "1"], "is not in the range -1<x<1"),
         (["export", "a.yaml"], "Missing option '--to'"),
         (["compare", "a.yaml", "--params", "b.yaml", "--dt", "0"], "is not in the range x>0"),

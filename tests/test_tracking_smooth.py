@@ -73,7 +73,7 @@ def test_a_diffuse_start_does_not_lose_digits(order, missing):
     values = np.sin(times) + rng.normal(0, 0.02, 80)
     values[[*range(30, 42), *missing]] = np.nan
     variances, q = rng.uniform(1, 4, 80) * 4e-4, 0.7
-    start = module._start(order, 4e-4, 0.03)
+    start = module.make_start_covariance(order, 4e-4, 0.03)
     means, covariances, _ = module.kalman(times, values, variances, q, order, start)
     means, covariances = module.rts(times, means, covariances, q, order)
     # the information of all states is the sum over start, steps and measurements
@@ -82,7 +82,7 @@ def test_a_diffuse_start_does_not_lose_digits(order, missing):
     wanted = np.zeros(80 * order)
     information[:order, :order] = np.linalg.inv(start)
     wanted[:order] = information[:order, 0] * values[seen[0]]
-    for k, (transition, noise) in enumerate(zip(*module._steps(times, q, order), strict=True)):
+    for k, (transition, noise) in enumerate(zip(*module.compute_steps(times, q, order), strict=True)):
         both = np.hstack([-transition, np.eye(order)])
         here = slice(k * order, (k + 2) * order)
         information[here, here] += both.T @ np.linalg.inv(noise) @ both

@@ -13,7 +13,7 @@ from swimid.files import yamlio
 from swimid.fitting.fit_common import Experiment
 from swimid.logs.experiments import TrialEntry
 from swimid.notices import warn
-from swimid.simulators.model import SimulatorParameter, SimulatorTrials, at_key
+from swimid.simulators.model import SimulatorParameter, SimulatorTrials
 
 if TYPE_CHECKING:
     from swimid.simulators.mjcf import MjcfModel
@@ -92,7 +92,7 @@ class Mjcf(SimulatorTrials):
         except InputError:
             raise
         except ValueError as error:
-            raise at_key(path, self._data, ["model", "parameters"], error) from error
+            raise self.error_at(path, ["model", "parameters"], error) from error
         trials, sources = self.read_trials(path, list(entry.inputs.values()), list(entry.outputs))
         state = options.get("start_state", "auto")
         states = [state if state != "auto" else one.start_state for one in self.trials]

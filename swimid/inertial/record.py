@@ -454,7 +454,7 @@ def _make_stated_rests(record: ImuRecord, windows: Sequence[tuple[float, float]]
     rests = []
     for start, end in windows:
         if not start < end:
-            raise UsageError(f"--still {start:g} {end:g}: the rest must end after it begins")
+            raise UsageError(f"--still {start:g} {end:g}: the rest ends before it begins")
         first, last = (int(row) for row in np.searchsorted(record.time_s, [start, end]))
         if last - first < 4:
             continue

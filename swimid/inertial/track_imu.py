@@ -52,8 +52,7 @@ def track_imu(
 ) -> Integrated:
     """Compute velocity, position and attitude from an inertial recording, with 95 % bands.
 
-    The other log (``other``) can be a table with positions (m), angles (rad), or both. The mapping
-    (``map_path``) can be a dict of names and units of foreign columns.
+    The other log (``other``) has positions (m), angles (rad), or both. ``map_path`` can be a dict.
 
     Parameters
     ----------
@@ -62,38 +61,31 @@ def track_imu(
         and ``wx_rad_s`` to ``wz_rad_s`` (turn rate), in the sensor's axes. Optional columns are ``qw`` to
         ``qz`` (quaternion) and ``mx`` to ``mz`` (magnetic field). Logs with other columns need a mapping.
     output : path, optional
-        Log to write, CSV or Parquet by its ending. ``<stem>.evidence.json`` is written to the same folder.
-        Without ``output`` nothing is written; :meth:`~swimid.results.result.Result.save` writes the files
-        later.
+        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` in the same folder.
+        :meth:`~swimid.results.result.Result.save` writes the files later.
     progress : Progress
         Shows the progress of reading and smoothing.
 
     Returns
     -------
     Integrated
-        ``.frame`` has one row for each sample: position (m), attitude (rad), velocity along body axes and
-        along world axes (m/s), all with standard deviations, and turn rates (rad/s) and accelerations
-        (m/s^2).
+        ``.frame`` has one row for each sample: position (m), attitude (rad), velocity along body and world
+        axes (m/s), all with standard deviations, turn rates (rad/s) and accelerations (m/s^2).
 
     Raises
     ------
-    InputError
-        When an input cannot be used, or a fault of the recording cannot be repaired.
+    InputError, UsageError
+        An input cannot be used, a fault cannot be repaired, or the options contradict each other.
     NoTrustworthyResult
-        When the two logs do not move together.
-    UsageError
-        When the options contradict each other.
+        The two logs do not move together.
 
     Notes
     -----
-    The method is an error-state Kalman filter and Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
-    1965, doi:10.2514/3.3166; Groves, 2013, ch. 14). ``method="paper"`` follows Shang et al. (2012),
-    doi:10.1017/S0263574711001159.
+    The method is an error-state Kalman filter and the smoother of Rauch, Tung and Striebel (Groves, 2013,
+    ch. 14). ``method="paper"`` follows Shang et al. (2012), doi:10.1017/S0263574711001159.
 
     Examples
     --------
-    A sensor at rest on a table:
-
     >>> import numpy as np, pandas as pd
     >>> t, rng = np.arange(0.0, 8.0, 0.02), np.random.default_rng(1)
     >>> table = pd.DataFrame({"t_s": t})
@@ -104,14 +96,9 @@ def track_imu(
     >>> bool(made.frame[["vx_m_s", "vy_m_s", "vz_m_s"]].abs().to_numpy().max() < 0.01)
     True
     """
-    map_path, other = options.map_path, options.other
     unread = log.unread(imu, name="imu")
-    rules = None if map_path is None else mapping.of(map_path)
-    given: list[provenance.Input] = [unread]
-    if rules is not None:
-        given.append(map_path if isinstance(map_path, str | Path) else rules)
-    if other is not None:
-        given.append(log.unread(other, name="other"))
+    rules = None if options.map_path is None else mapping.of(options.map_path)
+    given = _inputs(unread, rules, options)
     if output is not None:
         output = atomic.check_writable(output, inputs=given)
     with record_warnings(repeat=True) as notices:
@@ -119,6 +106,18 @@ def track_imu(
         run = _estimate(unread, rules, provenance.path_of(named), options, progress)
         result = _result(run, notices, provenance.collect(given, settings=options.settings()))
     return result.write_output(output)
+
+
+def _inputs(
+    unread: Path | Log, rules: mapping.Mapping | None, options: TrackImuOptions
+) -> list[provenance.Input]:
+    """Return all inputs: the recording, the mapping and the other log."""
+    inputs: list[provenance.Input] = [unread]
+    if rules is not None:
+        inputs.append(options.map_path if isinstance(options.map_path, str | Path) else rules)
+    if options.other is not None:
+        inputs.append(log.unread(options.other, name="other"))
+    return inputs
 
 
 def _estimate(
@@ -131,7 +130,7 @@ def _estimate(
     """Read and repair a recording, and estimate its motion; ``named`` is the file in messages on columns."""
     if options.method == "paper" and options.other is not None:
         hint = "leave out --with, or take --method smoother"
-        raise UsageError("--method paper fuses with nothing", hint=hint)
+        raise UsageError("--method paper cannot use another log", hint=hint)
     record, notes = recording.read_record(unread, rules, named, progress)
     record, findings = faults.repair(record)
     poses = None if options.other is None else recording.read_poses(log.of(options.other, name="other"))

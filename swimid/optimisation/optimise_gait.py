@@ -171,7 +171,7 @@ def optimise_gait(
 
 def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> GaitProblem:
     if not options.vary:
-        raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
+        raise UsageError("nothing is varied", hint="give the ranges: --vary NAME=LOW,HIGH")
     performance.check_gaits(options.vary, "--vary")
     turn = "yaw" if performance.model.in_space else performance.turn
     quantity, sign = {

@@ -284,9 +284,15 @@ def _fit_rule(
 def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> GaitProblem:
     """Return the optimisation problem that is solved at every grid point; raise an error for bad options."""
     if options.stroke is not None or performance.model.in_space:
-        raise UsageError("a stiffness rule is for a tail beat in a plane")
+        given = (
+            "--stroke" if options.stroke is not None else f"'{performance.model.robot.name}' moves in space"
+        )
+        raise UsageError(f"{given}: a stiffness rule is for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
-        raise UsageError("--over takes frequency_hz, and amplitude_deg where the rule depends on it")
+        raise UsageError(
+            f"--over has {', '.join(options.over)}: it takes frequency_hz, and amplitude_deg if the rule "
+            "depends on it"
+        )
     performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
     if options.over["frequency_hz"][2] <= CURVE_DEGREE or options.over.get("amplitude_deg", (0, 0, 2))[2] < 2:
         raise UsageError(

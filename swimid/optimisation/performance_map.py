@@ -184,8 +184,9 @@ def _axes_of(performance: Performance, options: MapOptions) -> dict[str, list[fl
     if len(over) > 2:
         raise UsageError(f"--over has {len(over)} axes: a map has one axis or two")
     performance.check_gaits({name: axis[:2] for name, axis in over.items()}, "--over")
-    if any(axis[2] < 2 for axis in over.values()):
-        raise UsageError("--over: an axis has two points or more")
+    short = [name for name, axis in over.items() if axis[2] < 2]
+    if short:
+        raise UsageError(f"--over {short[0]} has {over[short[0]][2]} points: an axis has two or more")
     count = math.prod(axis[2] for axis in over.values())
     if count > MAX_GRID_POINTS:
         raise UsageError(f"--over has {count} points: a map has at most {MAX_GRID_POINTS} points")

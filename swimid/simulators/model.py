@@ -193,6 +193,11 @@ class SimulatorTrials(Trials):
             trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
         return trials, sources
 
+    def error_at(self, path: Path, keys: Sequence[str], text: object, hint: str | None = None) -> InputError:
+        """Return the error of a key of the trials file, with file and line."""
+        line = None if self._data is None else yamlio.line_of(self._data, list(keys))
+        return InputError(str(text), file=path, line=line, column=".".join(keys), hint=hint)
+
     def make_experiment(
         self, path: Path, model: SimulatorModel, trials: list[Trial], sources: Sequence[Input]
     ) -> Experiment:
@@ -214,9 +219,3 @@ def _fill_gaps(log: log_format.Log, name: str) -> Array:
         raise InputError(text, file=log.path, line=log.line(first), column=name)
     warn("SWM058", f"{log.path.name}: {int(missing.sum())} missing samples of {name} are interpolated")
     return np.interp(log.time_s, log.time_s[~missing], values[~missing])
-
-
-def at_key(path: Path, data: Any, keys: Sequence[Any], error: ValueError) -> InputError:
-    """Return the error of a key of a trials file, with file and line."""
-    line = yamlio.line_of(data, list(keys)) if data is not None else None
-    return InputError(str(error), file=path, line=line, column=".".join(map(str, keys)))

@@ -105,7 +105,8 @@ class Pick:
         except ValueError:
             name = ""
         if not name:
-            raise UsageError(f"{flag}: '{text}' must look like red@320,240")
+            example = "a name and a pixel, such as red@320,240"
+            raise UsageError(f"{flag}: '{text}' is not {example}")
         return cls(name, x, y)
 
 
@@ -128,7 +129,8 @@ class TrackCameraOptions(Options, argument="PICTURE...", required=True, makes="c
     @model_validator(mode="after")
     def _two_sides(self) -> Self:
         if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.squares) or min(self.board) < 3:
-            raise UsageError(f"--squares '{self.squares}' must be two numbers of 4 or more, such as 9x6")
+            text = f"--squares '{self.squares}' does not state two numbers of squares, each 4 or more"
+            raise UsageError(text, hint="count the squares along both sides of the board: --squares 9x6")
         return self
 
     @property

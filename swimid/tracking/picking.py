@@ -263,8 +263,7 @@ class Session:
         if trial.first:
             # The start points are those of the first frame of the film.
             markers = [marker.model_copy(update={"start_px": None}) for marker in markers]
-        if self.reader.at(trial.first, _no_step)[0] != trial.first:
-            raise InputError(f"has no frame {trial.first}", file=self.video)
+        self._read_frame(trial.first)
         within = slice(trial.first, trial.first + trial.count)
         with record_warnings() as notices, self.progress("trying") as step:
             track = follow(self.video, setup_of(markers, common), step=step, within=within).track
@@ -288,13 +287,18 @@ class Session:
         """Return the setup entries of the picked markers, or that of the whole body."""
         if choice.background or not choice.picks:
             return [BODY] * choice.background
-        index, _, frame = self.reader.at(choice.frame, _no_step)
-        if index != choice.frame:
-            raise InputError(f"has no frame {choice.frame}", file=self.video)
+        frame = self._read_frame(choice.frame)
         picks = [Pick(one.name, one.x, one.y) for one in choice.picks]
         places = {one.name: one.at_m for one in reversed(choice.picks)}
-        markers = pick_markers(frame, kinds_of(picks), path=self.video, index=index)
+        markers = pick_markers(frame, kinds_of(picks), path=self.video, index=choice.frame)
         return [marker.model_copy(update={"at_m": places[marker.name]}) for marker in markers]
+
+    def _read_frame(self, number: int) -> Frame:
+        """Return a frame of the film; raise an error if the film is shorter."""
+        index, _, frame = self.reader.at(number, _no_step)
+        if index != number:
+            raise InputError(f"has no frame {number}: its last frame is {index}", file=self.video)
+        return frame
 
     def _read_choice(self, choice: Choice) -> tuple[list[Marker], dict[str, Any]]:
         """Return markers and other keys of the setup; raise the first error of the choice."""

@@ -104,7 +104,7 @@ class SmoothedPath:
 
 
 @numba.njit(cache=True)
-def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def compute_steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Return transition matrix and noise covariance of the Kalman filter for each time step.
 
     The model is a chain of ``order`` integrators. White noise of power q drives the highest derivative. Entry
@@ -195,13 +195,13 @@ def kalman(
     means, covariances = np.zeros((len(times), order)), np.zeros((len(times), order, order))
     means[0, 0], covariances[0] = values[np.isfinite(values)][0], start
     innovations = np.full((2, len(times)), np.nan)
-    _forward(values, variances, *_steps(times, q, order), means, covariances, innovations)
+    _forward(values, variances, *compute_steps(times, q, order), means, covariances, innovations)
     return means, covariances, innovations
 
 
 def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
     """Return smoothed means and covariances from the output of :func:`kalman` (Rauch, Tung and Striebel)."""
-    transitions, noises = _steps(times, q, order)
+    transitions, noises = compute_steps(times, q, order)
     moved = transitions @ covariances[:-1]
     gains = np.linalg.solve(moved @ transitions.mT + noises, moved).mT
     keep = np.eye(order) - gains @ transitions
@@ -214,7 +214,7 @@ def rts(times: Array, means: Array, covariances: Array, q: float, order: int) ->
     return smooth, spread
 
 
-def _start(order: int, variance: float, step: float) -> Array:
+def make_start_covariance(order: int, variance: float, step: float) -> Array:
     """Return the covariance of the unknown initial state in the Kalman filter, shape (order, order)."""
     return np.diag([START_VARIANCE * variance / step ** (2 * i) for i in range(order)])
 
@@ -229,7 +229,7 @@ def _likelihood(
     ``order`` innovations of each segment determine the unknown initial state and are not used.
     """
     squares, logs, count = 0.0, 0.0, 0
-    q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
+    q, start = ratio / step ** (2 * order - 1), make_start_covariance(order, 1.0, step)
     for times, values, weights in pieces:
         _, _, (innovations, expected) = kalman(times, values, weights, q, order, start)
         seen = np.flatnonzero(~np.isnan(innovations))[order:]
@@ -263,7 +263,7 @@ def _smooth_piece(
 ) -> tuple[Array, Array, Array]:
     """Return smoothed means, covariances and normalised innovations of one coordinate in a segment."""
     variance, power, order = noise
-    start = _start(order, variance, step)
+    start = make_start_covariance(order, variance, step)
     means, covariances, (off, expected) = kalman(times, values, variance * weights, power, order, start)
     means, covariances = rts(times, means, covariances, power, order)
     normalised = off / np.sqrt(expected)
@@ -501,7 +501,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     if not segments:
         raise NoTrustworthyResult(
             f"the markers are seen together in {int(measured.sum())} frames, never in {MIN_SEGMENT} "
-            "close enough to each other to give a speed"
+            f"with gaps of {setup.max_gap_s:g} s or less, which a speed needs",
+            hint="raise max_gap_s, or correct hsv and area_px in the setup",
         )
     measured &= segment > 0
     body = _MarkedBody(track, setup, plane, rows, markers, hidden, measured)

@@ -130,16 +130,19 @@ class Setup(Document):
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
             raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:
-            raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
+            text = "no marker is the head: give head, and tail for a heading; there are"
+            raise ValueError(f"{text}: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":
-            raise ValueError(f"facing: {self.facing} goes with plane: vertical")
+            raise ValueError(
+                f"facing: {self.facing} goes with plane: vertical, and the plane is {self.plane}"
+            )
         return self
 
     @model_validator(mode="after")
     def _boxes_fit(self) -> Setup:
         for box in self.ignore_px:
             if box[2] <= box[0] or box[3] <= box[1]:
-                raise ValueError(f"box {list(box)} must be [left, top, right, bottom]")
+                raise ValueError(f"box {list(box)} has no area; a box is [left, top, right, bottom]")
         return self
 
     @model_validator(mode="after")

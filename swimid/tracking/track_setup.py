@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from pathlib import Path
@@ -303,9 +304,10 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
 
 def _make_markers(video: Path, options: TrackSetupOptions) -> list[Marker]:
     """Return setup entries of the markers that the user picked on the command line."""
-    frame = next((frame for _, frame in islice(Video(video).frames(), options.frame, None)), None)
-    if frame is None:
-        raise InputError(f"has no frame {options.frame}", file=video)
+    frames_read = enumerate(islice(Video(video).frames(), options.frame + 1))
+    ((index, (_, frame)),) = deque(frames_read, maxlen=1)
+    if index < options.frame:
+        raise InputError(f"has no frame {options.frame}: its last frame is {index}", file=video)
     return proposals.pick_markers(frame, proposals.kinds_of(options.picks), path=video, index=options.frame)
 
 

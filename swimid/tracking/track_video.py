@@ -107,18 +107,15 @@ def track_video(
 ) -> Track:
     """Track the markers of a film, and estimate pose, speeds and stroke of the robot.
 
-    The setup is a file, a Setup or a dict with the colours of the markers, the scale and the camera.
-    ``track_setup`` drafts a setup. The log contains all frames, even if speeds and stroke are those of a part
-    of the film.
+    The setup is a file, a Setup or a dict. The log has all frames, whatever the window of the speeds.
 
     Parameters
     ----------
     video : path
         A film, a folder of pictures, or a pattern of their names (``%05d.png``).
     output : path, optional
-        Log to write, CSV or Parquet by its ending. ``<stem>.evidence.json`` and ``<stem>.png`` are written to
-        the same folder. Without ``output`` nothing is written;
-        :meth:`~swimid.results.result.Result.save` writes the files later.
+        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` and ``<stem>.png`` in the
+        same folder. :meth:`~swimid.results.result.Result.save` writes the files later.
     metadata : dict, optional
         Additional ``# key: value`` lines of the log.
     progress : Progress
@@ -127,53 +124,54 @@ def track_video(
     Returns
     -------
     Track
-        ``.frame`` has a row for each of the n frames: ``t_s``, pose (m, rad; px without a scale), speeds
-        (m/s, rad/s), their standard deviations, the measurements, and each marker. ``.data["swimming"]``
-        contains speed, stroke and accelerations with their 95 % intervals.
+        ``.frame`` has a row for each frame: pose (m, rad; px without a scale), speeds (m/s, rad/s), their
+        standard deviations, and each marker. ``.data["swimming"]`` has speed and stroke with 95 % intervals.
 
     Raises
     ------
-    InputError
-        The film or the setup cannot be used.
+    InputError, UsageError
+        The film, the setup or an option cannot be used, or the window has too few frames with the markers.
     NoTrustworthyResult
         A marker is found in no frame, or in too few.
-    UsageError
-        An option is out of its range, or the window contains too few frames with the markers.
 
     Notes
     -----
-    Positions are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
-    1965, doi:10.2514/3.3166). The steady part of the motion is found by the marginal standard error rule
-    (White, 1997, doi:10.1177/003754979706900601).
+    Positions are smoothed as by Rauch, Tung and Striebel (1965, doi:10.2514/3.3166). The steady part is found
+    by the marginal standard error rule (White, 1997, doi:10.1177/003754979706900601).
 
     Examples
     --------
-    >>> made = track_video("pool.mp4", setup="setup.yaml")  # doctest: +SKIP
-    >>> made.frame[["t_s", "x_m", "y_m", "yaw_rad"]].plot(x="t_s")  # doctest: +SKIP
+    >>> track_video("pool.mp4", setup="setup.yaml").frame.plot("t_s", "x_m")  # doctest: +SKIP
     """
     video, setup, overlay_path = Path(video), options.setup, options.overlay_path
     if output is not None:
         output = atomic.check_writable(output, inputs=(video, setup))
     if overlay_path is not None:
         overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
-    changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
-    rules = setup_format.read_setup(setup)
-    source = setup if isinstance(setup, str | Path) else rules
-    rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
     with record_warnings(repeat=True) as notices:
-        if overlay_path is not None:
-            film = Video(video)
-            check_length(overlay_path, film.claimed, film.width, film.height)
-        with progress(f"tracking {video.name}") as step:
-            run = follow(video, rules, step=step, file=str(provenance.path_of(source)))
+        run, source = _follow_film(video, options, progress)
         result, painter = _evaluate(run, source, options, metadata or {}, notices)
+        if overlay_path is None:
+            return result.write_output(output)
         with atomic.write_together():
-            if overlay_path is not None:
-                remark = painter.write(overlay_path, progress)
-                if remark and result.evidence is not None:
-                    result = replace(result, evidence=result.evidence.model_copy(update={"notes": [remark]}))
+            painter.write(overlay_path, progress, result)
             result = result.write_output(output)
-    return result if overlay_path is None else replace(result, outputs=[*result.outputs, overlay_path])
+    return replace(result, outputs=[*result.outputs, overlay_path])
+
+
+def _follow_film(
+    video: Path, options: TrackVideoOptions, progress: Progress
+) -> tuple[FilmTrack, str | Path | Setup]:
+    """Follow the markers through a film; return the track in pixels, and the setup file or the setup."""
+    rules = setup_format.read_setup(options.setup)
+    source = options.setup if isinstance(options.setup, str | Path) else rules
+    changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
+    rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
+    if options.overlay_path is not None:
+        film = Video(video)
+        check_length(options.overlay_path, film.claimed, film.width, film.height)
+    with progress(f"tracking {video.name}") as step:
+        return follow(video, rules, step=step, file=str(provenance.path_of(source))), source
 
 
 def _evaluate(
@@ -875,8 +873,8 @@ class Painter:
             images.append(ev.Image(id=f"frame-{i}", title=title, caption=CAPTION, **image))
         return images
 
-    def write(self, path: Path, progress: Progress) -> str:
-        """Write a copy of the film with the track drawn into it; return a remark, or an empty text.
+    def write(self, path: Path, progress: Progress, result: Track) -> None:
+        """Write a copy of the film with the track drawn into it; add a remark on its format to the evidence.
 
         The film is decoded again, because the track is known only after the film was read once, and its
         frames do not fit into memory. The second decoding takes an eighth of the time of tracking with an
@@ -895,7 +893,8 @@ class Painter:
                     step()
             finally:
                 writer.close()
-        return REMARK.format("overlay") if isinstance(writer, Mpeg4) else ""
+        if isinstance(writer, Mpeg4) and result.evidence is not None:
+            result.evidence.notes.append(REMARK.format("overlay"))
 
 
 def _to_fixed_point(x: float, y: float) -> tuple[int, int]:
