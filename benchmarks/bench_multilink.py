@@ -53,9 +53,10 @@ from swimid.fitting.model import Parameter, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer_trials
+from swimid.swimmer.engine import tendon_torque
 from swimid.swimmer.fit_graybox import fit_graybox
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as engine
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.generators import swimmer
 
@@ -164,7 +165,7 @@ def mujoco_xml(plant: Engine, *, prescribed: bool, integrator: str, step_s: floa
     areas = {
         e.link: (float(e.axial_area_m2), float(e.normal_area_m2)) for e in body.elements if e.kind == "drag"
     }
-    stiffness = -engine.tendon_torque(1e-6, *passive[0, 5:9]) / 1e-6
+    stiffness = -tendon_torque(1e-6, *passive[0, 5:9]) / 1e-6
     driven = {axis.link: k for k, axis in enumerate(plant.assembly.driven)}
     opened, actuators = [], []
     for i, link in enumerate(plant.assembly.links):
@@ -343,7 +344,7 @@ class Peer:
         drift = self.lever[:links] @ ((omega**2 - 1j * known) * e)
         weighed = self.mass[:, None] * bodies.conj()
         right = (points.conj().T @ force - weighed.T @ drift).real - known @ self.weigh
-        right[3] += engine.tendon_torque.py_func(float(state[3]), *self.tendon)
+        right[3] += tendon_torque.py_func(float(state[3]), *self.tendon)
         matrix = (weighed.T @ bodies).real + self.spin.T @ self.weigh
         return np.concatenate([state[4:], np.linalg.solve(matrix, right)])
 

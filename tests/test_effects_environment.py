@@ -29,7 +29,7 @@ from swimid.fitting.model import CruiseInput, RigInput, SwimInput, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import Force
+from swimid.robots.planar import PlanarForce
 from tests.effect_cases import (
     INERTIA,
     TIME,
@@ -303,7 +303,7 @@ def test_a_hull_above_the_surface_loses_buoyancy() -> None:
 def test_buoyancy_is_a_force_of_the_robot_file() -> None:
     def lifted(body: Any) -> None:
         body.elements.append(
-            Force(kind="force", name="lift", link="trunk", at_m=0.14631, port_N=0.05, frame="world")
+            PlanarForce(kind="force", name="lift", link="trunk", at_m=0.14631, port_N=0.05, frame="world")
         )
 
     model, built = swimmer("dolphin"), changed(robots.read("dolphin"), lifted)

@@ -23,8 +23,8 @@ from swimid.fitting.model import CruiseInput, RigInput, SurgeInput, Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import AddedMass as AddedMassElement
-from swimid.robots.planar import Foil, TrailingEdge
+from swimid.robots.planar import PlanarAddedMass as AddedMassElement
+from swimid.robots.planar import PlanarFoil, TrailingEdge
 from tests.effect_cases import (
     INERTIA,
     TIME,
@@ -265,7 +265,7 @@ def test_lift_of_the_links_is_that_of_plates_in_the_robot_file() -> None:
         middle = {"head": 0.135, "tail1": 0.016, "tail2": 0.016, "tail3": 0.016, "fin": 0.05}
         for link, share in across.items():
             body.elements.append(
-                Foil(
+                PlanarFoil(
                     kind="foil",
                     name=f"{link}-plate",
                     link=link,

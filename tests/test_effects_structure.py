@@ -30,7 +30,8 @@ from swimid.fitting.model import CruiseInput, RigInput, Stroke, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import Hydrostatics, Input, Load
+from swimid.robots.joints import Input
+from swimid.robots.planar import PlanarHydrostatics, PlanarLoad
 from tests.effect_cases import (
     FORCE,
     INERTIA,
@@ -143,7 +144,7 @@ def test_weight_moves_with_the_centre_of_mass() -> None:
 
     def floating(body: Any) -> None:
         body.elements.append(
-            Hydrostatics(kind="hydrostatics", name="float", link="trunk", volume_m3=2.83 / 1000)
+            PlanarHydrostatics(kind="hydrostatics", name="float", link="trunk", volume_m3=2.83 / 1000)
         )
 
     model = changed(robots.read("dolphin"), floating)
@@ -252,7 +253,7 @@ def test_null_and_tries_of_pulled_bodies(effect: Effect) -> None:
 def test_load_friction_leaves_the_commands_of_thrusters_alone() -> None:
     def thrust(body: Any) -> None:
         body.inputs["stern"] = Input(column="stern_N")
-        body.elements.append(Load(kind="load", link="head", input="stern", at_m=0.1, forward_N=1.0))
+        body.elements.append(PlanarLoad(kind="load", link="head", input="stern", at_m=0.1, forward_N=1.0))
 
     model, plain = changed(robots.read("tfish"), thrust), swimmer("tfish")
     pushed = swim(plain)

@@ -14,11 +14,12 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.kinematics.cycles import settling_time
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Multilink, Yielding
+from swimid.robots.joints import Yielding
+from swimid.robots.planar import MultilinkRobot
 from swimid.swimmer.model import Energetics, Swimmer
-from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.spatial import engine as space_engine
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as engine
+from swimid.swimmer.planar.model import MultilinkModel, PlanarTree
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as space_engine
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests.conftest import Ran
 from tests.generators import lagrange
@@ -52,7 +53,7 @@ def test_torques_of_random_trees(base: str) -> None:
         links = int(rng.integers(3, 8))
         yielding = int(rng.integers(base == "fixed", min(links - 2, 3) + 1))
         body = {**lagrange.random_tree(rng, links, yielding), "base": base}
-        tree = Assembly(Multilink.model_validate(body), Fluid(density_kg_m3=WATER))
+        tree = PlanarTree(MultilinkRobot.model_validate(body), Fluid(density_kg_m3=WATER))
         oracle, tables = lagrange.Lagrange(body, density=WATER), tree.tables(np.zeros(0))
         n, driven = tree.unknowns, len(tree.driven)
         compared += driven
@@ -64,9 +65,11 @@ def test_torques_of_random_trees(base: str) -> None:
         mounts = np.radians([a.joint.mount_deg for a in tree.driven])
         row = np.column_stack([q[n:], qd[n:], told, np.cos(q[n:] + mounts), np.sin(q[n:] + mounts)])
         rate, scratch = np.empty(2 * n), tuple(np.zeros(shape) for shape in engine.shapes(tables)[1])
-        engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
+        engine.compute_rate(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
-        torque, _ = engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
+        torque, _ = engine.compute_torques(
+            state[None], rate[None], row[None], tuple(tables.values()), None, 0.0, 0.0
+        )
         found = torque[0, [a.link for a in tree.driven]]
         size = np.abs(torque).max()
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
@@ -97,8 +100,10 @@ def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
     row[:, 3], row[:, 4] = np.cos(row[:, 0]), np.sin(row[:, 0])
     rate = np.empty(size)
     scratch = tuple(np.zeros(shape) for shape in space_engine.shapes(tables)[1])
-    space_engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
-    torque, _ = space_engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
+    space_engine.compute_rate(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
+    torque, _ = space_engine.compute_torques(
+        state[None], rate[None], row[None], tuple(tables.values()), None, 0.0, 0.0
+    )
     (axis,) = model.passive
     expected = -2.0 * state[7] - 0.3 * state[-1]
     assert torque[0, axis.link] == pytest.approx(expected, abs=1e-9 * np.abs(torque).max())

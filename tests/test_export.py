@@ -21,7 +21,7 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.results import parameters
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
 from swimid.robots import file as robot
-from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as engine
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.conftest import Ran
 
@@ -218,7 +218,7 @@ def _rate(source: ExportSource, state: np.ndarray, row: np.ndarray) -> np.ndarra
     n = source.assembly.unknowns
     rate = np.zeros(2 * n)
     work = np.zeros((len(source.links), 19))
-    engine.derivative(state, row, *tables, None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
+    engine.compute_rate(state, row, tuple(tables), None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
     return rate
 
 

@@ -22,17 +22,15 @@ from swimid.fitting.model import SwimInput, Trial, share
 from swimid.fitting.problem import Problem
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Multilink
-from swimid.robots.spatial import Multibody
+from swimid.robots.planar import MultilinkRobot
+from swimid.robots.spatial import MultibodyRobot
 from swimid.swimmer import lanes
 from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.model import Swimmer
-from swimid.swimmer.planar import engine as planar_engine
-from swimid.swimmer.planar.model import Assembly as PlanarAssembly
-from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial import engine as spatial_engine
-from swimid.swimmer.spatial.model import Assembly as SpatialAssembly
-from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as planar_engine
+from swimid.swimmer.planar.model import MultilinkModel, PlanarTree
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as spatial_engine
+from swimid.swimmer.spatial.model import MultibodyModel, SpatialTree
 from tests import lanes_forms
 from tests.conftest import ROOT
 from tests.generators import gap_trials, lagrange
@@ -63,19 +61,19 @@ def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarra
     return ENGINES[form].integrate(start, step, drive, tuple(tables.values()), None, 0.0)
 
 
-def planar_tree(seed: int, **changed: Any) -> PlanarAssembly:
+def planar_tree(seed: int, **changed: Any) -> PlanarTree:
     rng = np.random.default_rng(seed)
     body = lagrange.random_tree(rng, int(rng.integers(3, 6)), int(rng.integers(1, 4)))
-    return PlanarAssembly(Multilink.model_validate({**body, **changed}), Fluid(density_kg_m3=1000.0))
+    return PlanarTree(MultilinkRobot.model_validate({**body, **changed}), Fluid(density_kg_m3=1000.0))
 
 
-def sea_lion() -> SpatialAssembly:
+def sea_lion() -> SpatialTree:
     robot = robot_format.read("sealion")
     assert robot.multibody is not None
-    return SpatialAssembly(robot.multibody, robot.fluid)
+    return SpatialTree(robot.multibody, robot.fluid)
 
 
-def hinged(**changed: Any) -> SpatialAssembly:
+def hinged(**changed: Any) -> SpatialTree:
     """Return a weight with two passive fins, and every kind of element."""
     inertia = [0.02, 0.03, 0.03, 0.0, 0.001, 0.0]
     fins = [
@@ -108,7 +106,7 @@ def hinged(**changed: Any) -> SpatialAssembly:
         ],
         **changed,
     }  # fmt: skip
-    return SpatialAssembly(Multibody.model_validate(body), Fluid(density_kg_m3=1000.0))
+    return SpatialTree(MultibodyRobot.model_validate(body), Fluid(density_kg_m3=1000.0))
 
 
 CASES: dict[str, tuple[type[Swimmer], Any]] = {
@@ -343,10 +341,10 @@ def test_a_coefficient_of_zero_keeps_the_structure() -> None:
     body = robot.multilink
     assert body is not None
     drag = {"kind": "damping", "link": body.links[0].name, "linear_N_m_s_rad": "c_ma"}
-    changed = Multilink.model_validate(
+    changed = MultilinkRobot.model_validate(
         {**body.model_dump(), "elements": [*body.model_dump()["elements"], drag]}
     )
-    for tree in (PlanarAssembly(changed, robot.fluid), Lifted(changed, robot.fluid)):
+    for tree in (PlanarTree(changed, robot.fluid), Lifted(changed, robot.fluid)):
         kernel = Kernel(tree)
         for k in range(len(tree.names)):
             values = np.full(len(tree.names), 0.8)
@@ -479,7 +477,7 @@ def test_the_compiler_vectorises_the_kernel(monkeypatch: pytest.MonkeyPatch) -> 
         "joints": [{"name": "j", "parent": "head", "child": "tail", "passive": {"stiffness_N_m_rad": 1.0}}],
         "elements": [{"kind": "drag", "link": "tail", "normal_area_m2": 0.01, "normal_coefficient": 1.0}],
     }
-    tree = PlanarAssembly(Multilink.model_validate(body), Fluid(density_kg_m3=1000.0))
+    tree = PlanarTree(MultilinkRobot.model_validate(body), Fluid(density_kg_m3=1000.0))
     kernel = Kernel(tree)
     packed, single = lanes_forms.arithmetic(kernel)
     assert packed > 10 * max(single, 1)
@@ -490,7 +488,7 @@ def test_changes_of_a_passive_joint_fit_the_kernel() -> None:
     robot = robot_format.read("tfish")
     body = robot.multilink
     assert body is not None
-    for tree in (PlanarAssembly(body, robot.fluid), Lifted(body, robot.fluid)):
+    for tree in (PlanarTree(body, robot.fluid), Lifted(body, robot.fluid)):
         kernel = Kernel(tree)
         tables = {name: np.copy(t) for name, t in tree.tables(np.ones(len(tree.names))).items()}
         for column in range(5):

@@ -10,7 +10,7 @@ import pytest
 from swimid.points import linkage as links
 from swimid.points import point_files
 from swimid.points.linkage import Linkage, State
-from swimid.robots.planar import Multilink
+from swimid.robots.planar import MultilinkRobot
 
 SD = 0.002
 
@@ -102,7 +102,7 @@ def test_an_uncertain_scale_adds_to_the_covariance() -> None:
 
 def test_points_on_rigid_and_moving_links_of_a_robot() -> None:
     """A nose, a neck fixed to it at 30 degrees, a mast fixed to the neck at 20 more, and a moving tail."""
-    body = Multilink.model_validate(
+    body = MultilinkRobot.model_validate(
         {
             "plane": "horizontal",
             "reference": {"station_m": 0.05, "offset_m": 0.01},

@@ -111,8 +111,8 @@ WRONG = {
     "loose link": (
         "    - {name: neck", "    # - {name: neck", "links.trunk", "no joints connect the link 'trunk'", "",
     ),
-    "link name twice": ("name: tail,", "name: trunk,", "links.2", "twice", ""),
-    "joint name twice": ("name: peduncle", "name: neck", "joints.1", "twice", ""),
+    "link name twice": ("name: tail,", "name: trunk,", "links.2", "two links have the name", ""),
+    "joint name twice": ("name: peduncle", "name: neck", "joints.1", "two joints have the name", ""),
     "driven and passive": (
         "driven: {gain: 1", "passive: {}, driven: {gain: 1", "joints.0", "both driven and", "",
     ),

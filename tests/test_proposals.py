@@ -17,7 +17,7 @@ from swimid.fitting.model import CruiseInput, Model, RigInput, SurgeInput, SwimI
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.spatial import Stroke
+from swimid.robots.spatial import HingeStroke
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
 
@@ -284,7 +284,9 @@ def test_joints_keep_their_own_limits(limit: dict[str, float], deg: float) -> No
 
 
 def test_a_stroke_is_scaled(fish: MultilinkModel) -> None:
-    law = Stroke(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"joint1": [0.0, 30.0, 10.0, 0.0]})
+    law = HingeStroke(
+        period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"joint1": [0.0, 30.0, 10.0, 0.0]}
+    )
     stroke = drives.Cycle("thrust", law, 0.8, 1.2)
     swim = SwimInput(stroke=stroke, coefficients={})
     template = Trial("s", "fit", np.arange(0.0, 10.01, 0.04), {}, swim=swim)

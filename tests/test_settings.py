@@ -13,10 +13,10 @@ from swimid.diagnosis import settings
 from swimid.diagnosis.settings import SettingValue
 from swimid.fitting.drives import Cycle, Motion, TailBeat
 from swimid.fitting.model import Array, CruiseInput, RigInput, SurgeInput, SwimInput, Trial
-from swimid.robots.spatial import Stroke
+from swimid.robots.spatial import HingeStroke
 
 TIME = np.arange(0.0, 12.0, 0.02)
-LAW = Stroke(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"flipper": [0.0, 30.0, 10.0, 0.0]})
+LAW = HingeStroke(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"flipper": [0.0, 30.0, 10.0, 0.0]})
 
 
 def beating(number: int, beat: TailBeat, **swim: object) -> Trial:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
 from tests.generators import three_link
+from tests.lifted import Lifted, LiftedModel
 
 BEAT = TailBeat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
 
@@ -58,6 +60,41 @@ def test_the_phase_of_the_drive_moves_a_steady_run_along_its_cycle(tmp_path: Pat
     moved[model.index("drive_phase")] = 2.0 * np.pi * BEAT.frequency_hz * 0.2
     a, b = model.simulate(moved, first), model.simulate(values, later)
     np.testing.assert_allclose(a["u_m_s"], b["u_m_s"], atol=1e-6)
+
+
+class Damped(Lifted):
+    """A planar robot in the tables of the engine in space, with linear drag and damping off the plane."""
+
+    def tables(self, values: np.ndarray) -> dict[str, Any]:
+        found = super().tables(values)
+        drag = found["drag"].copy()
+        drag[:, 6 + self.across] = 0.5
+        found["drag"] = drag
+        found["damping_link"] = np.append(found["damping_link"], 0)
+        found["damping"] = np.vstack([found["damping"], [0.0, 0.0, 0.0, 0.02, 0.02, 0.0]])
+        return found
+
+
+class DampedModel(LiftedModel):
+    def _tree(self) -> Damped:  # type: ignore[override]
+        assert self.robot.multilink is not None
+        return Damped(self.robot.multilink, self.robot.fluid)
+
+
+def test_steady_swimming_in_space_is_that_of_the_plane(tmp_path: Path) -> None:
+    planar, values = _model(tmp_path, c_d=2.0, c_f=0.2)
+    spatial = DampedModel(planar.robot)
+    known = dict(zip((p.name for p in planar.parameters), values, strict=True))
+    others = np.array([known.get(p.name, p.start) for p in spatial.parameters])
+    trial = Trial("steady", "fit", np.arange(0.0, 2.0, 0.02), {}, swim=SwimInput(BEAT).make_steady())
+    (a, b) = (m.cruise(v, trial) for m, v in ((planar, values), (spatial, others)))
+    assert a is not None
+    assert b is not None
+    assert b.speed_m_s == pytest.approx(a.speed_m_s, rel=1e-6)
+    assert b.settling_s == pytest.approx(a.settling_s, rel=1e-3)
+    expected, found = planar.simulate(values, trial), spatial.simulate(others, trial)
+    for name in ("x_m", "y_m", "yaw_rad", "u_m_s", "yaw_rate_rad_s", "joint1_rad"):
+        np.testing.assert_allclose(found[name], expected[name], atol=1e-6, err_msg=name)
 
 
 def test_without_drag_there_is_no_steady_swimming(tmp_path: Path) -> None:

@@ -374,7 +374,7 @@ class TestErrors:
 
     def test_name_of_a_joint(self, tmp_path: Path) -> None:
         path = fish(tmp_path, [{"actuator": "joint4"}], {"joint4": {}})
-        with pytest.raises(InputError, match="a joint is called 'joint4'") as caught:
+        with pytest.raises(InputError, match="an actuator and a joint have the name 'joint4'") as caught:
             experiment.robot_model(str(path))
         assert caught.value.line is not None
 

@@ -492,7 +492,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     as it is.
     """
     repeats, even, columns = [], None, dict(log.columns)
-    for column in [c for c in (output, source) if c is not None]:
+    for column in filter(None, (output, source)):
         values = log[column]
         held, empty = find_held(log.time_s, [values]), np.isnan(values)
         # Accept the repeated samples of an input whose levels are independent, because it is a random
@@ -502,9 +502,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         own = _even_times(log.time_s, values, held)
         if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
             continue
-        what = "are empty"
-        if held.repeated.any():
-            what = "repeat the measurement before"
+        what = ("are empty", "repeat the measurement before")[bool(held.repeated.any())]
         text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
         if own is None:
             columns[column] = np.where(held.repeated, np.nan, values)
@@ -647,27 +645,9 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
         A file is unreadable, columns are missing, the rate is not constant, or held-out rows are also fitted.
     """
     share, held_out = _split_held_out(options.held_out)
-    entries: list[TrialEntry] = []
-    origins: list[int] = []
-    files: list[Input] = []
-    listed: Any = None
-    for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
-        file = isinstance(source, str | Path)
-        if isinstance(source, TrialSet) or (file and Path(source).suffix.lower() in (".yaml", ".yml")):
-            if listed is not None:
-                raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
-            path = trials_format.place(source)
-            listed = trials_format.read(source, "rwls")
-            files += [path] * (not listed._in_memory)
-            found = [e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials]
-        else:
-            found = [_single(source, role, f"table {number + 1}")]
-        entries += found
-        origins += [number] * len(found)
-    for same in trials_format.same_recordings([(entry, Path(entry.log)) for entry in entries]):
-        for first, second in itertools.combinations(same, 2):
-            if origins[first] != origins[second]:  # the reader of a trials file has checked its own trials
-                trials_format.check_apart(entries[first], entries[second], Path(entries[first].log))
+    listed, groups, files = _list_entries(logs, held_out)
+    entries = [entry for group in groups for entry in group]
+    _refuse_repeats(groups)
     columns = _columns(options, listed)
     if all(entry.role == "validate" for entry in entries):
         raise UsageError("every trial is a validation trial; at least one must be fitted")
@@ -682,20 +662,58 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
         contents.append(log)
         repeats += found_repeats
     step_s = _common_step(names, contents)
-    fitted = [name for name, entry in zip(names, entries, strict=True) if entry.role == "fit"]
+    fitted = {
+        name: log for name, entry, log in zip(names, entries, contents, strict=True) if entry.role == "fit"
+    }
     fit: list[ArxRecord] = []
     held: dict[str, list[ArxRecord]] = {}
-    for name, entry, log in zip(names, entries, contents, strict=True):
-        cut = len(log) - round(share * len(log))
-        if entry.role == "validate":
+    for name, log in zip(names, contents, strict=True):
+        if name not in fitted:
             held[name] = _records(log, name, columns, step_s, slice(None))
             continue
+        cut = len(log) - round(share * len(log))
         fit += _records(log, name, columns, step_s, slice(0, cut))
         if share:
             label = "held-out part" + f" of {name}" * (len(fitted) > 1)
             held[label] = _records(log, name, columns, step_s, slice(cut, None))
     files += [Path(entry.log) if entry._held is None else entry._held.source for entry in entries]
-    return Data(columns, step_s, fit, held, fitted, files, getattr(listed, "robot", None), repeats)
+    return Data(columns, step_s, fit, held, list(fitted), files, getattr(listed, "robot", None), repeats)
+
+
+def _list_entries(
+    logs: Sequence[Source], held_out: Sequence[Source]
+) -> tuple[Any, list[list[TrialEntry]], list[Input]]:
+    """Return the trials file if there is one, the trials of each source, and the files besides the logs."""
+    groups: list[list[TrialEntry]] = []
+    files: list[Input] = []
+    listed: Any = None
+    for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
+        is_file = isinstance(source, str | Path)
+        if not (
+            isinstance(source, TrialSet) or (is_file and Path(source).suffix.lower() in (".yaml", ".yml"))
+        ):
+            groups.append([_single(source, role, f"table {number + 1}")])
+            continue
+        if listed is not None:
+            raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
+        path = trials_format.place(source)
+        listed = trials_format.read(source, "rwls")
+        files += [path] * (not listed._in_memory)
+        groups.append([e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials])
+    return listed, groups, files
+
+
+def _refuse_repeats(groups: Sequence[Sequence[TrialEntry]]) -> None:
+    """Refuse rows of one recording that are both fitted and held out.
+
+    The reader of a trials file has checked its own trials.
+    """
+    pairs = [(number, entry) for number, group in enumerate(groups) for entry in group]
+    entries = [entry for _, entry in pairs]
+    for same in trials_format.same_recordings([(entry, Path(entry.log)) for entry in entries]):
+        for first, second in itertools.combinations(same, 2):
+            if pairs[first][0] != pairs[second][0]:
+                trials_format.check_apart(entries[first], entries[second], Path(entries[first].log))
 
 
 def _single(source: Source, role: Any, name: str) -> TrialEntry:

@@ -50,7 +50,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import uncertainty as rt
 from swimid.fitting.fit_common import VALIDATION_RATIO, SeriesScore, compute_score, is_still
-from swimid.notices import Progress, record_warnings, silent, warn
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers, parameters
@@ -120,11 +120,8 @@ def rwls(
     Fitted
         ``.parameters`` has ``a1``, ... (1), ``b1``, ... (unit of the output divided by that of the input) and
         ``c1``, ... (1). ``.tables()`` has the ``errors`` of the predictions and the ``modes`` of the model.
-        ``.data["orders_tried"]`` has the orders of an order search with their BIC, lowest first.
-
-        The errors contain ``fit_percent``, the NRMSE fit ``100 (1 - ||y - yhat|| / ||y - mean(y)||)`` as the
-        System Identification Toolbox defines it. The mean is taken over the compared samples of the measured
-        output in all records of a data set.
+        ``.data["orders_tried"]`` has the orders of an order search with their BIC, lowest first. The errors
+        contain ``fit_percent`` as the System Identification Toolbox defines it.
 
     Raises
     ------
@@ -134,17 +131,6 @@ def rwls(
         The options contradict each other.
     NoTrustworthyResult
         There are too few rows, input or output are constant, or the search for ``c1``, ... does not converge.
-
-    References
-    ----------
-    .. [1] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic underwater
-       vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159.
-       Eq 3: the substitute input; Eqs 4 to 7: the model; Eqs 6 to 9: the recursion.
-    .. [2] G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation* (1977), ch. 5: UD
-       factors.
-    .. [3] L. Ljung, *System Identification: Theory for the User*, 2nd ed. (1999), section 11.7: forgetting.
-    .. [4] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65
-       (1978) 297-303, doi:10.1093/biomet/65.2.297: the test of whiteness.
 
     Examples
     --------
@@ -170,8 +156,13 @@ def rwls(
         checks = _checks(m)
         for code, text in _warnings(m, checks):
             warn(code, text)
+    return _make_result(m, checks, notices).write_output(output)
+
+
+def _make_result(m: Identified, checks: list[Check], notices: Sequence[Notice]) -> Fitted:
+    """Return the parameter file of an identified model with its evidence."""
     file = _parameter_file(m)
-    columns, where = data.columns, "held-out" if m.held_out else "fitted"
+    columns, where = m.data.columns, "held-out" if m.held_out else "fitted"
     least = min(part.free_run.fit_percent for part in m.assess_parts.values())
     answer = f"The free run does not reproduce the {where} output."
     if least >= 0:
@@ -191,7 +182,7 @@ def rwls(
     )
     made = Fitted.of(file, evidence)
     made.data["orders_tried"] = [{**asdict(orders), "bic": bic} for orders, bic in m.candidates]
-    return made.write_output(output)
+    return made
 
 
 # ---------------------------------------------------------------- checks and warnings
@@ -203,7 +194,13 @@ def _checks(m: Identified) -> list[Check]:
         ev.make_check(
             "Held-out data", str(len(m.held_out)), bool(m.held_out), "some", reason="no data were held out"
         ),
-        ev.make_check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
+        ev.make_check(
+            "Repeated samples",
+            "; ".join(m.data.repeats),
+            not m.data.repeats,
+            "none",
+            reason=f"the log repeats samples: {'; '.join(m.data.repeats)}",
+        ),
     ]
     otherwise: Literal["warn", "fail"] = "warn"
     if pole is not None:
@@ -305,28 +302,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
     """
     fitted, data, columns = m.estimate, m.data, m.data.columns
     orders, names, lost = fitted.orders, fitted.orders.names, m.indeterminate
-    unit, channel = columns.unit, columns.output
-    settings: dict[str, Any] = {
-        "orders": asdict(orders),
-        "order": "least BIC" if m.candidates else "given",
-        "input": columns.source,
-        "output": channel,
-        "output_unit": unit,
-        **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre"}),
-        "input_level": m.point.source,
-        "output_level": m.point.output,
-    }
-    if columns.sine:
-        settings["input_model"] = {"kind": "sine", **dict(zip(SINE_SETTINGS, columns.sine, strict=True))}
-    units = {"a": "1", "b": columns.gain_unit, "c": "1"}
-    estimates = {
-        name: parameters.Estimate(
-            value=float(value), stderr=_finite(stderr), unit=units[name[0]], status="estimated"
-        )
-        for name, value, stderr in zip(names, fitted.theta, fitted.stderr, strict=True)
-    }
-    for name in lost:
-        estimates[name].status = "unidentifiable"
+    unit, channel, settings = columns.unit, columns.output, _list_settings(m)
     words = (
         f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
         f"{', '.join(lost)} are determined."
@@ -345,7 +321,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
     return parameters.ParameterFile(
         model=NAME,
         robot=data.robot,
-        parameters=estimates,
+        parameters=_list_estimates(m),
         identifiability=[words] * bool(lost),
         correlation=parameters.Correlation(
             names=[name for name in names if name not in lost], matrix=fitted.correlation.tolist()
@@ -374,6 +350,36 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         ),
         provenance=provenance.collect(data.files, settings={**settings, "validate": shares}),
     )
+
+
+def _list_settings(m: Identified) -> dict[str, Any]:
+    """Return the settings of a parameter file: orders, columns, and levels of the working point."""
+    columns = m.data.columns
+    settings: dict[str, Any] = {
+        "orders": asdict(m.estimate.orders),
+        "order": "least BIC" if m.candidates else "given",
+        "input": columns.source,
+        "output": columns.output,
+        "output_unit": columns.unit,
+        **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre"}),
+        "input_level": m.point.source,
+        "output_level": m.point.output,
+    }
+    if columns.sine:
+        settings["input_model"] = {"kind": "sine", **dict(zip(SINE_SETTINGS, columns.sine, strict=True))}
+    return settings
+
+
+def _list_estimates(m: Identified) -> dict[str, parameters.Estimate]:
+    """Return the coefficients of a model as entries of the parameter file."""
+    fitted, units = m.estimate, {"a": "1", "b": m.data.columns.gain_unit, "c": "1"}
+    estimates = {}
+    for name, value, stderr in zip(fitted.orders.names, fitted.theta, fitted.stderr, strict=True):
+        status = "unidentifiable" if name in m.indeterminate else "estimated"
+        estimates[name] = parameters.Estimate(
+            value=float(value), stderr=_finite(stderr), unit=units[name[0]], status=status
+        )
+    return estimates
 
 
 def _finite(value: float) -> float | None:

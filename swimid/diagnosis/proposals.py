@@ -338,7 +338,7 @@ class Swim:
         idle, full = (self._scale_drive(unit_hz, amplitude, 0.0, steady=True) for amplitude in (0.0, 1.0))
         motions = []
         for k, actuator in enumerate(self.swimmer.actuators):
-            law = actuator.driven
+            law = actuator.law
             rest, moved = (self.swimmer.command(k, one, played_s, 0.0) for one in (idle, full))
             turn = driven.use_default(law.bias_gain, law.gain) * bias
             motions.append(
@@ -351,7 +351,7 @@ class Swim:
         """Return the largest ratio of the angle or rate of an actuator to its limit."""
         found = [0.0]
         for actuator, angle in zip(self.swimmer.actuators, angles, strict=True):
-            law, rate = actuator.driven, float(np.max(np.abs(np.diff(angle)))) * COMMAND_RATE_HZ
+            law, rate = actuator.law, float(np.max(np.abs(np.diff(angle)))) * COMMAND_RATE_HZ
             if law.max_angle_deg is not None:
                 found.append(math.degrees(float(np.max(np.abs(angle)))) / law.max_angle_deg)
             if law.max_rate_deg_s is not None:

@@ -439,9 +439,9 @@ def _describe_push(trials: Sequence[Trial], length_s: float) -> ResidualPush:
 def _list_forces(model: Model, trials: Sequence[Trial]) -> list[Description]:
     """Return the forces on a rig, or on the base of a robot that moves freely."""
     length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
-    if model.body is None:
+    if model.swimmer is None:
         return [_describe_push(trials, length)]
-    if not model.body.free:
+    if model.body is None or not model.body.free:
         return []
     arm = sum(model.body.lengths_m)
     distance = max((_top(trials, c, 1e-3) for c in _channels(trials) if c.endswith("_m")), default=1.0)

@@ -68,7 +68,7 @@ class AmplitudeOffset(base.Actuation):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the trim to the command, and reduce the amplitude of a steady beat."""
         offset = float(values[0])
-        laws = [] if model.body is None else [actuator.driven for actuator in model.body.actuators]
+        laws = [] if model.body is None else [actuator.law for actuator in model.body.actuators]
         still = [k for k, law in enumerate(laws) if law.gain == 0]
         begin = model.onset(trial)
         trimmed = base.for_every_joint(lambda time, angle: angle + offset * ease_in(time - begin, EASE_S))

@@ -35,7 +35,7 @@ from swimid.fitting.model import (
 )
 
 if TYPE_CHECKING:
-    from swimid.swimmer.planar.model import Body
+    from swimid.swimmer.planar.model import PlanarBody
 
 Choice = TypeVar("Choice")
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
@@ -234,7 +234,7 @@ def is_held(model: Model) -> bool:
     return model.body is not None and not model.body.free
 
 
-def free_body(model: Model) -> Body | None:
+def free_body(model: Model) -> PlanarBody | None:
     """Return the body of a swimmer whose base moves; None for other models."""
     return model.body if model.body is not None and model.body.free else None
 
@@ -254,7 +254,7 @@ def add_to_coefficient(value: float, *names: str) -> Hooks:
     return Hooks(coefficients=(change,))
 
 
-def force_at_hull(body: Body, function: Any, constants: Array) -> ExternalForce:
+def force_at_hull(body: PlanarBody, function: Any, constants: Array) -> ExternalForce:
     """Return a force that acts at the centre of mass of the heaviest link of a swimmer."""
     x, y = body.centre(body.hull)
     return ExternalForce(function, constants, body.hull, x, y)
@@ -277,7 +277,7 @@ def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: in
     return Hooks(coefficients=(take,), force=(ExternalForce(function, values),))
 
 
-def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> Hooks:
+def change_springs(body: PlanarBody, change: Callable[[float], dict[str, float]]) -> Hooks:
     """Return hooks that change the springs and dampers of all passive joints.
 
     Parameters

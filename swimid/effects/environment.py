@@ -228,7 +228,8 @@ class Tether(Effect):
 
         It applies to a pulled body on a rig, timed cruising or a free swimmer.
         """
-        return base.is_pulled(model) or model.timed_runs or base.free_body(model) is not None
+        swims = model.swimmer is not None and model.swimmer.free_base
+        return base.is_pulled(model) or model.timed_runs or swims
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the parameters of the tether that the trials can show.
@@ -237,16 +238,19 @@ class Tether(Effect):
         line, N s2/m3. A swimmer also shows the distance of the anchor behind the start, m.
         """
         scales, size = model.scales(trials), _reach(model, trials)
-        stiffness = 0.3 * scales.force / size
+        force = scales.force
+        if model.swimmer is not None:
+            force = model.swimmer.typical_force(scales)
+        stiffness = 0.3 * force / size
         pull = (
             parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
             parameter("slack_m", "m", 0.2 * size, "length before it pulls", 0.0, size),
         )
-        drag, words = 0.3 * scales.force / (size * scales.speed**2), "distance of the anchor behind the start"
+        drag, words = 0.3 * force / (size * scales.speed**2), "distance of the anchor behind the start"
         line = parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, "drag of the line per length", lower=0.0)
         if model.timed_runs:
             return pull
-        if model.body is None:
+        if model.swimmer is None:
             return (*pull, line)
         return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
@@ -269,11 +273,11 @@ class Tether(Effect):
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
             return base.add_to_coefficient(mean, "dry")
         line, anchor, (x, y) = list(values), (trial.rig.x0, 0.0), (0.0, 0.0)
-        if model.body is not None:
+        if model.swimmer is not None:
             *line, behind = values
-            start_x, start_y, heading = trial.swim.get_pose()
+            start_x, start_y, heading = model.swimmer.start_course(trial)
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
-            x, y = model.body.reference_m
+            x, y = model.swimmer.reference_m[:2]
         return Hooks(force=(ExternalForce(pull_back, np.array([*line, *anchor]), x=x, y=y),))
 
 

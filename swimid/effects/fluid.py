@@ -116,7 +116,7 @@ class DragReynolds(Effect):
         body, typical = model.body, model.scales(trials).speed
         forms = [DragReynolds(typical)]
         if body is None:
-            return forms * ("force" in model.offers)
+            return forms * ("force" in model.offers and model.swimmer is None)
         if not body.free or body.axial_drag(body.tables()) <= 0:
             return []
         speeds = [model.scales([trial]).speed for trial in trials]

@@ -357,7 +357,7 @@ class JointLocked(Effect):
             return []
         given = any(t.swim.commanded for t in trials)
         beaten = any(t.swim.joints is None for t in trials)
-        laws = [(actuator.column, actuator.driven) for actuator in model.body.actuators]
+        laws = [(actuator.column, actuator.law) for actuator in model.body.actuators]
         columns = [name for name, law in laws if given or (beaten and (law.gain or law.bias_gain))]
         columns += [axis.column for axis in model.body.passive]
         return [JointLocked(column) for column in sorted(columns)]

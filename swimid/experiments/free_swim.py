@@ -6,6 +6,7 @@ tail beats. ``fit-propulsion`` fits it, and it is the model of a robot without l
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,7 +28,7 @@ from swimid.logs.experiments import (
     Trials,
     check_used,
 )
-from swimid.logs.log import FREQUENCY_RTOL
+from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.notices import warn
 from swimid.propulsion.model import SurgeModel
 from swimid.propulsion.trials import beat_averages
@@ -141,25 +142,8 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
             turning.append(entry.id)
             continue
         waveforms.setdefault(_waveform(drive), entry.id)
-        frequency = drive.frequency_hz
-        if beat is not None:
-            frequency = beat.frequency_hz
-        time, speed = beat_averages(log, 1.0 / frequency)
-        # Use only tail beats with the full amplitude, because the thrust law is valid for these only. Assume
-        # no initial ramp of the amplitude unless the trial states one.
-        ramp = 0.0
-        if "ramp_s" in drive.model_fields_set:
-            ramp = drive.ramp_s
-        full = time - 0.5 / frequency >= ramp - 1e-9
-        time, speed = time[full], speed[full]
-        whole = int(np.isfinite(speed).sum())
-        if whole < MIN_WHOLE_BEATS:
-            after = f" after the drive's ramp of {ramp:g} s" * (not full.all())
-            raise InputError(
-                f"holds {whole} whole beats{after}; at least {MIN_WHOLE_BEATS} are needed", file=log.path
-            )
-        steady = SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
-        trials.append(Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady))
+        frequency = drive.frequency_hz if beat is None else beat.frequency_hz
+        trials.append(_average_beats(entry, drive, log, frequency))
     if turning:
         warn(
             "SWM018",
@@ -168,15 +152,7 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
         )
     if not trials:
         raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
-    if len(waveforms) > 1:
-        (one, first), (other, second) = list(waveforms.items())[:2]
-        raise InputError(
-            f"'{first}' has the waveform {one[0]} (asymmetry {one[1]:g}), '{second}' {other[0]} (asymmetry "
-            f"{other[1]:g}), which give different thrusts",
-            file=path,
-            column="drive.waveform",
-            hint="write a trials file for each",
-        )
+    _refuse_waveforms(waveforms, path)
     if any(t.surge.amplitude_rad <= 0 for t in trials):
         raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
     trials = _pool_frequencies(trials)
@@ -188,6 +164,38 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
     waveform, asymmetry = next(iter(waveforms))
     facts = {"beats": beat_facts, "waveform": waveform, "asymmetry": asymmetry}
     return Experiment.of(entries, path, model, trials, logs, facts=facts)
+
+
+def _average_beats(entry: FreeSwimTrial, drive: Drive, log: Log, frequency_hz: float) -> Trial:
+    """Return a trial with the surge averaged over tail beats."""
+    time, speed = beat_averages(log, 1.0 / frequency_hz)
+    # Use only tail beats with the full amplitude, because the thrust law is valid for these only. Assume no
+    # initial ramp of the amplitude unless the trial states one.
+    ramp = 0.0
+    if "ramp_s" in drive.model_fields_set:
+        ramp = drive.ramp_s
+    full = time - 0.5 / frequency_hz >= ramp - 1e-9
+    time, speed = time[full], speed[full]
+    whole = int(np.isfinite(speed).sum())
+    if whole < MIN_WHOLE_BEATS:
+        after = f" after the drive's ramp of {ramp:g} s" * (not full.all())
+        text = f"holds {whole} whole beats{after}; at least {MIN_WHOLE_BEATS} are needed"
+        raise InputError(text, file=log.path)
+    steady = SurgeInput(frequency_hz, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
+    return Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady)
+
+
+def _refuse_waveforms(waveforms: Mapping[tuple[str, float], str], path: Path) -> None:
+    """Refuse trials with several waveforms, which give different thrusts."""
+    if len(waveforms) > 1:
+        (one, first), (other, second) = list(waveforms.items())[:2]
+        raise InputError(
+            f"'{first}' has the waveform {one[0]} (asymmetry {one[1]:g}), '{second}' {other[0]} (asymmetry "
+            f"{other[1]:g}), which give different thrusts",
+            file=path,
+            column="drive.waveform",
+            hint="write a trials file for each",
+        )
 
 
 def _waveform(drive: Drive) -> tuple[str, float]:

@@ -155,7 +155,7 @@ def _own_values(cause: ExportedCause, actuator: Actuated, model: MultilinkModel)
 
 
 def _offset(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    if actuator.driven.gain == 0.0:
+    if actuator.law.gain == 0.0:
         return {}
     return cause.values
 

@@ -287,10 +287,10 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     Install the callback after loading the model, because MuJoCo compiles no model while a Python callback is
     set.
 
-    The forces are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each axis
-    (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing edges
-    (Lighthill 1971). The forces of effects are the functions in :mod:`swimid.effects`. The water moves with
-    the ``wind`` of the model.
+    The forces are those of :func:`swimid.swimmer.planar.engine.compute_planar_rate`: Morison drag along each
+    axis (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing
+    edges (Lighthill 1971). The forces of effects are the functions in :mod:`swimid.effects`. The water moves
+    with the ``wind`` of the model.
     """
     return _Water(model)
 

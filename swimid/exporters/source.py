@@ -18,14 +18,16 @@ from swimid.files.templates import environment
 from swimid.fitting.model import Array, ExternalForce
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
-from swimid.robots.planar import Joint, Multilink
-from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.tree import SYMMETRIC, Actuated, MovingJoint, Polynomial
+from swimid.robots.planar import MultilinkRobot, PlanarJoint
+from swimid.robots.quantities import Polynomial
+from swimid.swimmer.engine import PASSIVE
+from swimid.swimmer.planar.engine import COLUMNS as ENGINE_COLUMNS
+from swimid.swimmer.planar.model import MultilinkModel, PlanarTree
+from swimid.swimmer.tree import SYMMETRIC, Actuated, MovingJoint
 
 #: Names of the numerical values that describe a force element, for each kind of force element. Their order is
 #: that of the columns in the input arrays of the equations of motion (``engine``).
-COLUMNS = {"drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE}
+COLUMNS = {name: ENGINE_COLUMNS[name] for name in ("drag", "foil", "force", "wake")}
 #: Sentence on a limit of the XML formats: they have standard errors and correlations only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
@@ -58,7 +60,7 @@ class ExportedLink:
     name : str
     parent : int
         Index of the parent link; -1 for the base.
-    joint : Joint or None
+    joint : PlanarJoint or None
         Joint that connects the link to its parent.
     at : (float, float), m
         Position of the joint in the frame of the parent.
@@ -72,7 +74,7 @@ class ExportedLink:
 
     name: str
     parent: int
-    joint: Joint | None
+    joint: PlanarJoint | None
     at: tuple[float, float]
     mount_rad: float
     length_m: float
@@ -140,7 +142,7 @@ class ExportSource:
     path: Path
 
     @property
-    def body(self) -> Multilink:
+    def body(self) -> MultilinkRobot:
         """Entry ``multilink`` of the robot file: links, joints and force elements of the robot in a plane."""
         assert self.robot.multilink is not None
         return self.robot.multilink
@@ -158,9 +160,9 @@ class ExportSource:
         return math.radians(self.body.heading_deg)
 
     @cached_property
-    def assembly(self) -> Assembly:
+    def assembly(self) -> PlanarTree:
         """Validated description of the robot, which computes the input arrays of the equations of motion."""
-        return Assembly(self.body, self.robot.fluid)
+        return PlanarTree(self.body, self.robot.fluid)
 
     @cached_property
     def values(self) -> Array:
@@ -247,12 +249,12 @@ class ExportSource:
     def laws(self) -> dict[str, dict[str, float]]:
         """Coefficients in the law of the moment of each passive joint. The key is the name of the joint.
 
-        The coefficients are those of :data:`engine.PASSIVE` and ``wire_stiffness``. The latter is the
-        stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 - l_cr)``, in N m/rad.
+        The coefficients are those of ``swimid.swimmer.engine.PASSIVE`` and ``wire_stiffness``. The latter is
+        the stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 - l_cr)``, in N m/rad.
         """
         laws = {}
         for axis, row in zip(self.assembly.passive, self.tables["passive"], strict=True):
-            law = dict(zip(engine.PASSIVE, map(float, row), strict=True))
+            law = dict(zip(PASSIVE, map(float, row), strict=True))
             law["wire_stiffness"] = 0.0
             if law["spring"]:
                 levers = law["arm"] * law["crank"] / (law["arm"] - law["crank"])
@@ -318,7 +320,7 @@ class ExportSource:
         servos = []
         for axis in self.assembly.driven:
             frequency, ratio = default_hz, 1.0
-            law = self.actuator(axis).driven.servo
+            law = self.actuator(axis).law.servo
             if law is not None:
                 frequency = Polynomial.of(law.natural_frequency_hz).at(values)
                 ratio = Polynomial.of(law.damping_ratio).at(values)
@@ -420,7 +422,7 @@ def _joint_limits(source: ExportSource, servo_hz: float) -> list[str]:
         if law["friction"]
     ]
     driven = source.assembly.driven
-    assumed = [axis.name for axis in driven if source.actuator(axis).driven.servo is None]
+    assumed = [axis.name for axis in driven if source.actuator(axis).law.servo is None]
     if assumed:
         limits.append(
             f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "

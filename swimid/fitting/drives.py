@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from swimid.robots.spatial import Stroke
+    from swimid.robots.spatial import HingeStroke
 
 Array = NDArray[np.float64]
 #: Type of a joint motion: angle (rad), rate (rad/s) and acceleration (rad/s2) at given times.
@@ -172,7 +172,7 @@ class Cycle:
 
     name: str
     #: Stroke in the robot file: angles of the hinges over one cycle.
-    law: Stroke
+    law: HingeStroke
     #: Frequency of the stroke: cycles per second.
     frequency_hz: float
     #: Factor on the deviation of the angles from their values at the start of the cycle.

@@ -18,7 +18,7 @@ from swimid.files import atomic
 from swimid.files.kernels import numba
 from swimid.files.provenance import Input
 from swimid.fitting import steps
-from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL
+from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL, Differences
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import (
@@ -204,7 +204,11 @@ def read_trial_log(
     if log_format.written_by(log.metadata, "swimid track video"):
         # In a log of another program a column of this name may have any meaning.
         columns |= {name: log[raw] for name, raw in measured.items() if raw in log}
-    log = _blank_repeats(replace(log, columns=columns))
+    return _cut(_blank_repeats(replace(log, columns=columns)), entry)
+
+
+def _cut(log: Log, entry: TrialEntry) -> Log:
+    """Return the part of a log in the interval that the trials file states."""
     if entry.start_s is None and entry.end_s is None:
         return log
     low = -np.inf if entry.start_s is None else entry.start_s
@@ -612,6 +616,14 @@ def _correlation(result: FitResult) -> Correlation | None:
     return Correlation(names=[result.labels[i] for i in keep], matrix=(part / np.outer(sd, sd)).tolist())
 
 
+def _known_sums(result: FitResult) -> dict[str, Estimate]:
+    """Return the weighted sums of confounded parameters that the trials determine, by their text."""
+    return {
+        c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
+        for c in combinations(result)
+    }
+
+
 def _identifiability(result: FitResult, correlation: Correlation | None) -> list[str]:
     """Return sentences on parameters of a fit that the trials do not determine, and warn of each."""
     said = sentences(result)
@@ -721,20 +733,13 @@ def parameter_file(
     validation: dict[str, Any] = {}
     if listed["validate"]:
         validation = {"trials": trials["validate"], "channels": listed["validate"]}
-    between: dict[str, Any] = {}
-    if result.differences is not None:
-        between = dict(vars(result.differences))
-    known_sums = {
-        c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
-        for c in combinations(result)
-    }
     return ParameterFile(
         model=result.model.name,
         robot=robot,
         parameters=estimates(result),
         identifiability=_identifiability(result, correlation),
         correlation=correlation,
-        derived={**known_sums, **(derived or {})},
+        derived={**_known_sums(result), **(derived or {})},
         settings=settings or {},
         fit=Fit(
             trials=trials["fit"],
@@ -745,7 +750,7 @@ def parameter_file(
             noise=noise,
             method=method,  # type: ignore[call-arg]
             samples=result.samples,  # type: ignore[call-arg]
-            between_trials=between,  # type: ignore[call-arg]
+            between_trials=asdict(result.differences) if result.differences else {},  # type: ignore[call-arg]
             step_error=result.step_error,  # type: ignore[call-arg]
             samples_sha256={t.id: t.digest for t in result.trials},
         ),
@@ -793,23 +798,59 @@ def prepare_fit(
     return choose_parameters(parameters or experiment.model.parameters, **choices)
 
 
+def assess(result: FitResult) -> list[ev.Check]:
+    """Return the checks of a fit, and those of its errors on fitted and on validation trials."""
+    return [*checks(result), *error_checks(result)]
+
+
+def describe_method(result: FitResult, trials: str, law: str) -> str:
+    """Return a sentence on the estimates, the kind of their trials, and the law of the model."""
+    count = sum(t.role == "fit" for t in result.trials)
+    return (
+        f"{', '.join(result.common_labels)} were estimated from {count} {trials} ({result.samples} samples) "
+        f"by output-error maximum likelihood with {law}."
+    )
+
+
 def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     """Return the checks of a fit against their limits; warn of each check that does not pass.
 
     With ``held_out`` a fit without held-out trials does not pass. The caller sets it to False if it holds out
     parts of the data itself.
     """
+    found = [*_convergence(result), *_identified(result)]
+    found += [_whiteness(result, channel) for channel in result.noise]
+    found += _agreement(result)
+    found += [check for channel in result.noise if (check := _outliers(result, channel))]
+    if result.step_error:
+        found += step_check(["the trials"], [{"a sample": result.step_error / steps.STEP_ERROR}])
+    if held_out:
+        number = sum(t.role == "validate" for t in result.trials)
+        text = "trials with role: validate are predicted, not fitted"
+        shown = ("held-out trials", str(number), number > 0, "1 or more", text)
+        found.append(ev.make_check(*shown, reason="no trial was held out (role: validate)"))
+    channels = [c for c in result.model.channels if result.series_of(c.name, "validate")]
+    return found + [_validation(result, c) for c in channels if c.name in result.noise]
+
+
+def _convergence(result: FitResult) -> list[ev.Check]:
+    """Return the checks whether the search ended at the minimum."""
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
     value = numbers.format_number(done)
     found = [ev.make_check("converged", value, done, "yes", message, otherwise="fail", reason=reason)]
-    if result.restarts is not None:
-        value = numbers.format_number(result.settled)
-        if result.restarts:
-            value += f", after {result.restarts} restarts"
-        name, text = "starts near the answer lead back to it", "points and short searches around it"
-        reason = "starts near the answer still lead to better ones"
-        found.append(ev.make_check(name, value, result.settled, "yes", text, reason=reason))
+    if result.restarts is None:
+        return found
+    value = numbers.format_number(result.settled)
+    if result.restarts:
+        value += f", after {result.restarts} restarts"
+    name, text = "starts near the answer lead back to it", "points and short searches around it"
+    reason = "starts near the answer still lead to better ones"
+    return [*found, ev.make_check(name, value, result.settled, "yes", text, reason=reason)]
+
+
+def _identified(result: FitResult) -> list[ev.Check]:
+    """Return the checks whether the trials determine the shared parameters, inside their bounds."""
     names = {p.name: parameter_text(p.name, p.meaning) for p in result.parameters}
     unknown, at_bound, known = (
         [names[label] for label in result.common_labels if result.status[label] == status]
@@ -821,23 +862,12 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     otherwise = VERDICTS[len(known) < len(unknown)]
     text = "standard errors are below half of the sizes of identifiable parameters"
     shown = ("identifiable", value, not unknown, "every estimated parameter", text)
-    found.append(ev.make_check(*shown, otherwise=otherwise, reason=reason))
+    found = [ev.make_check(*shown, otherwise=otherwise, reason=reason)]
     if at_bound:
         listed = ", ".join(at_bound)
         reason = f"at a bound: {listed}"
         found.append(ev.make_check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
-    found += [_whiteness(result, channel) for channel in result.noise]
-    found += _agreement(result)
-    found += [check for channel in result.noise if (check := _outliers(result, channel))]
-    if result.step_error:
-        found += step_check(["the trials"], [{"a sample": result.step_error / steps.STEP_ERROR}])
-    number = sum(t.role == "validate" for t in result.trials)
-    if held_out:
-        text = "trials with role: validate are predicted, not fitted"
-        shown = ("held-out trials", str(number), number > 0, "1 or more", text)
-        found.append(ev.make_check(*shown, reason="no trial was held out (role: validate)"))
-    channels = [c for c in result.model.channels if result.series_of(c.name, "validate")]
-    return found + [_validation(result, c) for c in channels if c.name in result.noise]
+    return found
 
 
 def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) -> list[ev.Check]:
@@ -886,26 +916,33 @@ def _agreement(result: FitResult) -> list[ev.Check]:
     differ = result.differences
     if differ is None:
         return []
+    agree = [_consistency(result, differ)] if differ.trials > 1 else []
+    return [*agree, _visibility(result, differ)]
+
+
+def _consistency(result: FitResult, differ: Differences) -> ev.Check:
+    """Return the check whether the trials agree."""
     share = numbers.percent(differ.probability)
     if differ.probability > 0.999:
         share = "> 99.9 %"
     value, text = f"probability of differences {share}", ""
     different = [name for name, chance in differ.chance.items() if chance > 0.5]
-    sizes = [f"{name} by {_relative(result, name, differ.sd[name])}" for name in different]
-    reason = f"the trials differ: {', '.join(sizes) or 'it is not clear in which parameter'}"
+    sizes = ", ".join(f"{name} by {_relative(result, name, differ.sd[name])}" for name in different)
+    reason = f"the trials differ: {sizes or 'it is not clear in which parameter'}"
     if differ.are_likely:
-        value = f"{', '.join(sizes) or 'differences'} (probability {share})"
+        value = f"{sizes or 'differences'} (probability {share})"
         text = "standard deviations between the trials, which the standard errors include"
-    found = []
-    if differ.trials > 1:
-        limit = f"≤ {numbers.percent(DIFFERENT)}"
-        found.append(warn_check("SWM014", "trials agree", value, not differ.are_likely, limit, text, reason))
+    limit = f"≤ {numbers.percent(DIFFERENT)}"
+    return warn_check("SWM014", "trials agree", value, not differ.are_likely, limit, text, reason)
+
+
+def _visibility(result: FitResult, differ: Differences) -> ev.Check:
+    """Return the check whether differences between these trials would show."""
     hidden = [name for name in differ.hidden if result.status.get(name) == "estimated"]
     name, limit = "differences between trials visible", "of every estimated parameter"
     if not hidden:
-        return [*found, ev.make_check(name, "yes", True, limit)]
-    value = f"not of {', '.join(hidden)}"
-    named = hidden[:MAX_LISTED_PARAMETERS]
+        return ev.make_check(name, "yes", True, limit)
+    value, named = f"not of {', '.join(hidden)}", hidden[:MAX_LISTED_PARAMETERS]
     if len(hidden) > MAX_LISTED_PARAMETERS:
         named.append(f"{len(hidden) - MAX_LISTED_PARAMETERS} more")
     reason = f"differences of {numbers.join_names(named)} between these trials would not show"
@@ -918,7 +955,7 @@ def _agreement(result: FitResult) -> list[ev.Check]:
         f"intervals hold only for equal values in all trials; if {worst} differs by {share}, its interval is "
         f"± {error}. Fit repeats of one setting, or more settings"
     )
-    return [*found, warn_check("SWM028", name, value, False, limit, text, reason)]
+    return warn_check("SWM028", name, value, False, limit, text, reason)
 
 
 def _relative(result: FitResult, name: str, sd: float) -> str:

@@ -55,22 +55,18 @@ def multistart(
     model, trials, parameters, jobs, max_iterations
         As in :func:`swimid.fitting.output_error.fit_output_error`.
     starts : int
-        Number of starting points. The first ones are ``begins``. The others are uniform random samples of
-        :meth:`swimid.fitting.problem.Problem.search_range`.
+        Number of starting points: ``begins``, and uniform random samples of the search range.
     begins : sequence of ndarray, each shape (p,), optional
-        Starting points that are used first. The default is one point, the start values of the parameters.
+        Starting points that are used first. The default is the start values of the parameters.
     first : FitResult, optional
         Result of the fit from the first starting point, if it is already known.
 
     Returns
     -------
     best : FitResult
-        Fit of the lowest cost. If several fits have the same minimum (:data:`SAME_COST_RTOL`), a converged
-        one is preferred. A converged fit is tested as in
-        :func:`swimid.fitting.output_error.check_by_restarts`.
+        Fit of the lowest cost, tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
     ends : list of Start
-        Starting points and end points in the order of the searches. After Ctrl-C the remaining searches are
-        left out.
+        Starting points and end points in the order of the searches, up to an interruption by Ctrl-C.
 
     Raises
     ------
@@ -78,43 +74,62 @@ def multistart(
         If all searches fail: the error of the first search.
     """
     parameters = tuple(parameters or model.parameters)
+    points = _draw_starts(model, trials, parameters, begins, starts, seed)
+    fit_from = functools.partial(
+        output_error.fit_output_error, model, trials,
+        parameters=parameters, jobs=jobs, tested=False, max_iterations=max_iterations,
+    )  # fmt: skip
+    ends: list[Start] = []
+    outcomes: list[FitResult | NoTrustworthyResult] = []
+    with progress("starts", total=starts) as step:
+        for begin in points:
+            try:
+                result, first = first or fit_from(begin=begin), None
+            except KeyboardInterrupt:
+                if not any(isinstance(one, FitResult) for one in outcomes):
+                    raise
+                break
+            except NoTrustworthyResult as error:
+                outcomes.append(error)
+                ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
+            else:
+                outcomes.append(result)
+                ends.append(Start(begin, result.estimate, result.cost, result.converged))
+                if result.interrupted:
+                    break
+            step()
+            least = min(end.cost for end in ends)
+            show(step, f"least cost {least:.5g}, reached {count_agreeing(ends)} times")
+    return _select_best(outcomes, jobs or os.cpu_count() or 1), ends
+
+
+def _draw_starts(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: Sequence[Parameter],
+    begins: Sequence[Array] | None,
+    starts: int,
+    seed: int,
+) -> list[Array]:
+    """Return the starting points of a multistart fit (see :func:`multistart`)."""
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
     low, high = problem.search_range()
     points = list(begins or [problem.start])[:starts]
-    points += [rng.uniform(low, high) for _ in range(starts - len(points))]
-    results: list[FitResult] = []
-    ends: list[Start] = []
-    failures: list[NoTrustworthyResult] = []
-    with progress("starts", total=starts) as step:
-        for k, begin in enumerate(points):
-            try:
-                found = {0: first}.get(k) or output_error.fit_output_error(
-                    model, trials, parameters=parameters,
-                    jobs=jobs, begin=begin, tested=False, max_iterations=max_iterations,
-                )  # fmt: skip
-            except KeyboardInterrupt:
-                if not results:
-                    raise
-                break
-            except NoTrustworthyResult as error:
-                failures.append(error)
-                ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
-            else:
-                ends.append(Start(begin, found.estimate, found.cost, found.converged))
-                results.append(found)
-                if found.interrupted:
-                    break
-            step()
-            least = min((end.cost for end in ends), default=math.inf)
-            show(step, f"least cost {least:.5g}, reached {count_agreeing(ends)} times")
+    return points + [rng.uniform(low, high) for _ in range(starts - len(points))]
+
+
+def _select_best(outcomes: Sequence[FitResult | NoTrustworthyResult], jobs: int) -> FitResult:
+    """Return the best of several fits, tested by restarts; raise the first failure if all fits failed."""
+    results = [one for one in outcomes if isinstance(one, FitResult)]
+    failures = [one for one in outcomes if isinstance(one, NoTrustworthyResult)]
     if not results:
         raise failures[0]
-    best = found = functools.reduce(_better, results)
+    best = plain = functools.reduce(_better, results)
     if best.converged:
-        best = output_error.check_by_restarts(best, jobs=jobs or os.cpu_count() or 1)
-    evaluations = best.evaluations - found.evaluations + sum(r.evaluations for r in results)
-    return replace(best, evaluations=evaluations), ends
+        best = output_error.check_by_restarts(best, jobs=jobs)
+    evaluations = best.evaluations - plain.evaluations + sum(r.evaluations for r in results)
+    return replace(best, evaluations=evaluations)
 
 
 def count_agreeing(ends: Sequence[Start]) -> int:
@@ -201,9 +216,7 @@ def nsga2(
     name: str = "front",
     advance: Callable[[], Any] = lambda: None,
 ) -> Front:
-    """Search for the Pareto front of several objectives by NSGA-II (Deb et al. 2002).
-
-    The method is described in doi:10.1109/4235.996017.
+    """Search for the Pareto front of several objectives by NSGA-II (Deb et al., doi:10.1109/4235.996017).
 
     Parameters
     ----------
@@ -215,11 +228,9 @@ def nsga2(
     population, generations, seed
         Population size, number of generations and random seed. The same seed gives the same front.
     first : ndarray, shape (d,), optional
-        A point of the first population, such as the result of an earlier fit.
+        A point of the first population.
     checkpoint : Checkpoint, optional
-        Storage for the objectives of every generation, under ``name``. An interrupted search that is started
-        again reads its first generations from the storage, and has the same result as without an
-        interruption.
+        Storage for the objectives of every generation, under ``name``, from which a search is resumed.
     advance : callable
         Function that is called after each generation.
     """

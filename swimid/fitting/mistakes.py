@@ -9,7 +9,7 @@ transformation of the data or of the drive, and the corrected trials are a rival
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -100,6 +100,8 @@ class Explanation:
         )
 
 
+#: Type of changes of channels by description: factor and offset of each channel.
+Changes = dict[str, Mapping[str, tuple[float, float]]]
 #: Type of a mapping from the id of each trial to its simulated and measured series.
 TrialSeries = Mapping[str, Sequence[Series]]
 
@@ -109,42 +111,62 @@ TrialSeries = Mapping[str, Sequence[Series]]
 
 def list_mistakes(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     """Return all recording mistakes that can occur in the trials of a model."""
-    names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
-    pose = fit_common.pose_channels(model)
-    units = {c.name: c.unit for c in model.channels}
-    place = [name for name in pose if units[name] == "m"]
-    known = [name for name in names if name in units]
-    changes: dict[str, Mapping[str, tuple[float, float]]] = {}
+    pose, units = fit_common.pose_channels(model), {c.name: c.unit for c in model.channels}
+    names = dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs))
+    changes = _list_reflections(pose) | _list_channel_changes(pose, units, [n for n in names if n in units])
+    found = [Mistake(says, partial(_change_channels, pose, change)) for says, change in changes.items()]
+    found += [Mistake(says, partial(_scale_amplitude, factor)) for says, factor in AMPLITUDES.items()]
+    found += _list_joint_mistakes(max((len(t.swim.joints or ()) for t in trials), default=0))
+    found += _list_input_mistakes(model, trials, units)
+    if model.swimmer is not None and not model.in_space:
+        found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
+    return found
+
+
+def _list_input_mistakes(model: Model, trials: Sequence[Trial], units: Mapping[str, str]) -> list[Mistake]:
+    """Return wrong signs of the inputs that are no channels."""
+    columns = {}
+    if model.swimmer is not None:
+        columns = {name: law.column for name, law in model.swimmer.inputs.items()}
+    names = dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units)
+    signs = {name: f"the sign of {columns.get(name, name)} changed" for name in names}
+    return [Mistake(says, partial(_reverse_input, name)) for name, says in signs.items()]
+
+
+def _list_joint_mistakes(count: int) -> list[Mistake]:
+    """Return wrong signs and units of the logged motions of driven joints."""
+    signs = [(f"the sign of driven joint {k + 1} changed", -1.0, [k]) for k in range(count)]
+    units = [(says, factor, range(count)) for says, factor in JOINTS.items() if count]
+    return [Mistake(says, partial(_joint, factor, joints)) for says, factor, joints in (*signs, *units)]
+
+
+def _list_reflections(pose: Sequence[str]) -> Changes:
+    """Return the changes of a pose by a film that is mirrored, or by a heading that is reversed."""
     if {"x_m", "y_m", "yaw_rad"} <= set(pose):
-        changes["yaw + 180 degrees"] = {"yaw_rad": (1.0, math.pi)}
-        changes["yaw mirrored"] = {"yaw_rad": (-1.0, 0.0)}
-        changes["y mirrored"] = {"y_m": (-1.0, 0.0)}
-        changes["the film mirrored"] = {"y_m": (-1.0, 0.0), "yaw_rad": (-1.0, 0.0)}
-    elif {"x_m", "z_m", "pitch_rad"} <= set(pose):
-        changes["the film mirrored"] = {"z_m": (-1.0, 0.0), "pitch_rad": (-1.0, 0.0)}
-    changes |= {f"the sign of {name} changed": {name: (-1.0, 0.0)} for name in known if name not in pose}
-    for name in (n for n in known if units[n] == "rad"):
+        return {
+            "yaw + 180 degrees": {"yaw_rad": (1.0, math.pi)},
+            "yaw mirrored": {"yaw_rad": (-1.0, 0.0)},
+            "y mirrored": {"y_m": (-1.0, 0.0)},
+            "the film mirrored": {"y_m": (-1.0, 0.0), "yaw_rad": (-1.0, 0.0)},
+        }
+    if {"x_m", "z_m", "pitch_rad"} <= set(pose):
+        return {"the film mirrored": {"z_m": (-1.0, 0.0), "pitch_rad": (-1.0, 0.0)}}
+    return {}
+
+
+def _list_channel_changes(pose: Sequence[str], units: Mapping[str, str], names: Sequence[str]) -> Changes:
+    """Return the changes of channels by a wrong sign or a wrong unit."""
+    changes: Changes = {f"the sign of {n} changed": {n: (-1.0, 0.0)} for n in names if n not in pose}
+    for name in (n for n in names if units[n] == "rad"):
         changes[f"{name} taken as degrees"] = {name: (RAD_PER_DEGREE, 0.0)}
         changes[f"{name} multiplied by 180/pi"] = {name: (1.0 / RAD_PER_DEGREE, 0.0)}
-    groups = [place, *([name] for name in known if name not in place)]
+    place = [name for name in pose if units[name] == "m"]
+    groups = [place, *([name] for name in names if name not in place)]
     for group in (group for group in groups if group and units[group[0]] != "rad"):
         for factor in UNIT_FACTORS:
             says = f"{' and '.join(group)} multiplied by {factor:g}"
             changes[says] = dict.fromkeys(group, (factor, 0.0))
-    found = [Mistake(says, partial(_change_channels, pose, change)) for says, change in changes.items()]
-    found += [Mistake(says, partial(_scale_amplitude, factor)) for says, factor in AMPLITUDES.items()]
-    joints = max((len(t.swim.joints) for t in trials if t.swim.joints is not None), default=0)
-    for k in range(joints):
-        found.append(Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, -1.0, [k])))
-    if joints:
-        found += [Mistake(says, partial(_joint, by, range(joints))) for says, by in JOINTS.items()]
-    swimmer = model.swimmer
-    columns = {} if swimmer is None else {name: law.column for name, law in swimmer.inputs.items()}
-    for name in dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units):
-        found.append(Mistake(f"the sign of {columns.get(name, name)} changed", partial(_reverse_input, name)))
-    if swimmer is not None and not swimmer.in_space:
-        found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
-    return found
+    return changes
 
 
 def _change_channels(
@@ -275,28 +297,36 @@ def search(
     refit : callable, optional
         Function that fits corrected trials. The most promising corrections are then judged by such a fit.
     """
-    alternatives = len(known) * (len(trials) + 1)
-    each = {t.id: t for t in trials if t.id in before}
     screened = []
     for mistake in known:
-        corrected = {name: one for name, t in each.items() if (one := _correct(mistake, t, before, simulate))}
-        gains = [gain for _, _, gain in corrected.values()]
-        screened.append((sum(max(gain, 0.0) for gain in gains), mistake, corrected))
+        each = {t.id: _correct(mistake, t, before, simulate) for t in trials if t.id in before}
+        corrected = {name: one for name, one in each.items() if one is not None}
+        screened.append((sum(max(gain, 0.0) for _, _, gain in corrected.values()), mistake, corrected))
     screened.sort(key=lambda one: -one[0])
+    explain = partial(_explain, trials=trials, alternatives=len(known) * (len(trials) + 1), before=before)
     found = []
     for _, mistake, corrected in screened[: None if refit is None else MAX_REFITS]:
         gained = tuple(name for name, (_, _, gain) in corrected.items() if gain > rivals.STRONG)
-        if refit is None:
-            after: TrialSeries = {name: corrected[name][1] for name in gained}
-            found.append(_explain(mistake, gained, trials, alternatives, before, after))
-            continue
-        for chosen in dict.fromkeys((gained, tuple(corrected)) if gained else ()):
-            fit = refit([corrected[t.id][0] if t.id in chosen else t for t in trials])
-            if fit is not None:
-                parts = zip(trials, fit.trials, strict=True)
-                after = {t.id: [s for s in fit.series if s.trial == changed.id] for t, changed in parts}
-                found.append(_explain(mistake, chosen, trials, alternatives, before, after))
-    return max((one for one in found if one is not None), key=lambda one: one.score, default=None)
+        after = {gained: {name: corrected[name][1] for name in gained}}
+        if refit is not None:
+            sets = dict.fromkeys((gained, tuple(corrected)) if gained else ())
+            after = {ids: _refit_series(refit, trials, corrected, ids) for ids in sets}
+        found += [explain(mistake, ids, after=series) for ids, series in after.items() if series]
+    return max(filter(None, found), key=lambda one: one.score, default=None)
+
+
+def _refit_series(
+    refit: Callable[[Sequence[Trial]], FitResult | None],
+    trials: Sequence[Trial],
+    corrected: Mapping[str, tuple[Trial, list[Series], float]],
+    ids: Collection[str],
+) -> dict[str, list[Series]]:
+    """Return the series of a fit with some trials corrected, by the id of the trial; empty if it fails."""
+    fit = refit([corrected[t.id][0] if t.id in ids else t for t in trials])
+    if fit is None:
+        return {}
+    parts = zip(trials, fit.trials, strict=True)
+    return {t.id: [s for s in fit.series if s.trial == changed.id] for t, changed in parts}
 
 
 def _correct(

@@ -583,27 +583,11 @@ class Acting:
             self._latest.pop(name, None)
 
 
-class Model:
-    """Interface of a model for fits, comparisons and diagnoses.
-
-    A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. It overrides
-    :meth:`simulate_hooked` instead of :meth:`simulate` if it supports other hooks than ``output`` and
-    ``clock``. Other members state properties that only some models have: the coordinate on a :attr:`rig`, the
-    links (:attr:`body`), the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
-
-    Effects act on a copy of the model (:meth:`with_effects`). :meth:`run` and :meth:`run_many` simulate
-    trials with all effects of the model.
+class RobotFacts:
+    """Facts about the robot of a model and about its drive. A model overrides those that apply to it.
 
     Attributes
     ----------
-    name : str
-        Name of the model in the parameter file.
-    parameters : tuple of Parameter
-        Parameters, in the order of the values that :meth:`run` takes. Those of the effects come last.
-    channels : tuple of Channel
-        Channels that the model simulates.
-    offers : frozenset of str
-        Names of the hooks (:class:`swimid.fitting.model.Hooks`) that :meth:`simulate_hooked` supports.
     force_unit : str
         Unit of the forces in the equation of motion: N, N m for an angle, m/s^2 for a force per mass.
     timed_runs : bool
@@ -618,34 +602,14 @@ class Model:
         Ending of the user's file of a simulator; empty if the model has no such file.
     fluid_density_kg_m3 : float or None
         Density of the fluid in the robot file; None if unknown.
-    acting : tuple of Acting
-        Effects that act on the model.
-
-    Examples
-    --------
-    >>> class Drifting(Model):
-    ...     name = "drifting"
-    ...     parameters = (Parameter("drift_m_s", "m/s", lower=-1.0, upper=1.0, start=0.0, scale=0.1),)
-    ...     channels = (Channel("x_m", "m", "way"),)
-    ...
-    ...     def simulate(self, values, trial):
-    ...         return {"x_m": values[0] * trial.time_s}
-    >>> run = Trial("run 1", "fit", time_s=np.array([0.0, 1.0, 2.0]), measured={})
-    >>> Drifting().run(np.array([0.25]), run)["x_m"].tolist()
-    [0.0, 0.25, 0.5]
     """
 
-    name: str
-    parameters: tuple[Parameter, ...]
-    channels: tuple[Channel, ...]
-    offers: frozenset[str] = frozenset({"output", "clock"})
     force_unit: str = "N"
     timed_runs: bool = False
     has_gaps: bool = False
     in_space: bool = False
     file_ending: str = ""
     fluid_density_kg_m3: float | None = None
-    acting: tuple[Acting, ...] = ()
 
     @property
     def rig(self) -> RigCoordinate | None:
@@ -654,7 +618,7 @@ class Model:
 
     @property
     def body(self) -> Any:
-        """Body of a planar robot with links (:class:`swimid.swimmer.planar.model.Body`); None otherwise."""
+        """Links of a planar robot (:class:`swimid.swimmer.planar.model.PlanarBody`); None otherwise."""
         return None
 
     @property
@@ -674,10 +638,6 @@ class Model:
         """World axes along which the body can travel."""
         return ("x",)
 
-    def scales(self, trials: Sequence[Trial]) -> Scales:
-        """Return the typical scales of speed, force and other quantities in the given trials."""
-        return Scales(self, trials)
-
     def origin(self, trial: Trial) -> dict[str, float]:
         """Return the initial position in a trial, by channel. Channels that it does not name start at 0."""
         return {}
@@ -685,8 +645,6 @@ class Model:
     def get_file_values(self) -> dict[str, float]:
         """Return the parameter values of the robot file, if a fit may start from other values."""
         return {}
-
-    # -------------------------------------------------------- drive
 
     def is_commanded(self, trial: Trial) -> bool:
         """Return whether the input of a trial is a command, and not the measured output of the actuators."""
@@ -709,6 +667,55 @@ class Model:
     def list_input_channels(self, trial: Trial) -> list[str]:
         """Return the measured channels of a trial that are inputs of the model, which it does not predict."""
         return []
+
+
+class Model(RobotFacts):
+    """Interface of a model for fits, comparisons and diagnoses.
+
+    A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. It overrides
+    :meth:`simulate_hooked` instead of :meth:`simulate` if it supports other hooks than ``output`` and
+    ``clock``. Other members state properties that only some models have: the coordinate on a :attr:`rig`, the
+    links (:attr:`body`), the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
+
+    Effects act on a copy of the model (:meth:`with_effects`). :meth:`run` and :meth:`run_many` simulate
+    trials with all effects of the model.
+
+    Attributes
+    ----------
+    name : str
+        Name of the model in the parameter file.
+    parameters : tuple of Parameter
+        Parameters, in the order of the values that :meth:`run` takes. Those of the effects come last.
+    channels : tuple of Channel
+        Channels that the model simulates.
+    offers : frozenset of str
+        Names of the hooks (:class:`swimid.fitting.model.Hooks`) that :meth:`simulate_hooked` supports.
+    acting : tuple of Acting
+        Effects that act on the model.
+
+    Examples
+    --------
+    >>> class Drifting(Model):
+    ...     name = "drifting"
+    ...     parameters = (Parameter("drift_m_s", "m/s", lower=-1.0, upper=1.0, start=0.0, scale=0.1),)
+    ...     channels = (Channel("x_m", "m", "way"),)
+    ...
+    ...     def simulate(self, values, trial):
+    ...         return {"x_m": values[0] * trial.time_s}
+    >>> run = Trial("run 1", "fit", time_s=np.array([0.0, 1.0, 2.0]), measured={})
+    >>> Drifting().run(np.array([0.25]), run)["x_m"].tolist()
+    [0.0, 0.25, 0.5]
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    channels: tuple[Channel, ...]
+    offers: frozenset[str] = frozenset({"output", "clock"})
+    acting: tuple[Acting, ...] = ()
+
+    def scales(self, trials: Sequence[Trial]) -> Scales:
+        """Return the typical scales of speed, force and other quantities in the given trials."""
+        return Scales(self, trials)
 
     # -------------------------------------------------------- effects
 

@@ -210,9 +210,8 @@ def fit_output_error(
         Parameters of the model with the choices of the user (:func:`swimid.fitting.model.choose_parameters`).
         The default is the parameters of the model.
     jobs : int, optional
-        Number of threads for long simulations. The default is the number of processors. The result does not
-        depend on the number of threads. With several threads, ``model.simulate`` must be safe to call from
-        several threads at once.
+        Number of threads for long simulations, on which the result does not depend. The default is the number
+        of processors. ``model.simulate`` must be safe to call from several threads at once.
     begin : ndarray, shape (p,), optional
         Starting point of the search, one value for each label of the result. The default is the start values
         of the parameters.
@@ -220,8 +219,8 @@ def fit_output_error(
         Whether to compare the estimates with points and short searches around them, and to search again from
         a better point (:func:`search_around`).
     max_iterations : int, optional
-        Number of iterations after which a search returns a result that is marked as not converged. By default
-        a search that does not converge within :data:`MAX_ITERATIONS` raises an error.
+        Number of iterations after which a result is returned that is marked as not converged. By default a
+        search that does not converge within :data:`MAX_ITERATIONS` raises an error.
 
     Returns
     -------
@@ -238,15 +237,8 @@ def fit_output_error(
     Notes
     -----
     The method is weighted nonlinear least squares by a bounded Levenberg-Marquardt search. The weights follow
-    from the estimated noise, and the search is repeated until the weights converge. The search
-    ends when five successive steps together have two properties. They lower the squared residuals by less
-    than one parameter that is fitted to noise alone does (:attr:`Sandwich.gain`). They move each shared
-    estimate by less than :data:`NEGLIGIBLE_MOVE` standard errors.
-
-    The covariance is ``H^-1 M H^-1`` with ``H = J'J`` and ``M = sum_trials J_k' R J_k``. R is the correlation
-    matrix of the weighted residuals under an autoregression whose order the BIC selects. If trials disagree,
-    the covariance is enlarged to include their differences. A parameter counts as free in the covariance if
-    noise alone can explain that it is at its bound.
+    from the estimated noise, and the search is repeated until they converge. :meth:`NoiseSearch.run` ends at
+    changes below the noise, and :func:`_make_result` has the covariance.
     """
     threads, budget = jobs or os.cpu_count() or 1, max_iterations or MAX_ITERATIONS
     chosen = tuple(parameters or model.parameters)
@@ -457,7 +449,7 @@ class NoiseSearch:
                 f"{MIN_DECREASE:.0e} of their sum",
             )
         self._estimate_noise()
-        result = _result(self)
+        result = _make_result(self)
         reason = None
         if not self.interrupted:
             reason = _explain_unfinished(self, result)
@@ -528,7 +520,12 @@ class NoiseSearch:
         return bool(self.levels)
 
     def _noise_limits(self) -> Patience:
-        """Return the rule that ends a search when its steps change less than noise does."""
+        """Return the rule that ends a search when its steps change less than noise does.
+
+        Five successive steps together lower the squared residuals by less than one parameter that is fitted
+        to noise alone (:attr:`Sandwich.gain`), and move each shared estimate by less than
+        :data:`NEGLIGIBLE_MOVE` standard errors.
+        """
         problem, theta = self.problem, self.theta
         self._insist_unbroken()
         residuals, rows = _linearise(problem, theta)
@@ -570,11 +567,7 @@ def _explain_unfinished(search: NoiseSearch, result: FitResult) -> str | None:
     if search.converged and search.message != STALLED:
         return None
     lowered, moved = search.patience.last(STRIDE)
-    moves = {"": 0.0}
-    for label, move in zip(result.labels, moved, strict=False):
-        error = result.stderr(label)
-        if "[" not in label and result.status[label] == "estimated" and error:
-            moves[label] = abs(float(move)) / error
+    moves = {"": 0.0} | _scale_moves(result, moved)
     worst = max(moves, key=lambda label: moves[label])
     still = moves[worst] > STRIDE * NEGLIGIBLE_MOVE
     if search.converged and not still:
@@ -591,6 +584,16 @@ def _explain_unfinished(search: NoiseSearch, result: FitResult) -> str | None:
     if bound:
         said += f"; {', '.join(bound)} at a bound"
     return said
+
+
+def _scale_moves(result: FitResult, moved: Array) -> dict[str, float]:
+    """Return the moves of the estimated shared parameters, in standard errors."""
+    moves = {}
+    for label, move in zip(result.labels, moved, strict=False):
+        error = result.stderr(label)
+        if "[" not in label and result.status[label] == "estimated" and error:
+            moves[label] = abs(float(move)) / error
+    return moves
 
 
 def _linearise(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], Blocks]:
@@ -660,8 +663,13 @@ def _judge(
     return covariance, dict(zip(problem.labels, status.tolist(), strict=True))
 
 
-def _result(search: NoiseSearch) -> FitResult:
-    """Return the result of a fit from the end of a search: estimates, covariance and status."""
+def _make_result(search: NoiseSearch) -> FitResult:
+    """Return the result of a fit from the end of a search: estimates, covariance and status.
+
+    The covariance is ``H^-1 M H^-1`` with ``H = J'J`` and ``M = sum_trials J_k' R J_k``. R is the correlation
+    matrix of the weighted residuals under an autoregression whose order the BIC selects. A parameter counts
+    as free in the covariance if noise alone can explain that it is at its bound.
+    """
     problem, theta, samples = search.problem, search.theta, search.samples
     residuals, rows = _linearise(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = uncertainty.autoregressions(problem, residuals)
@@ -839,16 +847,27 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
         ends += found + _search_briefly(problem, lowest, LONG_ITERATIONS, tolerance)
     else:
         for start in starts:
-            step_only = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
-            cost = step_only.cost if np.isfinite(step_only.cost) else np.inf
-            ends.append((cost, step_only.x))
-            before, after = (float(np.linalg.norm(rows.along(p - theta))) for p in (start, step_only.x))
-            # A parameter without slope does not move: both distances are 0.
-            if cost >= here - material and after >= 0.5 * before:
-                ends += _search_briefly(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
+            ends += _search_smooth(problem, theta, rows, start, here - material, tolerance)
     lower = [end for end in ends if end[0] < here - material]
     _, point = min(lower, key=lambda end: end[0], default=(here, None))
     return Surroundings(point, problem.evaluations, rough)
+
+
+def _search_smooth(
+    problem: Problem, theta: Array, rows: Blocks, start: Array, limit: float, tolerance: float
+) -> list[tuple[float, Array]]:
+    """Return costs and end points of a step with given derivatives, and of a short search if it is needed.
+
+    The search is needed if the cost is not below the limit, and if the step leads less than half of the way
+    back to ``theta``.
+    """
+    solution = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
+    cost = solution.cost if np.isfinite(solution.cost) else np.inf
+    before, after = (float(np.linalg.norm(rows.along(p - theta))) for p in (start, solution.x))
+    # A parameter without slope does not move: both distances are 0.
+    if cost < limit or after < 0.5 * before:
+        return [(cost, solution.x)]
+    return [(cost, solution.x), *_search_briefly(problem, [solution.x], SHORT_ITERATIONS, tolerance)]
 
 
 def rebuild_problem(result: FitResult, *, jobs: int = 1) -> Problem:

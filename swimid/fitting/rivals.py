@@ -111,16 +111,8 @@ def refit(stated: FitResult, rival: Rival, **settings: Any) -> FitResult | None:
     that only the rival estimates has several start values. The ``settings`` are those of
     :func:`swimid.fitting.output_error.fit_output_error`.
     """
-    known = {}
-    if all(any(trial is other for other in stated.trials) for trial in rival.trials):
-        known = {label: stated.value(label) for label in stated.common_labels}
-    freed = [p for p in rival.parameters if p.name == rival.name and p.free and p.name not in known]
-    starts: list[dict[str, float]] = [known]
-    for p in freed:
-        values = [p.start + step * p.scale for step in FREED_STARTS]
-        starts = [known | {p.name: value} for value in values if p.lower <= value <= p.upper]
     fits = []
-    for start in starts:
+    for start in _list_starts(stated, rival):
         begun = [replace(p, start=start.get(p.name, p.start)) if p.free else p for p in rival.parameters]
         # Ignore a search that fails, because a search from another start value may succeed.
         with suppress(NoTrustworthyResult), record_warnings():
@@ -132,6 +124,18 @@ def refit(stated: FitResult, rival: Rival, **settings: Any) -> FitResult | None:
     if not fits:
         return None
     return replace(min(fits, key=lambda fit: fit.cost), parameters=rival.parameters)
+
+
+def _list_starts(stated: FitResult, rival: Rival) -> list[dict[str, float]]:
+    """Return the start values of parameters from which a rival is fitted."""
+    known = {}
+    if all(any(trial is other for other in stated.trials) for trial in rival.trials):
+        known = {label: stated.value(label) for label in stated.common_labels}
+    freed = [p for p in rival.parameters if p.name == rival.name and p.free and p.name not in known]
+    if not freed:
+        return [known]
+    values = [freed[0].start + step * freed[0].scale for step in FREED_STARTS]
+    return [known | {rival.name: v} for v in values if freed[0].lower <= v <= freed[0].upper]
 
 
 def compute_deviance(stated: FitResult, fits: Sequence[FitResult]) -> float:

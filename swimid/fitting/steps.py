@@ -77,23 +77,21 @@ def choose_step(
     """
     noise = noise or [{}] * len(runs)
     changes: list[dict[str, float]] = [{} for _ in runs]
-    levels, models = [0] * len(runs), [model]
-    rest = list(range(len(runs)))
-    rough: list[dict[str, Array]] = []
+    levels, models, rest = [0] * len(runs), [model], list(range(len(runs)))
+    rough = model.run_many(runs) if model.refine() is not None else []
     while rest and (finer := models[-1].refine()) is not None:
-        rough = rough or model.run_many(runs)
         fine = finer.run_many([runs[k] for k in rest])
         for k, one, other in zip(rest, rough, fine, strict=True):
             changes[k] = _changes(runs[k][1], one, other, noise[k])
-        left = [j for j, k in enumerate(rest) if _largest(changes[k]) > 1.0]
-        rest, rough = [rest[j] for j in left], [fine[j] for j in left]
+        left = [(k, other) for k, other in zip(rest, fine, strict=True) if _largest(changes[k]) > 1.0]
+        rest, rough = [k for k, _ in left], [other for _, other in left]
         if len(models) > halvings:
             break
         models.append(finer)
         for k in rest:
             levels[k] += 1
-    broken = [math.inf in one.values() for one in changes]
-    chosen = max((level for level, lost in zip(levels, broken, strict=True) if not lost), default=0)
+    sound = [level for level, one in zip(levels, changes, strict=True) if math.inf not in one.values()]
+    chosen = max(sound, default=0)
     return StepChoice(models[chosen], changes, chosen)
 
 

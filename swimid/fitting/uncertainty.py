@@ -772,12 +772,15 @@ def sentences(result: FitResult) -> list[str]:
             if len(named) < len(group):
                 named.append(f"{len(group) - len(named)} parameters of single trials")
         said.append(f"{numbers.join_names(named)} cannot be separated by these trials{rest}")
-    alone = [label for label in unidentifiable(result) if label not in grouped]
-    own = [label.partition("[") for label in alone if "[" in label]
-    for name in dict.fromkeys(name for name, _, _ in own):
-        trials = [trial.rstrip("]") for other, _, trial in own if other == name]
-        said.append(f"{name} is not identifiable in {', '.join(trials)}")
-    return said + [f"{label} is not identifiable from these trials" for label in alone if "[" not in label]
+    trials: dict[str, list[str]] = {}
+    for label in (label for label in unidentifiable(result) if label not in grouped):
+        name, _, trial = label.partition("[")
+        trials.setdefault(name, []).append(trial.rstrip("]"))
+    # Sentences on parameters of single trials come first.
+    for name, places in sorted(trials.items(), key=lambda item: item[1] == [""]):
+        where = "from these trials" if places == [""] else f"in {', '.join(places)}"
+        said.append(f"{name} is not identifiable {where}")
+    return said
 
 
 def _sizes(result: FitResult) -> Array:

@@ -27,6 +27,7 @@ from swimid.points.linkage import Array, Complex, Flags, Linkage
 from swimid.points.scale import Camera, Positive, Scale
 from swimid.robots import file as robot_format
 from swimid.robots import planar
+from swimid.robots.quantities import Polynomial
 
 FORMAT: Literal["swimid-points/1"] = "swimid-points/1"
 
@@ -114,7 +115,7 @@ class View:
 # ---------------------------------------------------------------- linkage of a robot
 
 
-def linkage_of(body: planar.Multilink, points: Mapping[str, planar.TrackedPoint], where: str) -> Linkage:
+def linkage_of(body: planar.MultilinkRobot, points: Mapping[str, planar.TrackedPoint], where: str) -> Linkage:
     """Return the linkage of a robot in a plane with tracked points.
 
     Links on rigid joints become a part of their parent. The coefficients have the values of the file.
@@ -136,8 +137,8 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.TrackedPoint]
     columns = {joint.name: f"joint{k}_rad" for k, joint in enumerate(moving, 1)}
 
     def value(quantity: float | str) -> float:
-        number, names = planar.factors(quantity)
-        return number * math.prod(body.coefficients[name].value for name in names)
+        values = {name: coefficient.value for name, coefficient in body.coefficients.items()}
+        return Polynomial.of(quantity).at(values)
 
     #: Index of the moving link of each link, its direction and its front end in the axes of that link.
     frames: dict[str, tuple[int, complex, complex]] = {body.links[0].name: (0, 1 + 0j, 0j)}
@@ -204,7 +205,7 @@ class Request:
             found.append(robot_format.locate(self.robot))
         return found
 
-    def read(self) -> tuple[PointsFile, planar.Multilink | None, str, str]:
+    def read(self) -> tuple[PointsFile, planar.MultilinkRobot | None, str, str]:
         """Return the points file, links and name of the robot, and the file that places the points.
 
         Raises

@@ -339,7 +339,7 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
 
 def _linkage(
     film: Film,
-    body: planar.Multilink | None,
+    body: planar.MultilinkRobot | None,
     names: list[str],
     placed: Mapping[str, planar.TrackedPoint],
     where: str,

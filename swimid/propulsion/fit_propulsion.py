@@ -58,6 +58,9 @@ Made = tuple[ParameterFile, list[ev.Check], dict[str, Any]]
 #: Exponent of the beat amplitude in the power law of thrust in straight swimming.
 AMPLITUDE_EXPONENT = 2.0
 
+#: Sentence on average and terminal speeds for the methods section of a report.
+CONVERSION = "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25."
+
 
 @takes(FitPropulsionOptions)
 def fit_propulsion(
@@ -101,13 +104,6 @@ def fit_propulsion(
         If a file or an option is wrong.
     NoTrustworthyResult
         If no parameter can be identified.
-
-    References
-    ----------
-    .. [1] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
-       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
-       Eqs 3 to 6 and 25 to 27: the recoil law; Eq 28: the Strouhal number; Tables 3 and 4: amplitude offset
-       and efficiency.
 
     Examples
     --------
@@ -168,31 +164,15 @@ def _fit_surge(
     if len(amplitudes) < 2:
         laws = {}
     derived, exponent_checks = _free_exponents(model, experiment.trials, choices, laws, "thrust")
-    reference = model.reference_amplitude_rad
-    thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
-    at_one = thrust / reference**exponent
-    spread = math.hypot(
-        (result.stderr("thrust_acceleration") or 0.0) / thrust,
-        (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
-    )
-    derived["thrust_coefficient"] = _make_estimate(at_one, at_one * spread, "m/s^2")
-    if spread >= UNIDENTIFIABLE:
-        derived["thrust_coefficient"].status = "unidentifiable"
-    beats = experiment.facts["beats"]
-    measured = [b for b in beats.values() if b["found_hz"] is not None]
-    if measured:
-        values = [float(b["found_hz"]) for b in measured]
-        scatter = float(np.std(values) / math.sqrt(len(values)))
-        error = max(scatter, min(float(b["stderr_hz"]) for b in measured))
-        derived["beat_frequency"] = _make_estimate(float(np.median(values)), error, "Hz")
+    derived |= _derive_surge(model, result, experiment.facts["beats"])
     settings = {
-        "reference_amplitude_rad": reference,
+        "reference_amplitude_rad": model.reference_amplitude_rad,
         "reference_frequency_hz": model.reference_frequency_hz,
         **experiment.facts,
     }
     robot = experiment.robot.name
     file = fit_common.parameter_file(result, robot=robot, provenance={}, derived=derived, settings=settings)
-    checks = [*fit_common.checks(result), fit_common.beat_check(beats), *exponent_checks]
+    checks = [*fit_common.checks(result), fit_common.beat_check(experiment.facts["beats"]), *exponent_checks]
     state = "estimated"
     if not any(label.startswith("initial_speed[") for label in result.labels):
         state = "held"
@@ -203,6 +183,29 @@ def _fit_surge(
     ]
     title, figures = f"Propulsion of {robot}: beat-averaged surge", fit_common.figures(result)
     return file, checks, {"title": title, "figures": figures, "methods": methods}
+
+
+def _derive_surge(
+    model: SurgeModel, result: FitResult, beats: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Estimate]:
+    """Return the thrust coefficient at an amplitude of 1 rad, and the frequency of the beats."""
+    reference = model.reference_amplitude_rad
+    thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
+    at_one = thrust / reference**exponent
+    spread = math.hypot(
+        (result.stderr("thrust_acceleration") or 0.0) / thrust,
+        (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
+    )
+    derived = {"thrust_coefficient": _make_estimate(at_one, at_one * spread, "m/s^2")}
+    if spread >= UNIDENTIFIABLE:
+        derived["thrust_coefficient"].status = "unidentifiable"
+    measured = [b for b in beats.values() if b["found_hz"] is not None]
+    if measured:
+        values = [float(b["found_hz"]) for b in measured]
+        scatter = float(np.std(values) / math.sqrt(len(values)))
+        error = max(scatter, min(float(b["stderr_hz"]) for b in measured))
+        derived["beat_frequency"] = _make_estimate(float(np.median(values)), error, "Hz")
+    return derived
 
 
 def _make_estimate(value: float, stderr: float, unit: str) -> Estimate:
@@ -267,18 +270,17 @@ def _fit_recoil_law(
     assert file.fit.model_extra is not None
     file.fit.model_extra.update(departures=departures, operating_points=points)
     departed = _departure_check(departures, everything)
-    methods = [
+    said = (
         "Recoil efficiency and amplitude offset were estimated from the average speeds of "
         f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
         "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
-        "falling-weight rig and their uncertainty carried along.",
-        "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
-    ]
+        "falling-weight rig and their uncertainty carried along."
+    )
     shown = {
         "title": f"Propulsion of {experiment.robot.name}: energy recoil law",
         "tables": [_run_table(points)],
         "figures": [_speed_figure(experiment, result, points, left_out), _residual_figure(result)],
-        "methods": methods,
+        "methods": [said, CONVERSION],
     }
     checks = [*fit_common.checks(result, held_out=False), _predict_fins(model, result, kept, choices)]
     return file, [*checks, departed, *exponent_checks], shown
@@ -300,7 +302,7 @@ def _predict_fins(
     fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
     error, usual = (100 * ev.compute_rms(*parts) if parts else math.nan for parts in (errors, fitted))
     limit = fit_common.VALIDATION_RATIO * usual
-    reason = f"the speeds of a fin that was not fitted are predicted with an error of {error:.2g} %"
+    reason = f"the error on fins that were not fitted is {error:.2g} %, and at most {limit:.2g} % is allowed"
     if not errors:
         reason = "no fin can be held out: two fins with known inertia are needed"
     text = "root-mean-square error of the speeds of each fin, predicted by a fit to the others"
@@ -389,7 +391,7 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
     fitted = "; ".join(values)
     limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
     text = f"left out of the fit; with these frequencies {fitted}" * bool(departures)
-    reason = f"runs depart from the law at {off}, and are left out"
+    reason = f"the law does not hold for the runs at {off}, which are left out"
     name = "every frequency follows the law"
     return ev.make_check(name, off or "all", not departures, limit, text, reason=reason)
 
@@ -559,26 +561,18 @@ def _speed_figure(
     settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
     frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
     swept = frequencies[counts > 2][:1].tolist()
-    over_frequency, over_amplitude = [], []
     common = [p for p in points if abs(p["amplitude_deg"] - amplitude) < 1e-6]
-    kept = [p for p in common if p["frequency_hz"] not in left_out]
-    apart = [{**p, "fin": "not fitted"} for p in common if p not in kept]
+    over_frequency = _frequency_traces(experiment, result, common, amplitude, left_out)
+    title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
+    speeds = [ev.panel("frequency (Hz)", y_label, over_frequency, title=title)]
+    over_amplitude = []
     for group, trial in enumerate(experiment.trials):
-        reach = [p["frequency_hz"] for p in common if p["fin"] == trial.id]
-        over_frequency += _points(kept, trial.id, "frequency_hz", 1.0, group)
-        if reach:
-            line = np.linspace(0.0, max(reach), 60)[1:]
-            law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
-            over_frequency.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
         runs = [p for p in points if p["fin"] == trial.id and p["frequency_hz"] in swept]
         if runs:
             line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 400)[1:]
             law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
             over_amplitude += _points(runs, trial.id, "amplitude_deg", 1.5, group)
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
-    over_frequency += _points(apart, "not fitted", "frequency_hz", 1.0, len(experiment.trials))
-    title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
-    speeds = [ev.panel("frequency (Hz)", y_label, over_frequency, title=title)]
     if over_amplitude:
         title, y_label = f"at {swept[0]:g} Hz", "speed¹·⁵ ((cm/s)¹·⁵)"
         speeds.append(ev.panel("amplitude (°)", y_label, over_amplitude, title=title))
@@ -587,6 +581,27 @@ def _speed_figure(
         "the offset as intercept over amplitude. Runs that depart from the law are not fitted."
     )
     return ev.panels("speeds", "Average speed", about, speeds)
+
+
+def _frequency_traces(
+    experiment: Experiment,
+    result: FitResult,
+    points: Sequence[dict[str, Any]],
+    amplitude: float,
+    left_out: Sequence[float],
+) -> list[ev.Trace]:
+    """Return measured speeds over frequency at one amplitude, and the lines of the fitted law."""
+    traces: list[ev.Trace] = []
+    kept = [p for p in points if p["frequency_hz"] not in left_out]
+    for group, trial in enumerate(experiment.trials):
+        reach = [p["frequency_hz"] for p in points if p["fin"] == trial.id]
+        traces += _points(kept, trial.id, "frequency_hz", 1.0, group)
+        if reach:
+            line = np.linspace(0.0, max(reach), 60)[1:]
+            law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
+            traces.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
+    rest = [{**p, "fin": "not fitted"} for p in points if p not in kept]
+    return traces + _points(rest, "not fitted", "frequency_hz", 1.0, len(experiment.trials))
 
 
 def _residual_figure(result: FitResult) -> ev.Figure:

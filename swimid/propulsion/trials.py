@@ -208,7 +208,15 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     missing = int(np.isnan(speeds).sum())
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
-    typical = np.nanmedian(speeds)
+    _warn_units(path, speed, float(np.nanmedian(speeds)), columns)
+    fins = [cells["fin"] for _, cells in rows]
+    frequency, amplitude, distance = (columns[name] for name in NUMBERS)
+    return CruiseTable(path, held or path, fins, frequency, amplitude, distance, speeds)
+
+
+def _warn_units(path: Path, speed: str, typical: float, columns: Mapping[str, Array]) -> None:
+    """Warn of a column whose values look like those of another unit."""
+    distance = columns["distance_m"]
     doubts = [
         (speed, typical > 20, f"speeds of {typical:.3g} m/s; is it mm/s (a factor of 1000)?"),
         ("distance_m", np.max(distance) > 50, "looks like centimetres or millimetres"),
@@ -217,9 +225,6 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     for column, doubtful, words in doubts:
         if doubtful:
             warn("SWM002", f"{path.name}, '{column}': {words}")
-    fins = [cells["fin"] for _, cells in rows]
-    frequency, amplitude, distance = (columns[name] for name in NUMBERS)
-    return CruiseTable(path, held or path, fins, frequency, amplitude, distance, speeds)
 
 
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:

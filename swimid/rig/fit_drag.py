@@ -35,7 +35,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error, rivals
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Parameter, Trial, choose_parameters
+from swimid.fitting.model import Array, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.rivals import Judged, Rival
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
@@ -123,14 +123,6 @@ def fit_drag(
     NoTrustworthyResult
         If no parameter can be identified.
 
-    References
-    ----------
-    .. [1] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
-       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
-       Eqs 7 and 8: the equation of motion; Eqs 9 and 10: its closed form; Eqs 13 to 19: the two-point method.
-    .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
-       Output error.
-
     Examples
     --------
     A weight over a pulley pulls the boxfish through the tank in seven drops:
@@ -150,12 +142,7 @@ def fit_drag(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
         result, facts, checks = _fit_best(experiment, choices, options.start_state, progress)
-        pair = None
-        try:
-            pair = two_point(experiment.trials, experiment.robot, options.points_m)
-        except NoTrustworthyResult:
-            if options.method == "two-point":
-                raise
+        pair = _try_two_point(experiment, options)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         file = fit_common.parameter_file(
             result,
@@ -165,19 +152,14 @@ def fit_drag(
             settings=facts,
         )
         checks = [
-            *fit_common.checks(result),
-            *fit_common.error_checks(result),
+            *fit_common.assess(result),
             *possible_checks(experiment, result),
             *checks,
         ]
     hint = "use longer runs, more different forces, or fix what is known with --fix"
     fit_common.insist_identified(result, hint)
-    count = sum(t.role == "fit" for t in result.trials)
-    said = (
-        f"{', '.join(result.common_labels)} were estimated from {count} {experiment.name} trials "
-        f"({result.samples} samples) by output-error maximum likelihood with a single-degree-of-freedom rig "
-        "model."
-    )
+    law = "a single-degree-of-freedom rig model"
+    said = fit_common.describe_method(result, f"{experiment.name} trials", law)
     shown: dict[str, Any] = {
         "title": f"Rig identification of {experiment.robot.name}: {experiment.name}",
         "tables": [_methods_table(experiment, result, pair)],
@@ -196,6 +178,16 @@ def fit_drag(
     return fit_common.finish("fit-drag", file, checks, notices, output, **shown)
 
 
+def _try_two_point(experiment: Experiment, options: FitDragOptions) -> TwoPointResult | None:
+    """Return the result of the two-point method; None if it has none and the user did not ask for it."""
+    try:
+        return two_point(experiment.trials, experiment.robot, options.points_m)
+    except NoTrustworthyResult:
+        if options.method == "two-point":
+            raise
+        return None
+
+
 # ------------------------------------------------------------ maximum likelihood
 
 
@@ -210,23 +202,14 @@ def _fit_best(
     if start_state == "estimate":
         choices = choose_parameters(choices, freed=("start_offset", "initial_speed"))
     known = {p.name: p.start for p in choices if not p.free}
-    adapted = []
-    for p in choices:
-        if p.name == "gravity_stiffness" and p.free and known.get("stiffness") == 0.0:
-            # Without a spring, start the search at the gravity stiffness that follows from the period of the
-            # decay. This value is the typical scale of the parameter.
-            p = replace(p, start=p.scale)
-        adapted.append(p)
-    readings = experiment.variants or {"": experiment.trials}
-    fits = {
-        name: output_error.fit_output_error(experiment.model, trials, parameters=adapted, progress=progress)
-        for name, trials in readings.items()
-    }
-    name = first = next(iter(fits))
-    if len(fits) > 1:
-        name = min(fits, key=lambda key: rivals.compute_deviance(fits[first], [fits[key]]))
+    if known.get("stiffness") == 0.0:
+        # Without a spring, start the search at the gravity stiffness that follows from the period of the
+        # decay. This value is the typical scale of the parameter.
+        swings = ("gravity_stiffness",)
+        choices = tuple(replace(p, start=p.scale) if p.name in swings and p.free else p for p in choices)
+    name, plain = _fit_readings(experiment, choices, progress)
     facts = {"encoder_rounding": name} if name else {}
-    plain = best = fits[name]
+    best = plain
     starts: tuple[str, ...] = ()
     if experiment.name == "falling-weight" and start_state == "auto" and known.keys() >= STARTS.keys():
         starts, facts["start_state"] = tuple(STARTS), "rest"
@@ -242,6 +225,20 @@ def _fit_best(
     if experiment.name == "towed":
         checks.append(sign_check(best))
     return result, facts, checks + trial_checks(best, result, judged)
+
+
+def _fit_readings(
+    experiment: Experiment, choices: tuple[Parameter, ...], progress: Progress
+) -> tuple[str, FitResult]:
+    """Return the rounding of encoder counts that explains the trials best, and its fit."""
+    fits = {
+        name: output_error.fit_output_error(experiment.model, trials, parameters=choices, progress=progress)
+        for name, trials in (experiment.variants or {"": experiment.trials}).items()
+    }
+    name = first = next(iter(fits))
+    if len(fits) > 1:
+        name = min(fits, key=lambda key: rivals.compute_deviance(fits[first], [fits[key]]))
+    return name, fits[name]
 
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
@@ -309,12 +306,10 @@ def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
     default does not.
     """
     alike = next((names for names in SIMILAR_PARAMETERS if held.name in names), ())
-    others = [
-        p for p in stated.parameters if p.name in alike and p is not held and (p.free or p.start != 0.0)
-    ]
-    by_default = any(p.name == held.name and not p.free for p in stated.model.parameters)
-    bounded = not all(p.lower <= 0.0 <= p.upper for p in others)
-    if not others or not by_default or held.start != 0.0 or bounded:
+    acting = [p for p in stated.parameters if p.free or p.start != 0.0]
+    others = [p for p in acting if p.name in alike and p is not held]
+    can_vanish = all(p.lower <= 0.0 <= p.upper for p in others)
+    if not others or not can_vanish or held.start != 0.0 or not is_held_by_default(stated.model, held.name):
         return None
     fixed = dict.fromkeys([p.name for p in others], 0.0)
     parameters = choose_parameters(stated.parameters, fixed=fixed, freed=(held.name,))
@@ -322,6 +317,11 @@ def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
         whole = {held.name: sum(p.start for p in others)}
         parameters = choose_parameters(stated.parameters, fixed=fixed | whole)
     return Rival(held.name, parameters, stated.trials, tuple(fixed))
+
+
+def is_held_by_default(model: Model, name: str) -> bool:
+    """Return whether a model holds a parameter unless the user frees it."""
+    return any(p.name == name and not p.free for p in model.parameters)
 
 
 def find_omitted(stated: FitResult, judged: Sequence[Judged]) -> list[Judged]:
@@ -425,7 +425,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
         f"{_format_estimate(stated, one)} becomes {_format_estimate(best.fit, one)}"
         for one in stated.common_labels
     ]
-    reason = f"the trials speak for {_describe(best)}"
+    reason = f"the fit lacks {_describe(best)}"
     if explains_differences(stated, best.fit):
         reason += ", which explains why the trials differ"
     elif not find_material(stated, best.fit):
@@ -613,24 +613,15 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
     if not math.isfinite(centre):
         return None
     estimate = Estimate(value=centre, unit=unit, status="fixed")
-    gradient, unknown, bound = np.zeros(len(result.labels)), False, False
-    for j, label in enumerate(result.labels):
-        parameter, error, status = result.parameter(label), result.stderr(label), result.status[label]
-        if label not in (parameter.name, f"{parameter.name}[{trial.id}]"):
-            continue
-        k = result.model.index(parameter.name)
-        moved, step = values.copy(), DELTA_STEP * (error or parameter.scale)
-        moved[k] += step
-        if moved[k] > parameter.upper:
-            moved[k] = values[k] - step
-        gradient[j] = (at(moved) - centre) / (moved[k] - values[k])
-        if gradient[j] == 0:
-            continue
-        bound |= status == "at-bound"
+    gradient = _differentiate(result, trial, at)
+    unknown, bound = False, False
+    for label in (result.labels[j] for j in np.flatnonzero(gradient)):
+        parameter, held = result.parameter(label), result.status[label] == "at-bound"
+        bound |= held
         # Compute the standard error of the derived quantity without that of a parameter at its lower bound 0.
         # The standard errors of the other parameters include the effect of its uncertainty.
-        vanishes = status == "at-bound" and parameter.lower == 0.0 >= values[k]
-        unknown |= error is None and not vanishes
+        vanishes = held and parameter.lower == 0.0 >= values[result.model.index(parameter.name)]
+        unknown |= result.stderr(label) is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
     variance = float(gradient[known] @ result.covariance[np.ix_(known, known)] @ gradient[known])
     if unknown or not (math.isfinite(variance) and variance >= 0):
@@ -642,6 +633,22 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
     elif unit != "1" and (estimate.stderr or 0.0) > UNIDENTIFIABLE * abs(centre):
         estimate.status = "unidentifiable"
     return estimate
+
+
+def _differentiate(result: FitResult, trial: Trial, function: Callable[[Array], float]) -> Array:
+    """Return the derivatives of a function of a trial's values with respect to the unknowns, shape (p,)."""
+    values, gradient = result.values(trial.id), np.zeros(len(result.labels))
+    for j, label in enumerate(result.labels):
+        parameter = result.parameter(label)
+        if label not in (parameter.name, f"{parameter.name}[{trial.id}]"):
+            continue
+        k = result.model.index(parameter.name)
+        moved, step = values.copy(), DELTA_STEP * (result.stderr(label) or parameter.scale)
+        moved[k] += step
+        if moved[k] > parameter.upper:
+            moved[k] = values[k] - step
+        gradient[j] = (function(moved) - function(values)) / (moved[k] - values[k])
+    return gradient
 
 
 def _rate(c: Mapping[str, float]) -> float:
@@ -735,8 +742,12 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
         if displaced > 0:
             basis = "a body of its mass" + " and size" * bool(area)
             yield "added_mass", max_added_mass(displaced, area or None, density), basis, inputs
-    if "drag_coefficient" not in known:
-        return
+    if "drag_coefficient" in known:
+        yield from _limit_drag(result, areas, density)
+
+
+def _limit_drag(result: FitResult, areas: Sequence[float], density: float) -> Iterator[Limit]:
+    """Yield the physical limit of the drag coefficient at the largest Reynolds number, if it is known."""
     sized = [(t, a) for t, a in zip(result.trials, areas, strict=True) if t.role == "fit" and a]
     speeds = [result.model.run(result.values(t.id), t)["u_m_s"] for t, _ in sized]
     tops = [float(np.nanmax(np.abs(u), initial=0.0)) for u in speeds]
@@ -1071,21 +1082,7 @@ def two_point(
     measured, measured_sd = speeds(measured_m)
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, lines = solve(squared)
-
-    # Estimate the random error of the squared speeds from their residuals about the lines over pulling mass.
-    scatter = squared - np.array([np.polyval(line, masses) for line in lines])
-    pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
-    spread = np.maximum(squared_sd, pooled)
-    variance = np.zeros(3)
-    for at in np.ndindex(squared.shape):
-        moved = squared.copy()
-        moved[at] += spread[at]
-        try:
-            variance += (solve(moved)[0] - answer) ** 2
-        except NoTrustworthyResult:
-            variance = np.full(3, np.inf)
-            break
-
+    variance = _random_variance(lambda moved: solve(moved)[0], squared, squared_sd, masses, lines)
     drag, added, friction = answer
     perfect = [
         falling_weight_closed_form(
@@ -1099,6 +1096,28 @@ def two_point(
     )
     at_points = (float(points[0]), float(points[1]))
     return TwoPointResult(values, stderr, bias_of, at_points, masses, squared, squared_sd, lines)
+
+
+def _random_variance(
+    solve: Callable[[Array], Array], squared: Array, squared_sd: Array, masses: Array, lines: Array
+) -> Array:
+    """Return the variances of the estimates due to the random errors of the squared speeds, shape (3,).
+
+    The errors follow from the residuals about the lines over pulling mass. The variances are infinite if the
+    method has no result for a squared speed that is moved by its error.
+    """
+    scatter = squared - np.array([np.polyval(line, masses) for line in lines])
+    pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
+    spread = np.maximum(squared_sd, pooled)
+    answer, variance = solve(squared), np.zeros(3)
+    for at in np.ndindex(squared.shape):
+        moved = squared.copy()
+        moved[at] += spread[at]
+        try:
+            variance += (solve(moved) - answer) ** 2
+        except NoTrustworthyResult:
+            return np.full(3, np.inf)
+    return variance
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:

@@ -18,12 +18,12 @@ from swimid.errors import InputError, UsageError, nearest
 from swimid.files import yamlio
 
 if TYPE_CHECKING:
-    from swimid.robots.planar import Multilink
-    from swimid.robots.spatial import Multibody
+    from swimid.robots.planar import MultilinkRobot
+    from swimid.robots.spatial import MultibodyRobot
 else:
     # The function schema_of replaces these types of the fields multilink and multibody. It imports the
     # modules of the types only if a robot file has the field.
-    Multilink = Multibody = Any
+    MultilinkRobot = MultibodyRobot = Any
 
 FORMAT = "swimid-robot/1"
 NonNegative = Annotated[float, Field(ge=0)]
@@ -143,7 +143,7 @@ class Robot(yamlio.Document):
     fins : dict of str to Fin
     theory : list of Theory
         Values from theory, for comparison with estimates.
-    multilink, multibody : Multilink, Multibody or None
+    multilink, multibody : MultilinkRobot, MultibodyRobot or None
         Links, joints and elements of a robot in a plane, and of a robot in 3-D.
     readings : dict of str to Reading
         Ambiguities of the sources, each with its chosen interpretation.
@@ -159,9 +159,9 @@ class Robot(yamlio.Document):
     fins: dict[str, Fin] = {}
     theory: list[Theory] = []
     #: Links, joints and hydrodynamic elements of a robot that moves in a plane.
-    multilink: Multilink | None = None
+    multilink: MultilinkRobot | None = None
     #: Links, hinges and hydrodynamic elements of a robot that moves in 3-D.
-    multibody: Multibody | None = None
+    multibody: MultibodyRobot | None = None
     #: Ambiguities in the sources of the robot file, each with its chosen interpretation.
     readings: dict[str, Reading] = {}
 
@@ -201,13 +201,13 @@ def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> 
     """
     fields: dict[str, Any] = {}
     if "multilink" in parts:
-        from swimid.robots.planar import Multilink
+        from swimid.robots.planar import MultilinkRobot
 
-        fields["multilink"] = Multilink | None, None
+        fields["multilink"] = MultilinkRobot | None, None
     if "multibody" in parts:
-        from swimid.robots.spatial import Multibody
+        from swimid.robots.spatial import MultibodyRobot
 
-        fields["multibody"] = Multibody | None, None
+        fields["multibody"] = MultibodyRobot | None, None
     return create_model("Robot", __base__=Robot, __doc__=Robot.__doc__, **fields)
 
 

@@ -19,11 +19,11 @@ from swimid.files import atomic, provenance, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.steps import choose_step
 from swimid.kinematics.cycles import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, record_warnings, silent
+from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -304,12 +304,6 @@ def sensitivity(
     NoTrustworthyResult
         If more than one in a hundred simulations breaks down.
 
-    References
-    ----------
-    .. [1] Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010), doi:10.1016/j.cpc.2009.09.018: Sobol
-       indices.
-    .. [2] Gamboa, Janon, Klein, Lagnoux (2014), doi:10.1214/14-EJS895: indices of several outputs together.
-
     Examples
     --------
     Compare the effect of two coefficients of the tendon fish on its heading:
@@ -372,14 +366,41 @@ def sensitivity(
             ),
             provenance=origin,
         )
-    checks = _checks(file, step_change, _find_correlation(applied, over))
-    evidence = ev.Evidence(
+    strongest, source = _find_correlation(applied, over), f"those of {experiment.values_from}"
+    evidence = _make_evidence(file, step_change, strongest, source, notices)
+    evidence.references += experiment.robot.sources
+    file.verdict = evidence.verdict.level
+    saved = Sensitivity.of(file, evidence).write_output(output)
+    keep.finish()
+    return saved
+
+
+def _make_evidence(
+    file: SensitivityFile,
+    step_change: float,
+    strongest: tuple[float, str, str] | None,
+    source: str,
+    notices: Sequence[Notice],
+) -> ev.Evidence:
+    """Return the evidence of a sensitivity analysis.
+
+    Parameters
+    ----------
+    step_change : float
+        Largest change of an output when the integration step is halved, in its standard deviations.
+    strongest : (float, str, str) or None
+        Strongest correlation between two estimates.
+    source : str
+        Source of the values without a parameter file.
+    """
+    checks = _checks(file, step_change, strongest)
+    return ev.Evidence(
         command="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
         verdict=ev.make_verdict(_answer(file), checks),
         facts={
             "Robot": file.robot,
-            "Parameters": file.params or f"those of {experiment.values_from}",
+            "Parameters": file.params or source,
             "Trials": str(len(file.trials)),
             "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
         },
@@ -388,13 +409,9 @@ def sensitivity(
         figures=[_map(file)],
         notices=ev.notices(notices),
         methods=[_method(file)],
-        references=[*REFERENCES, *experiment.robot.sources],
-        provenance=origin,
+        references=[*REFERENCES],
+        provenance=file.provenance,
     )
-    file.verdict = evidence.verdict.level
-    saved = Sensitivity.of(file, evidence).write_output(output)
-    keep.finish()
-    return saved
 
 
 # ------------------------------------------------------------ ranges
@@ -402,47 +419,45 @@ def sensitivity(
 
 def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
     """Return the range of every coefficient that the analysis varies."""
-    own: dict[str, tuple[float, float]] = {}
-    rule = "bounds"
-    for text in texts:
-        name, equals, ends = text.partition("=")
-        if equals:
-            own[name.strip()] = _ends(name.strip(), ends)
-        else:
-            rule = text.strip()
+    rules = [text.strip() for text in texts if "=" not in text]
+    pairs = [text.partition("=") for text in texts if "=" in text]
+    own = {name.strip(): _ends(name.strip(), ends) for name, _, ends in pairs}
     shared = {p.name: p for p in applied.model.parameters if not p.per_trial}
     for name in (*own, *coefficients):
         if name not in shared:
             raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
         if name in applied.chosen:
             raise UsageError(f"{name} is held by --set and cannot be varied")
-    varied = coefficients or [p.name for p in shared.values() if p.free or p.name in own]
-    values = applied.values()
     names, covariance = applied.uncertain()
     errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     ranges = {}
-    for name, p in shared.items():
-        if name not in varied or name in applied.chosen:
+    for name in coefficients or [p.name for p in shared.values() if p.free or p.name in own]:
+        if name in applied.chosen:
             continue
-        value = float(values[applied.model.index(name)])
-        half, source = _half_width(rule, value, errors.get(name, math.nan))
-        low, high = max(value - half, p.lower), min(value + half, p.upper)
+        value = float(applied.values()[applied.model.index(name)])
+        half, source = _half_width((rules or ["bounds"])[-1], value, errors.get(name, math.nan))
+        ends = max(value - half, shared[name].lower), min(value + half, shared[name].upper)
         if name in own:
-            low, high, source = *own[name], "given"
+            ends, source = own[name], "given"
         elif math.isnan(half):
             if coefficients:
                 raise UsageError(f"{name} has no standard error to make a range of")
             continue
-        if not (math.isfinite(low) and math.isfinite(high)):
-            raise UsageError(f"{name} has no bounds", hint=f"give them: --range {name}=LOW,HIGH")
-        if not low < high:
-            hint = f"give another one, --range {name}=LOW,HIGH, or hold it, --set {name}={value:g}"
-            raise UsageError(f"the range of {name} is empty: {low:g} to {high:g}", hint=hint)
-        ranges[name] = Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
+        ranges[name] = _make_range(shared[name], value, *ends, source)
     if not ranges:
         hint = "name one, --range NAME=LOW,HIGH, or give a parameter file with standard errors: --params"
         raise UsageError("there is no coefficient to vary", hint=hint)
-    return ranges
+    return {name: ranges[name] for name in shared if name in ranges}
+
+
+def _make_range(p: Parameter, value: float, low: float, high: float, source: str) -> Range:
+    """Return the range of a coefficient."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
+    if not low < high:
+        hint = f"give another one, --range {p.name}=LOW,HIGH, or hold it, --set {p.name}={value:g}"
+        raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}", hint=hint)
+    return Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
 
 
 def _ends(name: str, text: str) -> tuple[float, float]:
@@ -602,19 +617,22 @@ def _checks(
     change, steady = f"{numbers.format_number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
     halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
     none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
+    lost = f"{broken} simulations broke down"
+    unclear = f"the interval of the index of {where} is {numbers.format_number(width, 2)} wide"
+    coarse = f"halving the integration step changes an output by {change} over the ranges"
     checks = [
-        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out),
-        ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
-        ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
+        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out, reason=lost),
+        ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples, reason=unclear),
+        ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved, reason=coarse),
     ]
     if strongest is not None:
         size, one, other = strongest
         value = f"correlation up to {numbers.format_number(size, 2)} ({one}, {other})"
         sound = abs(size) <= MAX_ESTIMATE_CORRELATION
         text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
-        checks.append(
-            ev.make_check("ranges independent", value, sound, f"≤ {MAX_ESTIMATE_CORRELATION:g} in size", text)
-        )
+        limit = f"≤ {MAX_ESTIMATE_CORRELATION:g} in size"
+        reason = f"the estimates of {one} and {other} are correlated, and their ranges are not"
+        checks.append(ev.make_check("ranges independent", value, sound, limit, text, reason=reason))
     return checks
 
 

@@ -46,7 +46,7 @@ from swimid.simulation.catalogue import Applied
 from swimid.simulation.options import DriveOptions, SimulateOptions
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Energetics, Swimmer
-from swimid.swimmer.planar.model import Body
+from swimid.swimmer.planar.model import PlanarBody
 
 #: Default sample rate of a simulation, Hz.
 RATE_HZ = 50.0
@@ -538,7 +538,9 @@ class SwimRun:
             found |= _power_quantities(energetics, found.get("mean_speed_m_s"))
         return found
 
-    def _of_last_cycles(self, body: Body, values: Array, columns: Mapping[str, Array]) -> dict[str, float]:
+    def _of_last_cycles(
+        self, body: PlanarBody, values: Array, columns: Mapping[str, Array]
+    ) -> dict[str, float]:
         """Return the quantities of the last whole cycles of a simulation, from the channels in the window."""
         length = body.length(values)
         pose = [columns[name] for name in body.pose]
@@ -559,7 +561,7 @@ class SwimRun:
             found["strouhal"] = self.window.frequency_hz * excursion / speed
         return found
 
-    def _of_whole_run(self, body: Body, columns: Mapping[str, Array]) -> dict[str, float]:
+    def _of_whole_run(self, body: PlanarBody, columns: Mapping[str, Array]) -> dict[str, float]:
         """Return mean surge speed, settling time and extent of the path, which need the whole simulation."""
         time, surge = self.trial.time_s, columns[body.velocity[0]]
         return {

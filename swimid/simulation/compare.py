@@ -32,7 +32,7 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.simulation import catalogue, compare_series, compare_wave
+from swimid.simulation import catalogue, compare_series
 from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
@@ -116,19 +116,11 @@ def compare(
     NoTrustworthyResult
         If a simulation breaks down, or no channel can be compared.
 
-    References
-    ----------
-    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
-       Eqs 13 and 14: errors of speed and turning rate.
-    .. [2] S. Kadapa, N. Marcouiller, A. Drago, J. L. Tangorra, H. G. Kwatny, "Tuning hydrodynamic
-       coefficients using a genetic algorithm for a numerical model of a bio-robotic sea lion".
-       Tables I and II: speeds and angles of each stroke.
-
     Examples
     --------
     >>> import swimid
     >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
-    >>> against = compare_waves("sample_logs/rig/trials.yaml", params=drag)
+    >>> against = compare("sample_logs/rig/trials.yaml", params=drag)
     >>> bool((against.scores["nrmse"] < 0.002).all()), against.verdict
     (True, 'good')
     """
@@ -149,30 +141,11 @@ def compare(
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
         profiles = _compare_profiles(experiment, done)
-        file = ComparisonFile(
-            verdict="caution",
-            model=experiment.model.name,
-            robot=experiment.robot.name,
-            experiment=experiment.name,
-            params=parameters_format.source_path(options.params).name,
-            channels=compare_series.pool(done, experiment.model),
-            trials=[d.record for d in done],
-            profiles=[p.record for p in profiles],
-            provenance=provenance.collect(experiment.inputs, settings=options.settings()),
-        )
-        if file.mean_speeds:
-            _, measured, simulated = zip(*file.mean_speeds, strict=True)
-            file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
-        fitted: Iterable[str] = file.channels
-        if applied.file is not None and applied.file.fit is not None:
-            fitted = applied.file.fit.channels
-        still = [
-            name
-            for name in file.channels
-            if fit_common.is_still(d.own[name].measured for d in done if name in d.own)
+        file = _make_file(experiment, done, profiles, options)
+        checks = [
+            *_channel_checks(file, applied, done),
+            *fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes),
         ]
-        checks = _checks(file, [name for name in fitted if name not in still], still)
-        checks += fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes)
         before = {d.trial.id: d.series for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             checks.append(_mistakes_check(experiment.trials, applied, before))
@@ -191,6 +164,37 @@ def compare(
     )
     file.verdict = evidence.verdict.level
     return Comparison.of(file, evidence).write_output(output)
+
+
+def _make_file(
+    experiment: Experiment, done: Sequence[Compared], profiles: Sequence[Profile], options: CompareOptions
+) -> ComparisonFile:
+    """Return the comparison file of compared trials."""
+    file = ComparisonFile(
+        verdict="caution",
+        model=experiment.model.name,
+        robot=experiment.robot.name,
+        experiment=experiment.name,
+        params=parameters_format.source_path(options.params).name,
+        channels=compare_series.pool(done, experiment.model),
+        trials=[d.record for d in done],
+        profiles=[p.record for p in profiles],
+        provenance=provenance.collect(experiment.inputs, settings=options.settings()),
+    )
+    if file.mean_speeds:
+        _, measured, simulated = zip(*file.mean_speeds, strict=True)
+        file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
+    return file
+
+
+def _channel_checks(file: ComparisonFile, applied: Applied, done: Sequence[Compared]) -> list[ev.Check]:
+    """Return the checks of the errors of channels. A channel in which nothing moves is not judged."""
+    fitted: Iterable[str] = file.channels
+    if applied.file is not None and applied.file.fit is not None:
+        fitted = applied.file.fit.channels
+    measured = {name: [d.own[name].measured for d in done if name in d.own] for name in file.channels}
+    still = [name for name, series in measured.items() if fit_common.is_still(series)]
+    return _checks(file, [name for name in fitted if name not in still], still)
 
 
 def _mistakes_check(trials: Sequence[Trial], applied: Applied, before: mistakes.TrialSeries) -> ev.Check:
@@ -521,8 +525,6 @@ def _methods(file: ComparisonFile) -> list[str]:
             "If the parameter file had no start state of a trial, it was estimated from the whole trial with "
             "all shared parameters held."
         )
-    if file.waves:
-        sentences.append(compare_wave.method())
     return sentences
 
 
@@ -530,7 +532,7 @@ def _methods(file: ComparisonFile) -> list[str]:
 
 
 def _tables(file: ComparisonFile) -> list[ev.Table]:
-    """Return tables of errors by channel, motion profiles, mean speeds, body waves, and errors by trial."""
+    """Return tables of errors by channel, motion profiles, mean speeds, and errors by trial."""
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
@@ -538,8 +540,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    waves = compare_wave.tabulate_waves(file.waves)
-    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), waves, _scores(file)]
+    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), _scores(file)]
     return [table for table in tables if table.rows]
 
 
@@ -612,8 +613,7 @@ def _figures(
 ) -> list[ev.Figure]:
     """Return the figures of the evidence.
 
-    They show motion profiles, or else time series and mean speeds. Body waves and paths follow for a robot in
-    a plane.
+    They show motion profiles, or else time series and mean speeds. Paths follow for a robot in a plane.
     """
     if experiment.model.timed_runs:
         runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
@@ -622,16 +622,7 @@ def _figures(
     if not drawn:
         drawn.append(_overlay(done))
         if file.mean_speeds:
-            groups: dict[str, tuple[Any, Any]] = {}
-            for name, role in (("fitted", "fit"), ("held out", "validate")):
-                speeds = np.array([(m, s) for t, m, s in file.mean_speeds if t.role == role], dtype=float)
-                if len(speeds):
-                    groups[name] = speeds[:, 0], speeds[:, 1]
-            drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
-    beating = [d for d in done if d.record.wave is not None]
-    if beating:
-        shown = {t: d.record.wave for t, d in _select_trials(beating).items() if d.record.wave is not None}
-        drawn.append(compare_wave.draw_waves(shown))
+            drawn.append(_speeds_figure(file))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
@@ -639,6 +630,16 @@ def _figures(
         caption = "Path of the reference point."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
+
+
+def _speeds_figure(file: ComparisonFile) -> ev.Figure:
+    """Return the figure of simulated against measured mean speeds of fitted and of held-out trials."""
+    groups: dict[str, tuple[Any, Any]] = {}
+    for name, role in (("fitted", "fit"), ("held out", "validate")):
+        speeds = np.array([(m, s) for t, m, s in file.mean_speeds if t.role == role], dtype=float)
+        if len(speeds):
+            groups[name] = speeds[:, 0], speeds[:, 1]
+    return _agreement("speeds", "Mean speed of the last beats", groups)
 
 
 def _select_trials(done: Sequence[Compared]) -> dict[str, Compared]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -19,10 +20,9 @@ from swimid.fitting.output_error import Series
 from swimid.fitting.steps import StepChoice, choose_step
 from swimid.kinematics.cycles import body_velocity, cycle_means, cycle_speeds, last_cycles
 from swimid.notices import warn
-from swimid.simulation import compare_wave
 from swimid.simulation.cases import beat_frequency, drive_block
 from swimid.simulation.catalogue import Applied
-from swimid.swimmer.planar.model import Body
+from swimid.swimmer.planar.model import PlanarBody
 
 Start = Literal["file", "estimated", "neutral"]
 
@@ -86,8 +86,6 @@ class TrialComparison(yamlio.Document):
     channels: dict[str, ChannelScore]
     mean_speed: Speed | None = None
     cruise: CruiseSpeed | None = None
-    #: Body wave; null without measured joint angles or without a beat.
-    wave: compare_wave.BodyWave | None = None
 
 
 class CycleComparison(yamlio.Document):
@@ -144,15 +142,10 @@ class ComparisonFile(yamlio.ResultFile):
         """Trials with a mean speed, each with the measured and the simulated mean speed, m/s."""
         return [(t, t.mean_speed.measured, t.mean_speed.simulated) for t in self.trials if t.mean_speed]
 
-    @property
-    def waves(self) -> dict[str, compare_wave.BodyWave]:
-        """Body wave of each trial that has one, by trial."""
-        return {t.id: t.wave for t in self.trials if t.wave is not None}
-
 
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
-SIDES = compare_wave.WAVE_SIDES
+SIDES = ("measured", "simulated")
 #: Half-width of the window in which a derivative of the pose is computed: in cycles of the beat, and in s for
 #: a trial without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
@@ -257,9 +250,8 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
             start, start_values = "estimated", level
     simulated = model.run(values, trial)
     pairs = _pair_logged(model, trial, simulated)
-    frequency, body, drive = None, model.body, {}
-    if trial.swim.beat is not None:
-        drive = drive_block(trial)
+    frequency, body = None, model.body
+    drive = drive_block(trial) if trial.swim.beat is not None else {}
     if model.swimmer is not None and body is not None:
         turning = (body.velocity[2], body.pose[2]) if body.free else ()
         series = [pairs[name].measured for name in turning if name in pairs]
@@ -273,11 +265,7 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
     speed = None
     if body is not None and frequency is not None:
         speed = compute_body_speed(trial, pairs, body, frequency)
-    along = fit_common.own_axes(
-        {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
-    )
-    own = {n: replace(p, measured=along[0][n], simulated=along[1][n]) for n, p in pairs.items()}
-    geometry = _replace_values(model, values, trial.swim.coefficients or {})
+    own = _turn_pairs(pairs)
     placed = fit_common.pose_channels(model)
     record = TrialComparison(
         id=trial.id,
@@ -289,9 +277,16 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         channels={name: _score([p], frequency, own_motion=name in placed) for name, p in own.items()},
         mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
-        wave=compare_wave.compare_waves(model, geometry, trial, simulated, pairs, frequency),
     )
     return Compared(trial, pairs, own, record, values)
+
+
+def _turn_pairs(pairs: Mapping[str, Pair]) -> dict[str, Pair]:
+    """Return the pairs of a trial with positions along and across its mean heading."""
+    measured, simulated = fit_common.own_axes(
+        {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
+    )
+    return {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
 
 
 def _pair_logged(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:
@@ -344,18 +339,9 @@ def start_of(
     """
     model = applied.model
     values, owner = applied.values(trial), applied.owner(trial)
-    own = [p for p in model.parameters if p.per_trial]
-    if any(f"{p.name}[{owner}]" in applied.known for p in own):
+    if any(f"{p.name}[{owner}]" in applied.known for p in model.parameters if p.per_trial):
         return values, "file", {}
-    estimated = applied.list_per_trial()
-    coefficients = model.swimmer.coefficients if model.swimmer is not None else []
-    names = {
-        p.name
-        for p in own
-        if (p.free or p.name in estimated)
-        and (p.name.startswith(START_PARAMETERS) or p.name in coefficients)
-        and p.name not in applied.chosen
-    }
+    names = _name_start_parameters(applied)
     if not refit or not names:
         return values, "neutral", {}
     sd = _noise(applied, trial)
@@ -367,17 +353,24 @@ def start_of(
     for start in first:
         at = zip(model.parameters, _replace_values(model, values, start), strict=True)
         held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
-        try:
+        with suppress(NoTrustworthyResult, np.linalg.LinAlgError):
             labelled = output_error.estimate_start(model, held, trial, sd, tolerance=tolerance)
-        except (NoTrustworthyResult, np.linalg.LinAlgError):
-            continue
-        found = {label.split("[")[0]: v for label, v in labelled.items()}
-        tried.append((_cost(model, _replace_values(model, values, found), trial, sd), found))
+            found = {label.split("[")[0]: v for label, v in labelled.items()}
+            tried.append((_cost(model, _replace_values(model, values, found), trial, sd), found))
     cost, best = min(tried, key=lambda one: one[0], default=(math.inf, {}))
     if not math.isfinite(cost) or not np.isfinite(list(best.values())).all():
         warn("SWM056", f"{trial.id}: the start state could not be estimated; it is taken as at rest")
         return values, "neutral", {}
     return _replace_values(model, values, best), "estimated", best
+
+
+def _name_start_parameters(applied: Applied) -> set[str]:
+    """Return the names of the per-trial parameters that are estimated from a trial alone."""
+    model, estimated = applied.model, applied.list_per_trial()
+    coefficients = model.swimmer.coefficients if model.swimmer is not None else []
+    own = [p for p in model.parameters if p.per_trial and (p.free or p.name in estimated)]
+    names = {p.name for p in own if p.name.startswith(START_PARAMETERS) or p.name in coefficients}
+    return names - set(applied.chosen)
 
 
 def _replace_values(model: Model, values: Array, start: Mapping[str, float]) -> Array:
@@ -424,7 +417,7 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
 
 
 def _velocity_pairs(
-    model: Model, body: Body, trial: Trial, pairs: Mapping[str, Pair], frequency_hz: float | None
+    model: Model, body: PlanarBody, trial: Trial, pairs: Mapping[str, Pair], frequency_hz: float | None
 ) -> dict[str, Pair]:
     """Return measured and simulated surge, sway and turning rate from the pose, if they are not logged."""
     if not body.free or not all(name in pairs for name in body.pose):
@@ -479,7 +472,7 @@ def pool(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
 def compute_body_speed(
     trial: Trial,
     pairs: Mapping[str, Pair],
-    body: Body,
+    body: PlanarBody,
     frequency_hz: float,
     between_s: tuple[float, float] = (-math.inf, math.inf),
 ) -> Speed | None:

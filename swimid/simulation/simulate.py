@@ -291,20 +291,6 @@ def simulate(
     NoTrustworthyResult
         If the simulation breaks down.
 
-    References
-    ----------
-    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
-       Eqs 1 to 7: the model in the horizontal plane; Eq 10: the asymmetric oscillator.
-    .. [2] D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu, "Performance Optimization for Bionic Robotic
-       Dolphin with Active Variable Stiffness Control".
-       Eqs 3 to 9: the model in the vertical plane.
-    .. [3] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
-       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
-       Eqs 3 to 10 and 25 to 27: rig and cruise.
-    .. [4] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic underwater
-       vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159.
-       Eqs 4 to 7: the discrete-time model.
-
     Examples
     --------
     Pull the boxfish, with the drag of its drops, by 20 g:
@@ -318,14 +304,7 @@ def simulate(
     >>> round(terminal.value, 2), terminal.unit
     (0.26, 'm/s')
     """
-    inputs: Sequence[Input] = ()
-    if options.trials is None:
-        if options.trial is not None:
-            raise UsageError("--trial belongs to --trials")
-        asked = [cases.case_of_options(options)]
-    else:
-        _refuse_run_options(options)
-        asked, inputs = cases.cases_of_trials(options)
+    asked, inputs = _list_cases(options)
     targets = places(output, [case.id for case in asked])
     if options.animate is not None:
         _refuse_film(asked, options.animate)
@@ -351,6 +330,16 @@ def simulate(
         if output is not None:
             made = made.write_output(output)
     return replace(made, outputs=[*made.outputs, *films])
+
+
+def _list_cases(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
+    """Return the simulations that the options ask for, and the files of their trials."""
+    if options.trials is not None:
+        _refuse_run_options(options)
+        return cases.cases_of_trials(options)
+    if options.trial is not None:
+        raise UsageError("--trial belongs to --trials")
+    return [cases.case_of_options(options)], ()
 
 
 def _refuse_run_options(options: SimulateOptions) -> None:
@@ -452,25 +441,15 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
     if path is not None:
         facts["Parameters"] = path.name
     robot = first.case.metadata["robot"]
+    quantities = _quantity_table(done)
+    answer = f"{robot} was simulated in {len(done)} runs."
     if len(done) == 1:
         drive = first.case.metadata.get("drive", {})
         if drive:
             facts["Drive"] = ", ".join(cases.setting_text(*item) for item in drive.items() if item[1])
         if not first.case.applied.model.timed_runs:
             facts["Duration"] = numbers.format_number(float(np.ptp(first.case.trial.time_s)), unit="s")
-        columns = ["quantity", "value"]
-        rows: list[list[Any]] = [list(row) for row in _texts(first).items()]
-        answer = f"{robot}: {' '.join(rows[0])}."
-    else:
-        kept: Sequence[str] = TABLE_QUANTITIES
-        if first.case.applied.model.in_space:
-            kept = CYCLE_QUANTITIES
-        shown = {d.case.id: _texts(d, kept) for d in done}
-        names = list(dict.fromkeys(name for row in shown.values() for name in row))
-        columns = ["run", *names]
-        rows = [[run, *(row.get(name, "") for name in names)] for run, row in shown.items()]
-        answer = f"{robot} was simulated in {len(done)} runs."
-    quantities = ev.Table(id="quantities", title="Quantities", columns=columns, rows=rows)
+        answer = f"{robot}: {' '.join(map(str, quantities.rows[0]))}."
     checks = fit_common.step_check([d.case.id for d in done], [d.step for d in done]) + _steady_check(done)
     if first.quantities and not first.case.applied.uncertain()[0]:
         notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
@@ -483,6 +462,20 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         tables=[quantities],
         notes=notes,
     )
+
+
+def _quantity_table(done: Sequence[Simulated]) -> ev.Table:
+    """Return the quantities of a simulation by name, or those of several simulations by run."""
+    if len(done) == 1:
+        rows: list[list[Any]] = [list(row) for row in _texts(done[0]).items()]
+        return ev.Table(id="quantities", title="Quantities", columns=["quantity", "value"], rows=rows)
+    kept: Sequence[str] = TABLE_QUANTITIES
+    if done[0].case.applied.model.in_space:
+        kept = CYCLE_QUANTITIES
+    shown = {d.case.id: _texts(d, kept) for d in done}
+    names = list(dict.fromkeys(name for row in shown.values() for name in row))
+    rows = [[run, *(row.get(name, "") for name in names)] for run, row in shown.items()]
+    return ev.Table(id="quantities", title="Quantities", columns=["run", *names], rows=rows)
 
 
 def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:

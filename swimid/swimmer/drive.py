@@ -23,9 +23,10 @@ from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.notices import warn
-from swimid.robots.planar import Driven, Input
-from swimid.swimmer.planar.engine import interpolate_states
-from swimid.swimmer.tree import Actuated, Polynomial, Tree, use_default
+from swimid.robots.joints import Driven, Input
+from swimid.robots.quantities import Polynomial, use_default
+from swimid.swimmer.engine import interpolate_states
+from swimid.swimmer.tree import Actuated, Tree
 
 Value = TypeVar("Value")
 #: Maximum remaining fraction of the initial transient of a servo when a simulation begins in steady swimming.
@@ -395,7 +396,7 @@ class DrivenJoints:
         """Return whether a beat moves actuator ``k`` in the same way as actuator ``k - 1``."""
         if swim.joints is not None or swim.stroke is not None or swim.beat is None:
             return False
-        return swim.beat.lag_rad == 0.0 and self.actuators[k - 1].driven == self.actuators[k].driven
+        return swim.beat.lag_rad == 0.0 and self.actuators[k - 1].law == self.actuators[k].law
 
 
 def joint_motion(actuator: Actuated, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Motion:
@@ -413,7 +414,7 @@ def joint_motion(actuator: Actuated, number: int, swim: SwimInput, time_s: Array
     """
     if swim.joints is not None:
         return swim.joints[number](time_s)
-    law = actuator.driven
+    law = actuator.law
     phase = phase_rad - math.radians(law.phase_lag_deg)
     if swim.stroke is not None:
         return swim.stroke.motion(actuator.name, time_s, phase_rad=phase)
@@ -444,7 +445,7 @@ def _memory_s(swim: SwimInput, laws: Laws, hooks: Hooks) -> float:
 
 
 def _servo(actuator: Actuated) -> tuple[Polynomial, Polynomial] | None:
-    law = actuator.driven
+    law = actuator.law
     if law.servo is None:
         return None
     return Polynomial.of(law.servo.natural_frequency_hz), Polynomial.of(law.servo.damping_ratio)

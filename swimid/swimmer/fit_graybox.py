@@ -135,27 +135,15 @@ def fit_graybox(
         return _fit_simulator(trials, options, output, progress)
     with record_warnings(repeat=True) as notices:
         posed = FitSetup.of(trials, options, output)
-        experiment, model, parameters = posed.experiment, posed.model, posed.parameters
-        _require_steady_swimming(experiment, parameters)
+        experiment = posed.experiment
+        _require_steady_swimming(experiment, posed.parameters)
         files = [parameters_format.origin(p) for p in (options.start_from, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
         search = _search(posed, output, origin, progress)
         result = output_error.complete_fit(search.result)
         folder = (output or trials_format.place(trials)).parent
         file = _parameter_file(posed, result, origin, folder)
-        checks = [
-            *fit_common.checks(result),
-            *fit_common.error_checks(result),
-            fit_common.beat_check(experiment.facts["beats"]),
-        ]
-        if search.ends:
-            checks.append(_starts_check(search.ends, asked=options.starts is not None))
-        explanation: mistakes.Explanation | None = None
-        before = {t.id: [s for s in result.series if s.trial == t.id] for t in result.trials}
-        if options.method == "least-squares" and mistakes.is_suspect(checks, before):
-            known = mistakes.list_mistakes(model, result.trials)
-            explanation = _explain(result, known, before, options, progress)
-            checks.append(mistakes.check_mistakes(explanation, len(known)))
+        checks, explanation = _check_fit(posed, result, search, progress)
     evidence = ev.Evidence(
         command="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
@@ -179,6 +167,26 @@ def fit_graybox(
             search.checkpoint.finish()
     _require_result(result, file, search, trials, output, explanation)
     return fitted
+
+
+def _check_fit(
+    posed: FitSetup, result: FitResult, search: _Search, progress: Progress
+) -> tuple[list[ev.Check], mistakes.Explanation | None]:
+    """Return the checks of a fit, and the common mistake that explains a bad fit, if one does."""
+    options = posed.options
+    checks = [
+        *fit_common.assess(result),
+        fit_common.beat_check(posed.experiment.facts["beats"]),
+    ]
+    if search.ends:
+        checks.append(_starts_check(search.ends, asked=options.starts is not None))
+    before = {t.id: [s for s in result.series if s.trial == t.id] for t in result.trials}
+    if options.method != "least-squares" or not mistakes.is_suspect(checks, before):
+        return checks, None
+    known = mistakes.list_mistakes(posed.model, result.trials)
+    explanation = _explain(result, known, before, options, progress)
+    checks.append(mistakes.check_mistakes(explanation, len(known)))
+    return checks, explanation
 
 
 def _fit_simulator(
@@ -376,11 +384,11 @@ def _require_result(
 def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
     """Raise an error if a trial begins in steady swimming but the model reaches no steady speed."""
     model = experiment.model.swimmer
-    known = {p.name: p.start for p in model.parameters} | {p.name: p.start for p in parameters}
+    starts = {p.name: p.start for p in (*model.parameters, *parameters)}
     fixed = {p.name for p in parameters if not p.free}
     stated = {name: value for name, value in model.get_file_values().items() if name not in fixed}
+    points = [np.array([p[q.name] for q in model.parameters]) for p in (starts, starts | stated)]
     for trial in (t for t in experiment.trials if t.swim.steady):
-        points = [np.array([p[q.name] for q in model.parameters]) for p in (known, known | stated)]
         cruises = [model.cruise(point, trial) for point in points]
         if all(c is not None and not np.isfinite(c.speed_m_s) for c in cruises):
             raise NoTrustworthyResult(

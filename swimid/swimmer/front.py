@@ -299,7 +299,7 @@ def fit_front(
 
     Parameters
     ----------
-    posed : Posed
+    posed : FitSetup
         Trials, model and parameters.
     checkpoint : Checkpoint
         Stores the generations, so that an interrupted search can be resumed.

@@ -3,7 +3,7 @@
 An engine is the compiled equations of motion of a robot. Its functions can also run as Python functions on
 symbols instead of numbers. They then run through their loops over links and elements once, and record a list
 of sums and products. Operations with input entries that are always 0 or 1 are removed. An engine must be
-written for this: it may branch on a value only by :func:`swimid.swimmer.planar.engine.positive`, ``max``,
+written for this: it may branch on a value only by :func:`swimid.swimmer.engine.positive`, ``max``,
 ``min`` and ``abs``.
 
 :func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
@@ -43,7 +43,7 @@ from swimid.files import atomic
 from swimid.files.kernels import numba
 from swimid.fitting.model import ExternalForce, Traceable
 from swimid.notices import Progress, silent
-from swimid.swimmer.planar.engine import MAX_STATE, integrate
+from swimid.swimmer.engine import FILLED, MAX_STATE, interpolate_states
 from swimid.swimmer.tree import Tree
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
 def _trace_heading(frame: Any, base: Any, turn: Any) -> Angle:
     """Return the heading of a link in the world by its sine and cosine.
 
-    For symbols, this function replaces :func:`swimid.swimmer.planar.engine.find_heading`.
+    For symbols, this function replaces :func:`swimid.swimmer.engine.find_heading`.
     """
     _, c, s = frame
     cosine, sine = turn
@@ -489,6 +489,53 @@ def work_length(traced: Traced) -> int:
     return LANES * (4 * len(traced.rates) + 2 + traced.width + traced.parameters)
 
 
+def _write_rates(
+    traced: Traced, slots: Mapping[str, int], blocks: tuple[int, int, int, int], step: int
+) -> Program:
+    """Return the program that computes the rates, the state of the next stage, and the sum of the rates.
+
+    Parameters
+    ----------
+    traced : Traced
+    slots : mapping of kind of input to int
+        Place in the work array from which the inputs of each kind begin.
+    blocks : (int, int, int, int)
+        Places of the state before the step, the state after it, the state of the stage, and the rates.
+    step : int
+        Place of the step.
+    """
+    here, total, stage, rate = blocks
+    rates = Program()
+    known = rates.copy_symbols(traced.operations, lambda x: slots[x.kind] + LANES * x.of[0])
+    step_s = rates.add("load", step)
+    half, share = (rates.add("*", rates.add("given", k), step_s) for k in (0, 1))
+    for j, x in enumerate(traced.rates):
+        value = known[x.number] if isinstance(x, Symbol) else float(x)
+        rates.add("store", rate + LANES * j, value)
+        for place, origin, part in ((stage, here, half), (total, total, share)):
+            moved = rates.add("+", rates.add("load", origin + LANES * j), rates.add("*", part, value))
+            rates.add("store", place + LANES * j, moved)
+    return rates
+
+
+def _write_check(size: int, blocks: tuple[int, int, int]) -> Program:
+    """Return the program that sets a simulation to NaN if it has broken down.
+
+    ``blocks`` are the places of the state before the step, of the state after it, and of the rates.
+    """
+    here, _, rate = blocks
+    places = [LANES * j for j in range(size)]
+    check = Program()
+    far, gone = 0.0, 0.0
+    for j in places:
+        far = check.add("max", check.add("abs", check.add("load", here + j)), far)
+        gone = check.add("+", gone, check.add("load", rate + j))
+    gone = check.add("positive", check.add("-", MAX_STATE, far), check.add("*", 0.0, gone), math.nan)
+    for place in (first + j for first in blocks for j in places):
+        check.add("store", place, check.add("+", check.add("load", place), gone))
+    return check
+
+
 def source_of(traced: Traced) -> str:
     """Return the text of the module that integrates a batch of simulations with a traced engine.
 
@@ -506,25 +553,8 @@ def source_of(traced: Traced) -> str:
     parameter = row + LANES * traced.width
     elapsed = parameter + LANES * traced.parameters
     slots = {"state": stage, "row": row, "table": parameter, "number": parameter, "elapsed": elapsed}
-    places = [LANES * j for j in range(size)]
-    rates = Program()
-    known = rates.copy_symbols(traced.operations, lambda x: slots[x.kind] + LANES * x.of[0])
-    step_s = rates.add("load", step)
-    half, share = (rates.add("*", rates.add("given", k), step_s) for k in (0, 1))
-    for j, x in zip(places, traced.rates, strict=True):
-        value = known[x.number] if isinstance(x, Symbol) else float(x)
-        rates.add("store", rate + j, value)
-        for place, origin, part in ((stage, here, half), (total, total, share)):
-            moved = rates.add("+", rates.add("load", origin + j), rates.add("*", part, value))
-            rates.add("store", place + j, moved)
-    check = Program()
-    far, gone = 0.0, 0.0
-    for j in places:
-        far = check.add("max", check.add("abs", check.add("load", here + j)), far)
-        gone = check.add("+", gone, check.add("load", rate + j))
-    gone = check.add("positive", check.add("-", MAX_STATE, far), check.add("*", 0.0, gone), math.nan)
-    for place in (first + j for first in (here, total, rate) for j in places):
-        check.add("store", place, check.add("+", check.add("load", place), gone))
+    rates = _write_rates(traced, slots, (here, total, stage, rate), step)
+    check = _write_check(size, (here, total, rate))
     settle = Program()
     known = settle.copy_symbols(traced.settled[0], lambda x: total + LANES * x.of[0])
     for k, x in traced.settled[1].items():
@@ -633,13 +663,13 @@ class Room:
 
 
 #: Name of the input array with the external forces in a simulation. Its entries are the start time (s), the
-#: coordinate frame (``placed`` of the engine), and for each force: 1 or 0 (whether the force acts), its point
-#: and its constants.
+#: coordinate frame (:func:`swimid.swimmer.engine.place_frame`), and for each force: 1 or 0 (whether the force
+#: acts), its point and its constants.
 ACTING = "acting"
 #: Elements whose input array of integers has the row of their input in its second column.
 STEERED = ("propeller", "rudder", "slider")
 #: Number of entries for the coordinate frame in the input array :data:`ACTING`.
-FRAME_LENGTH = 7
+FRAME_LENGTH = 8
 
 
 class Kernel:
@@ -665,7 +695,7 @@ class Kernel:
         self._example = tables(np.ones(len(tree.names)))
         self.size, self._scratch = self.engine.shapes(self._example)
         self.fixed = _find_constants(tables, len(tree.names))
-        for name, columns in self.engine.FILLED.items():
+        for name, columns in FILLED.items():
             self.fixed[name][:, columns] = np.nan
         entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
@@ -734,8 +764,8 @@ class Kernel:
         if self.room is not None:
             acting = tables.pop(ACTING)
             forced, time = self._trace_forces(self.room, acting), acting[0] + tracer.symbol("elapsed", 0)
-        derivative = on_symbols(self.engine.derivative)
-        derivative(state, row, *tables.values(), forced, time, *scratch, rate)
+        compute_rate = on_symbols(self.engine.compute_rate)
+        compute_rate(state, row, tuple(tables.values()), forced, time, *scratch, rate)
         after = Tracer()
         settled = array(after, "state", (self.size,))
         on_symbols(self.engine.correct_state)(settled)
@@ -779,8 +809,8 @@ class Kernel:
         tables : mapping
             Input arrays of the equations of motion.
         forces : sequence of ExternalForce
-        frame : ndarray, shape (7,)
-            Coordinate frame of the simulation in the world (``placed`` of the engine).
+        frame : ndarray, shape (8,)
+            Coordinate frame of the simulation in the world (:func:`swimid.swimmer.engine.place_frame`).
         begin_s : float
             Time of the initial state.
         """
@@ -930,7 +960,7 @@ def _select_operations(operations: Sequence[Symbol], results: Any) -> list[Symbo
 
 def folder() -> Path:
     """Return the folder of generated modules, which lies in numba's cache folder of the scalar engine."""
-    return Path(integrate.stats.cache_path) / "lanes"
+    return Path(interpolate_states.stats.cache_path) / "lanes"
 
 
 def _path(text: str) -> Path:
@@ -1034,7 +1064,7 @@ class Kernels:
         ----------
         run : Run
         frame : callable
-            Function from a simulation to its coordinate frame in the world, shape (7,).
+            Function from a simulation to its coordinate frame in the world, shape (8,).
         """
         if not self.used:
             return None

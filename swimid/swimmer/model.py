@@ -8,23 +8,36 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType, ModuleType
+from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Request, Trial, unless_broken
+from swimid.fitting.model import (
+    NONE,
+    Array,
+    Channel,
+    Hooks,
+    Model,
+    Parameter,
+    Request,
+    Scales,
+    Trial,
+    unless_broken,
+)
 from swimid.notices import Progress, silent
 from swimid.results.numbers import split_unit
 from swimid.robots.file import Robot
+from swimid.robots.quantities import Polynomial
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
+from swimid.swimmer.engine import interpolate_states, pack_forces
 from swimid.swimmer.lanes import LANES, Kernels, Room
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar.engine import interpolate_states, outside
 from swimid.swimmer.steady import SteadySpeed, SteadySwimming
-from swimid.swimmer.tree import MovingJoint, Polynomial, Tree, coefficients, law_of
+from swimid.swimmer.tree import MovingJoint, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.fitting.model import SwimInput
@@ -150,22 +163,18 @@ class Swimmer(Model, ABC):
     velocity: tuple[str, ...]
     #: Channels of force and torque on the holder of a fixed base. They are about the reference point.
     reactions: tuple[str, ...]
-    #: Numbers of coordinates and of velocities of the base in a state vector. The passive joint angles follow
-    #: the coordinates, and the passive joint rates follow the velocities.
-    coordinates: int
-    speeds: int
     #: Names of the pose coordinates and of the velocities, as used in the names of the start parameters.
     places: tuple[str, ...]
     rates: tuple[str, ...]
     #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.
     camera: tuple[Parameter, ...] = ()
-    #: Module of the compiled equations of motion.
-    engine: ModuleType
     tree: Tree
 
     def __init__(self, robot: Robot, *, max_step: float = STEP_S) -> None:
         self.robot, self.max_step = robot, max_step
         self.tree = self._tree()
+        self.engine = self.tree.engine
+        self.coordinates, self.speeds = self.engine.coordinates, self.engine.speeds
         self.driven, self.passive = self.tree.driven, self.tree.passive
         self.actuators = self.tree.actuators
         # the first parameters are the coefficients of the robot file
@@ -174,6 +183,14 @@ class Swimmer(Model, ABC):
         self.starts = tuple(f"start_{word}" for word in self.places)
         self.parameters = (*coefficients(self.tree.body.coefficients), *_trial_parameters(self))
         self.channels = _channels(self)
+        self._index_parameters()
+        self.inputs = self.tree.body.inputs
+        self.kernels = Kernels(self.tree, self._room)
+        self._checked: bytes | None = None
+        self._clear_caches()
+
+    def _index_parameters(self) -> None:
+        """Find the indices of the parameters by their use, and the joint columns of a state vector."""
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         views = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
         views |= {f"{word}_{name}" for word in ("offset", "drift") for name in self.reactions}
@@ -191,10 +208,6 @@ class Swimmer(Model, ABC):
             np.array([self._at[name] for name in names if self.free_base], dtype=int)
             for names in (velocities, self.starts)
         )
-        self.inputs = self.tree.body.inputs
-        self.kernels = Kernels(self.tree, self._room)
-        self._checked: bytes | None = None
-        self._clear_caches()
 
     def _clear_caches(self) -> None:
         """Begin with empty caches of simulations. A copy with another integration step needs its own."""
@@ -255,9 +268,52 @@ class Swimmer(Model, ABC):
         """
         return [p.name for p in self.parameters if p.name.startswith("initial_")]
 
-    def attitude(self) -> list[int]:
-        """Return the indices, in a state vector, of base angles that affect the motion."""
-        return []
+    @property
+    @abstractmethod
+    def reference_m(self) -> Sequence[float]:
+        """Position of the reference point in the axes of the base, m."""
+
+    @abstractmethod
+    def start_course(self, trial: Trial) -> tuple[float, float, float]:
+        """Return the position on the two axes of the motion (m) and the heading (rad) at the first sample."""
+
+    def typical_force(self, scales: Scales) -> float:
+        """Return the drag at the typical speed, plus the force that accelerates the robot to it, N."""
+        tables, columns = self.tree.tables(self.start_coefficients), self.engine.columns
+        drag = tables["drag"][:, columns["drag"].index("quadratic_x")].sum()
+        size, rest = (columns["foil"].index(name) for name in ("half_rho_area", "cd0"))
+        drag += tables["foil"][:, size] @ tables["foil"][:, rest]
+        mass = tables["inertia"][:, 0].sum()
+        return float(drag * scales.speed**2 + mass * scales.speed / scales.duration)
+
+    @property
+    def course(self) -> tuple[str, ...]:
+        """Channels of the position and of the heading. The heading comes last, after the horizontal axes."""
+        return self.pose
+
+    @cached_property
+    def _memory(self) -> list[int]:
+        """Indices of the state entries on which the motion over a period of the drive depends.
+
+        They are passive joint angles, velocities of a free base and passive joint rates.
+        """
+        passives, first = len(self.passive), self.coordinates + len(self.passive)
+        begin = first + self.speeds * (not self.free_base)
+        return [*range(self.coordinates, first), *range(begin, first + self.speeds + passives)]
+
+    def cycle_states(self, states: Array) -> Array:
+        """Return those quantities of states on which the motion over a period of the drive depends.
+
+        The motion is the same from any place, and in a plane in any heading. The quantities have the shape
+        (n, m).
+        """
+        return states[:, self._memory]
+
+    def with_cycle_state(self, start: Array, quantities: Array) -> Array:
+        """Return a state vector in which the quantities of :meth:`cycle_states` have the given values."""
+        state = start.copy()
+        state[self._memory] = quantities[-len(self._memory) :]
+        return state
 
     def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
@@ -294,14 +350,14 @@ class Swimmer(Model, ABC):
         """Start values of the coefficients of the robot file."""
         return np.array([p.start for p in self.parameters[: len(self.coefficients)]])
 
-    def use_default(self, trial: Trial) -> list[str]:
+    def list_input_channels(self, trial: Trial) -> list[str]:
         """Return the channels of measured joint angles that drive the simulation.
 
         Joints with a servo or a shared actuator are not among them, because their angles are simulated.
         """
         if trial.swim.joints is None:
             return []
-        return [a.column for a in self.driven if a.driven is not None and not a.driven.is_computed]
+        return [a.column for a in self.driven if a.law is not None and not a.law.is_computed]
 
     def check(self, values: Array) -> None:
         """Raise an error if the coefficients give physically impossible masses or inertias.
@@ -351,7 +407,7 @@ class Swimmer(Model, ABC):
         forces_N : ndarray, shape (thrusters,)
             Their forces for an input of 1.
         """
-        columns = self.engine.LOAD
+        columns = self.engine.columns["load"]
         along = [i for i, name in enumerate(columns) if name.startswith("force_")]
         forces = np.linalg.norm(tables["load"][:, along], axis=1)
         inputs = tables["load_input"] - len(self.driven)
@@ -363,7 +419,7 @@ class Swimmer(Model, ABC):
     def lose_thrust(self, tables: dict[str, Any], loss: float) -> None:
         """Let the thrust T of each thruster fall by ``loss sqrt(|T|)`` per velocity along it, (kg/m)^0.5."""
         rows, _, forces = self.thrusters(tables)
-        tables["load"][rows, self.engine.LOAD.index("loss")] = loss / forces**1.5
+        tables["load"][rows, self.engine.columns["load"].index("loss")] = loss / forces**1.5
 
     def list_joint_coefficients(self) -> list[str]:
         """Return the names of the coefficients in the laws of the passive joints, such as their stiffness."""
@@ -482,9 +538,9 @@ class Swimmer(Model, ABC):
         Returns
         -------
         Cruise or None
-            None if the drive is not periodic, if the base is fixed, and for a robot in 3-D.
+            None if the drive is not periodic, or if the base is fixed.
         """
-        if trial.swim.drive is None or not self.free_base or self.in_space:
+        if trial.swim.drive is None or not self.free_base:
             return None
         return self.steady.cruise(*self._arguments(values, trial))
 
@@ -525,7 +581,7 @@ class Swimmer(Model, ABC):
         """Return the forces of effects as the engine takes them; None if there are none."""
         if not run.hooks.force:
             return None
-        return outside(run.hooks.force, self.frame(run), len(self.tree.links))
+        return pack_forces(run.hooks.force, self.frame(run), len(self.tree.links))
 
     def integrate(self, run: SimulationRequest) -> tuple[Array, Array]:
         """Integrate by the scalar engine, and return the states and their time derivatives."""
@@ -543,11 +599,9 @@ class Swimmer(Model, ABC):
         """
         tables, grid = tuple(self._tables(run.values, run.hooks).values()), trajectory.grid
         drive = trajectory.drive.table[::2][first:]
-        more: tuple[Any, ...] = ()
-        if run.hooks.force:
-            more = self._pack_forces(run), grid.begin_s + first * grid.step_s, grid.step_s
-        torque, wrench = self.engine.torques(
-            trajectory.states[first:], trajectory.rates[first:], drive, tables, *more
+        begin_s, forces = grid.begin_s + first * grid.step_s, self._pack_forces(run)
+        torque, wrench = self.engine.compute_torques(
+            trajectory.states[first:], trajectory.rates[first:], drive, tables, forces, begin_s, grid.step_s
         )
         return np.asarray(torque), np.asarray(wrench)
 

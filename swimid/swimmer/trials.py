@@ -165,13 +165,12 @@ def load(
         if name not in known:
             raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known))
     recordings = [_recording(entry, path, model, channels, start_state) for entry in entries.trials]
-    beats = {r.trial.id: _beat(r.entry, r.log, model) for r in recordings}
-    trials = _with_starts(recordings, model)
-    _check_course(path, model, recordings)
     facts = {
-        "beats": beats,
+        "beats": {r.trial.id: _beat(r.entry, r.log, model) for r in recordings},
         "profiles": {entry.id: _profile(entry) for entry in entries.trials},
     }
+    trials = _with_starts(recordings, model)
+    _check_course(path, model, recordings)
     robot_path = robot_format.locate(entries.robot, path.parent)
     sources = [r.log.source for r in recordings]
     return Experiment.of(entries, path, model, trials, sources, robot, facts=facts, robot_path=robot_path)
@@ -319,7 +318,7 @@ def _read_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
     The measured angle is preferred, except that the commanded angle is preferred for an actuator with a
     servo. An actuator with a gain of 0 stays straight if neither angle is logged.
     """
-    law, command = actuator.driven, actuator.command
+    law, command = actuator.law, actuator.command
     candidates = [actuator.column, command]
     if law.servo is not None:
         candidates.reverse()
@@ -353,7 +352,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
     else:
         chosen = select_logged(model.reactions)
     chosen += select_logged([a.column for a in model.passive])
-    chosen += select_logged([a.column for a in model.driven if a.driven and a.driven.is_computed])
+    chosen += select_logged([a.column for a in model.driven if a.law and a.law.is_computed])
     if not chosen:
         names = ", ".join(c.name for c in model.channels)
         raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")
@@ -430,15 +429,14 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
     Raises
     ------
     InputError
-        If ``steady`` is asked for a trial without a periodic drive or of a robot in 3-D.
+        If ``steady`` is asked for a trial without a periodic drive.
     """
     state = entry.start_state if chosen == "auto" else chosen
     if state == "auto":
         return "estimate" if moving else "rest"
-    if state == "steady" and (entry.drive is None or model.in_space):
-        reason = "robots in space are not supported" if model.in_space else "it has no 'drive'"
+    if state == "steady" and entry.drive is None:
         raise InputError(
-            f"the trial '{entry.id}' cannot begin in steady swimming: {reason}",
+            f"the trial '{entry.id}' cannot begin in steady swimming: it has no 'drive'",
             file=path,
             column="start_state" if chosen == "auto" else "drive",
             hint="give the beat under 'drive', or start it from an estimated state (start_state: estimate)",
@@ -449,16 +447,7 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
 def _with_starts(recordings: Sequence[RobotTrial], model: Swimmer) -> list[Trial]:
     """Free the start parameters in the model, and return the trials with their start values."""
     measured = {name for r in recordings for name in r.trial.measured}
-    # free the offset of the start pose for each measured coordinate
-    free = set()
-    if model.free_base:
-        free = {name for name, column in zip(model.starts, model.pose, strict=True) if column in measured}
-    else:
-        channels = [name for name in model.reactions if name in measured]
-        free = {f"{word}_{name}" for word in ("offset", "drift") for name in channels}
-    for r in recordings:
-        if _lacks_heading(model, r.log) and model.pose[0] in r.trial.measured:
-            free.add(model.starts[2])
+    free = _list_offsets(recordings, model, measured)
     initial = set(model.list_determined_starts(measured))
     estimated: dict[str, set[str]] = {"rest": set(), "estimate": initial, "steady": {"drive_phase"}}
     for r in recordings:
@@ -473,6 +462,18 @@ def _with_starts(recordings: Sequence[RobotTrial], model: Swimmer) -> list[Trial
             trial = _with_phase(replace(trial, swim=trial.swim.make_steady()), model)
         trials.append(trial)
     return trials
+
+
+def _list_offsets(recordings: Sequence[RobotTrial], model: Swimmer, measured: set[str]) -> set[str]:
+    """Return the names of the offsets (and drifts) of the measured start pose or reactions."""
+    if not model.free_base:
+        channels = [name for name in model.reactions if name in measured]
+        return {f"{word}_{name}" for word in ("offset", "drift") for name in channels}
+    offsets = {name for name, column in zip(model.starts, model.pose, strict=True) if column in measured}
+    for r in recordings:
+        if _lacks_heading(model, r.log) and model.pose[0] in r.trial.measured:
+            offsets.add(model.starts[2])
+    return offsets
 
 
 def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
