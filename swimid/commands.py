@@ -186,4 +186,6 @@ class CommandSpec:
 
 
 #: All commands by name.
-COMMANDS = {row[0]: CommandSpec(row[0], section, *row[1:]) for section, rows in TABLE.items() for row in rows}
+COMMAND_SPECS = {
+    row[0]: CommandSpec(row[0], section, *row[1:]) for section, rows in TABLE.items() for row in rows
+}

@@ -32,7 +32,6 @@ from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
-from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.numbers import join_names
 from swimid.results.parameters import ParameterFile
@@ -240,7 +239,7 @@ def _find_power(task: _Task, notices: Sequence[Notice]) -> DetectionPower:
     with threadpool_limits(limits=1, user_api="blas"):
         rows, left_out = power.compute_power(task.study, task.applicable, task.asked, seed=task.options.seed)
     file = power.PowerFile(**task.about, effects=rows, left_out=left_out)
-    return DetectionPower.of(file, power.build_power_evidence(file, ev.notices(notices)))
+    return DetectionPower.of(file, power.build_power_evidence(file, list(notices)))
 
 
 def _check_command(path: Path, file: GapFile) -> None:
@@ -392,7 +391,7 @@ def diagnose(
             text = f"{repaired_path.name} belongs to an earlier run: this one found no cause to write to it"
             warn("SWM061", text)
     sources = loaded.experiment.robot.sources
-    shown = evidence.build_gap_evidence(file, worst, sources=sources, notices=ev.notices(notices))
+    shown = evidence.build_gap_evidence(file, worst, sources=sources, notices=list(notices))
     made = replace(Diagnosis.of(file, shown), repaired=repaired_file, simulator=simulator)
     made = _write_outputs(made, output, repaired_path, options.next)
     checkpoint.finish()

@@ -1114,7 +1114,7 @@ def finish(
         command=command,
         verdict=ev.make_verdict(answer(file), checks),
         checks=checks,
-        notices=ev.notices(warnings),
+        notices=list(warnings),
         provenance=file.provenance,
         **shown,
     )

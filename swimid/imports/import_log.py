@@ -35,7 +35,6 @@ from swimid.options import takes
 from swimid.points import point_evidence, point_files
 from swimid.points.point_files import Request
 from swimid.points.points import Posed, pose_of
-from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, make_check, make_verdict
 
@@ -506,7 +505,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         checks=checks,
         tables=_tables(found),
         figures=shown,
-        notices=ev.notices([*notices, *drawn]),
+        notices=[*notices, *drawn],
         notes=notes,
         methods=methods,
         references=references,

@@ -433,7 +433,7 @@ def _result(run: ImuRun, notices: Sequence[Notice], provenance: dict[str, Any]) 
         checks=checks,
         tables=_tables(run),
         figures=_figures(run),
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(run),
         references=references,
         provenance=provenance,

@@ -119,7 +119,7 @@ def plot(
         verdict=Verdict(level="good", text="Drawn as logged, nothing judged."),
         facts={record.name: f"{len(record)} samples" for record in records},
         figures=figures,
-        notices=ev.notices(notices),
+        notices=list(notices),
     )
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
     told = "\n".join(f"{record.name}: {len(record)} samples, drawn as logged" for record in records)

@@ -407,7 +407,7 @@ def _make_evidence(
         checks=checks,
         tables=[_totals(file), _range_table(file)],
         figures=[_map(file)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=[_method(file)],
         references=[*REFERENCES],
         provenance=file.provenance,

@@ -221,7 +221,7 @@ def _evaluate(
         tables=[_table(rows, swum.steady)],
         figures=_figures(made, rules, swum),
         images=painter.images(),
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(rules, made),
         references=[*REFERENCES],
         provenance=provenance.collect([video.path, source], settings=settings),
