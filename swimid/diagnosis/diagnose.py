@@ -321,11 +321,12 @@ def diagnose(
     -------
     Diagnosis or DetectionPower
         With ``power=True`` the detection power of the trials, otherwise the diagnosis.
-        ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
-        parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
-        with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
-        channel. ``.repaired`` has the parameters of the model with the causes, or is None. ``.next`` is the
-        command file of the trial that separates rival causes best, or None.
+        ``.answer`` is ``"none"``, ``"explained"``, ``"partial"``, ``"ambiguous"`` or ``"unexplained"``
+        (:mod:`swimid.diagnosis.verdict`). ``.causes`` has the parameters of each cause with their units.
+        ``.shrinkage`` has the errors on held-out data without and with the causes, divided by the measured
+        range. ``.where`` has the gap and the noise floor of each channel. ``.repaired`` has the parameters of
+        the model with the causes, or is None. ``.next`` is the command file of the trial that separates rival
+        causes best, or None.
 
     Raises
     ------

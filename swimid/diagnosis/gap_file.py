@@ -380,11 +380,6 @@ class GapFile(yamlio.ResultFile):
         return self
 
     @property
-    def has_changed_parameter(self) -> bool:
-        """Return whether a changed parameter is among the causes."""
-        return any(isinstance(v, ChangedValue) for c in self.causes for v in c.parameters.values())
-
-    @property
     def channel_errors(self) -> list[Shrinkage]:
         """Return the held-out errors of each channel without and with all causes, largest gap first."""
         return self.causes[0].shrinkage if self.causes else []
