@@ -83,7 +83,7 @@ TABLE: dict[str, list[tuple[str, str, str, str]]] = {
     ],
     "Publish": [
         ("export", "exporters.export:export", "ExportOptions",
-         "Write coefficients and causes for MuJoCo or Gazebo or as JSON, or a log for movement."),
+         "Write coefficients and causes for MuJoCo or Gazebo, or as JSON."),
         ("plot", "kinematics.plot:plot", "PlotOptions",
          "Draw logs: channels, track from above, and spectra. Several logs are drawn over each other."),
         ("report", "results.report:report", "ReportOptions",
