@@ -332,8 +332,8 @@ class GapFile(yamlio.ResultFile):
     trials: list[str] = []
     #: Facts from which the verdict follows.
     facts: Facts = Facts()
-    #: Hypotheses (``hypotheses``), number of samples (``samples``) and number of effects (``tried``) from
-    #: which the probabilities in this file are computed.
+    #: Hypotheses, number of samples (``samples``), and number of effects, changed parameters and other
+    #: readings (``tried``), from which the probabilities in this file are computed.
     hypotheses: list[HypothesisRow] = []
     samples: int | None = None
     tried: int | None = None

@@ -27,7 +27,7 @@ from swimid.logs.experiments import FORMAT as TRIALS
 from swimid.logs.experiments import Trials
 from swimid.logs.units import UNITS, canonical
 from swimid.notices import Progress, silent
-from swimid.points.point_files import tracked_points
+from swimid.points.point_files import find_tracked_points
 from swimid.projects.survey import SurveyedFile, several
 from swimid.robots.file import list_built_in_robots
 from swimid.runs.plan import folder_of, resolve
@@ -319,7 +319,7 @@ def _of_film(project: Project, group: RecordingGroup, progress: Progress) -> Non
 def _of_points(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add a points file: places on a robot if the robot is known, and a chain otherwise."""
     name = f"{group.name}.points.yaml"
-    points = list(tracked_points({name: np.empty(0) for name in group.first.columns}))
+    points = list(find_tracked_points({name: np.empty(0) for name in group.first.columns}))
     options: dict[str, Any] = {"points": name}
     lines = [
         f"# Points of {group.first.path.name}. Answer every {ASK}. All keys: swimid schema points",
