@@ -235,6 +235,7 @@ TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "coverage outside its range": ("trust.md", coverage_not_ok),
     "attacks": ("trust.md", attacks),
     "blind": ("diagnose-method.md", whole("blind")),
+    "gapbench": ("gapbench.md", whole("gapbench")),
     "simulators": ("your-simulator.md", whole("simulators")),
     "first-screen": ("../README.md", first_screen),
     "real": ("real-gaps.md", real_gaps),

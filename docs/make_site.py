@@ -29,7 +29,7 @@ from reference import PYTHON
 
 from swimid.api import NAMES
 from swimid.cli.main import SHARED, Command, main
-from swimid.commands import COMMANDS, TABLE
+from swimid.commands import COMMAND_SPECS, TABLE
 
 ROOT = Path(__file__).parents[1]
 PAGES, SITE = ROOT / "build" / "docs", ROOT / "site"
@@ -56,7 +56,7 @@ def copy_pages() -> None:
     for name in ("CONTRIBUTING.md", "CHANGELOG.md"):
         text = (ROOT / name).read_text(encoding="utf-8")
         (PAGES / name).write_text(text.replace("](docs/", "]("), encoding="utf-8")
-    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in COMMANDS.items()}
+    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in COMMAND_SPECS.items()}
     for path in PAGES.rglob("*.md"):
         up = "../" * (len(path.relative_to(PAGES).parts) - 1)
         text = path.read_text(encoding="utf-8").replace("](../CONTRIBUTING.md", f"]({up}CONTRIBUTING.md")
@@ -82,7 +82,7 @@ def command_pages() -> None:
     """Write a page for each section of the list of commands, with the help of its commands."""
     folder = PAGES / "reference"
     for section in TABLE:
-        specs = [spec for spec in COMMANDS.values() if spec.section == section]
+        specs = [spec for spec in COMMAND_SPECS.values() if spec.section == section]
         text = [f"# {section}\n"]
         for spec in sorted(specs, key=lambda one: one.command):
             text += command_text(spec.command)

@@ -35,6 +35,44 @@ PARTS: dict[str, Sequence[str]] = {
     "On a load cell": ("holder",),
     "A robot in space": ("multibody",),
 }
+#: Meaning of keys that have the same meaning in all formats, for classes that do not describe them.
+COMMON = {
+    "format": "Name and version of the format, the mark of the file.",
+    "robot": "Name of a built-in robot, or path of a robot file relative to this file.",
+    "model": "Name of the model.",
+    "experiment": "Name of the experiment.",
+    "params": "Parameter file.",
+    "trials": "The trials.",
+    "verdict": "Verdict of the command.",
+    "provenance": "Command, version, time, settings, and SHA-256 of each input.",
+    "unit": "Unit.",
+    "value": "Value, in the unit.",
+    "stderr": "Standard error, in the unit.",
+    "bounds": "Lower and upper bound; null for none.",
+    "status": "Status: `estimated`, `fixed`, `at-bound` or `unidentifiable`.",
+    "name": "Name.",
+    "title": "Title.",
+    "caption": "Caption.",
+    "meaning": "Meaning in words.",
+    "source": "Source of the value.",
+    "link": "Name of the link on which the element acts.",
+    "input": "Name of the input that acts.",
+    "at_m": "Place on the link, m: station in a plane, three coordinates in space.",
+    "offset_m": "Distance to port of the axis of the link (upwards in the vertical plane), m.",
+    "parent": "Name of the link that carries the joint.",
+    "child": "Name of the link that the joint moves.",
+    "elements": "Forces of the water and others on the links.",
+    "links": "Rigid links, the base first.",
+    "joints": "Joints, in the order of the columns `joint1_rad`, `joint2_rad`, ...",
+    "coefficients": "Coefficients by name, which quantities may contain.",
+    "inputs": "Columns of the log that act on the robot, by name.",
+    "holder": "Holder between a fixed base and a load cell.",
+    "reference": "Point whose pose the log holds.",
+    "markers": "Points of the base that a camera follows, by name.",
+    "metres_per_pixel": "Scale, m.",
+    "rmse": "Root-mean-square error, in the unit.",
+    "nrmse": "Root-mean-square error over the measured range.",
+}
 #: Names of types in JSON Schema, as the tables show them.
 TYPES = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
 LIMITS = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
@@ -95,7 +133,7 @@ def describe_fields(kind: type[BaseModel]) -> dict[str, str]:
             found = {**split_docstring(base)[2], **comments(base)}
             texts |= {name: text for name, text in found.items() if text}
     for name, field in kind.model_fields.items():
-        texts.setdefault(name, field.description or "")
+        texts.setdefault(name, field.description or COMMON.get(name, ""))
     return texts
 
 
@@ -173,7 +211,7 @@ def class_text(path: Sequence[str], kind: type[BaseModel]) -> Iterator[str]:
             continue
         about = schema["properties"][shown]
         row = [f"`{shown}`", name_type(about), show_default(about, field.is_required()), marked(texts[name])]
-        rows.append([cell.replace("|", "&#124;") for cell in row])
+        rows.append([cell.replace("|", "\\|") for cell in row])
     yield table(["key", "value", "default", "meaning"], rows) + "\n"
 
 
@@ -211,7 +249,9 @@ def formats_text(titles: Mapping[str, str]) -> str:
     lines: list[str] = []
     for name, title in titles.items():
         kind = class_of(name).file_type if name in list_result_formats() else find_class(name)
-        lines += format_text(title, kind, 3)
+        text = "\n".join(format_text(title, kind, 3))
+        # Only robot files have quantities, which are numbers or products with coefficients.
+        lines.append(text.replace("number or text", "quantity") if name == "robot" else text)
     return "\n".join(lines).rstrip("\n")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swimid.commands import COMMANDS
+from swimid.commands import COMMAND_SPECS
 from swimid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ _NAMES_OF = {
 #: stays fast.
 NAMES = {name: module for module, names in _NAMES_OF.items() for name in names}
 NAMES |= {
-    name: module for module, name in (spec.place for spec in COMMANDS.values()) if ".cli." not in module
+    name: module for module, name in (spec.place for spec in COMMAND_SPECS.values()) if ".cli." not in module
 }
 
 

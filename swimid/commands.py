@@ -83,8 +83,8 @@ TABLE: dict[str, list[tuple[str, str, str, str]]] = {
     ],
     "Publish": [
         ("export", "exporters.export:export", "ExportOptions",
-         "Write coefficients and causes for MuJoCo or Gazebo or as JSON, or a log for movement."),
-        ("plot", "logs.plot:plot", "PlotOptions",
+         "Write coefficients and causes for MuJoCo or Gazebo, or as JSON."),
+        ("plot", "kinematics.plot:plot", "PlotOptions",
          "Draw logs: channels, track from above, and spectra. Several logs are drawn over each other."),
         ("report", "results.report:report", "ReportOptions",
          "Make one self-contained page from any mixture of results."),
@@ -186,4 +186,6 @@ class CommandSpec:
 
 
 #: All commands by name.
-COMMANDS = {row[0]: CommandSpec(row[0], section, *row[1:]) for section, rows in TABLE.items() for row in rows}
+COMMAND_SPECS = {
+    row[0]: CommandSpec(row[0], section, *row[1:]) for section, rows in TABLE.items() for row in rows
+}

@@ -365,9 +365,36 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
     name = str(problem["loc"][0])
     if problem["type"] == "missing":
         return UsageError(f"the option '{name}' is missing", hint=options.declarations()[name].help)
-    message = problem["msg"]
     value = f"{problem.get('input')!r:.60}"
-    return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")
+    return UsageError(f"{name}: {value} is not allowed: {describe_problem(problem)}")
+
+
+#: What is allowed, by the type of an error of pydantic.
+ALLOWED = {
+    **dict.fromkeys(("float_parsing", "float_type"), "a number is needed"),
+    **dict.fromkeys(("int_parsing", "int_type", "int_from_float"), "a whole number is needed"),
+    **dict.fromkeys(("bool_parsing", "bool_type"), "true or false is needed"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list is needed"),
+    **dict.fromkeys(("dict_type", "mapping_type", "model_type"), "'key: value' lines are needed"),
+    "missing": "this key is missing",
+    "extra_forbidden": "this key is unknown",
+    "string_type": "a text is needed",
+    "finite_number": "a finite number is needed",
+    "literal_error": "allowed are {expected}",
+    "greater_than": "it must be greater than {gt:g}",
+    "greater_than_equal": "it must be at least {ge:g}",
+    "less_than": "it must be less than {lt:g}",
+    "less_than_equal": "it must be at most {le:g}",
+    "too_short": "at least {min_length} entries are needed",
+    "too_long": "at most {max_length} entries are allowed",
+}
+
+
+def describe_problem(problem: Any) -> str:
+    """Return what is allowed in place of a value, from an error of pydantic."""
+    message = problem["msg"]
+    text = ALLOWED.get(problem["type"], f"{message[0].lower()}{message[1:]}")
+    return text.format(**problem.get("ctx", {})) if problem["type"] in ALLOWED else text
 
 
 # ---------------------------------------------------------------- options that several commands share

@@ -240,7 +240,7 @@ def test_a_foreign_unit_through_a_mapping_in_memory(vehicle: tuple[pd.DataFrame,
     inputs = made.evidence.provenance["inputs"]
     assert inputs == {
         "imu": log.unread(foreign, name="imu").digest(),  # type: ignore[union-attr]
-        "mapping": mapping.of(rules).digest(),
+        "mapping": mapping.read_mapping(rules).digest(),
     }
     short = {**rules, "columns": rules["columns"][1:]}  # type: ignore[index]
     with pytest.raises(InputError, match="mapping, 'ax_m_s2'"):

@@ -22,7 +22,7 @@ from click.testing import CliRunner
 import swimid as package
 from swimid.cli.main import CommandRun as Running
 from swimid.cli.main import main
-from swimid.commands import COMMANDS, TABLE
+from swimid.commands import COMMAND_SPECS, TABLE
 from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
 from swimid.results.result import Result, list_result_formats
@@ -36,7 +36,7 @@ def test_every_command_is_in_a_section_and_explains_itself(swimid: Run) -> None:
     assert re.findall(r"^(\w[\w ]+):$", shown, re.M) == ["Options", *TABLE]
     for name in main.commands:
         assert re.search(rf"^  {name} ", shown, re.M), name
-    for spec in COMMANDS.values():
+    for spec in COMMAND_SPECS.values():
         assert inspect.getdoc(spec.model()).splitlines()[0] == spec.help, spec.command
         assert "Example" in swimid(*spec.command.split(), "--help").out, spec.command
 

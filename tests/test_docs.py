@@ -22,7 +22,7 @@ from ruamel.yaml import YAML
 from docs import evidence, reference
 from swimid.api import NAMES
 from swimid.cli.main import main
-from swimid.commands import COMMANDS
+from swimid.commands import COMMAND_SPECS
 from tests.conftest import ROOT, SAMPLES, Ran
 
 DOCS = ROOT / "docs"
@@ -195,7 +195,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert not re.search(foreign, whole)
     assert 'class="equation"' in (tmp_path / "site" / "equations.html").read_text(encoding="utf-8")
     assert "arithmatex" not in whole
-    for command in COMMANDS:
+    for command in COMMAND_SPECS:
         assert f'id="{command.replace(" ", "-")}"' in whole
     for name in NAMES:
         assert f'id="{name.lower()}"' in whole

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError
-from swimid.imports.table import Table, choose, flat, in_si, length, of_records, of_tree
+from swimid.imports.table import ForeignTable, choose, flat, in_si, length, of_records, of_tree
 from swimid.logs.units import UNITS
 
 TIME = np.arange(5.0)
@@ -24,7 +24,7 @@ TREE = {
 }
 
 
-def read(select: str | None, content: Any = TREE) -> Table:
+def read(select: str | None, content: Any = TREE) -> ForeignTable:
     return of_tree(content, select, Path("a.mat"), lambda value: value)
 
 

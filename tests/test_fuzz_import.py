@@ -170,7 +170,7 @@ def test_rewritten_mappings(swimid: Callable[..., Ran], folder: Path) -> None:
     def run(content: bytes) -> None:
         path.write_bytes(content)
         with contextlib.suppress(SwimidError):
-            mapping.of(path)
+            mapping.read_mapping(path)
         _ends_in_order(
             swimid("import", folder / name, "--map", path, "-o", folder / "map-out.csv", "--force")
         )

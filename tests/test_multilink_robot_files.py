@@ -157,7 +157,7 @@ WRONG = {
     ),
     "sections out of order": ("station_m: 0,", "station_m: 0.3,", "elements.3", "must increase", ""),
     "point on strips": ("from_m: 0.05, to_m: 0.2", "at_m: 0.1", "elements.1", "strips: 1", ""),
-    "no strips": ("from_m: 0.05", "strips: 0, from_m: 0.05", "strips", "greater than or equal to 1", ""),
+    "no strips": ("from_m: 0.05", "strips: 0, from_m: 0.05", "strips", "at least 1", ""),
     "unknown kind": ("kind: foil", "kind: fol", "elements.4", "'fol'", ""),
     "unknown key": (
         "normal_coefficient", "normal_coeficient", "normal_coeficient", "unknown key", "normal_coef",

@@ -16,7 +16,7 @@ from click.shell_completion import ShellComplete
 
 import swimid as package
 from swimid.cli.main import main, value_of
-from swimid.commands import COMMANDS, CommandSpec
+from swimid.commands import COMMAND_SPECS, CommandSpec
 from swimid.errors import UsageError
 from swimid.imports.options import ImportOptions
 from swimid.notices import SwimidWarning
@@ -26,7 +26,7 @@ from swimid.swimmer.options import FitGrayboxOptions
 from swimid.tracking.options import Pick
 from tests.conftest import ROOT, Ran
 
-SPECS = list(COMMANDS.values())
+SPECS = list(COMMAND_SPECS.values())
 commands = pytest.mark.parametrize("spec", SPECS, ids=lambda s: s.command)
 
 
@@ -142,9 +142,9 @@ class TestModel:
             ({}, "the option 'params' is missing"),
             (
                 {"params": "a", "method": "bad"},
-                "method: 'bad' is not allowed: input should be 'fast' or 'good'",
+                "method: 'bad' is not allowed: allowed are 'fast' or 'good'",
             ),
-            ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: input should be greater than 0"),
+            ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: it must be greater than 0"),
             ({"params": "a", "names": "ab"}, "names: 'ab' is not allowed"),
             ({"params": "a", "metod": "fast"}, "has no option 'metod'"),
             ({"params": "a", "outptu": "x"}, "has no option 'outptu'"),

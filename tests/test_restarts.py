@@ -104,11 +104,11 @@ def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
     counted = [0]
 
     class Counting(rig_model.RigModel):
-        def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
             counted[0] += 1
             return super().simulate_hooked(values, trial, hooks)
 
-        def refined(self) -> None:  # type: ignore[override]
+        def refine(self) -> None:  # type: ignore[override]
             return None
 
     plain = experiment.model

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.diagnosis.gap_file import Facts, HeldOutTrial, Proposed
+from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Proposed
 from swimid.diagnosis.posterior import MAX_NO_GAP_PROBABILITY
 from swimid.diagnosis.verdict import (
     MIN_SURE_PROBABILITY,
@@ -16,6 +16,7 @@ from swimid.diagnosis.verdict import (
     compute_remaining_share,
     decide,
     find_carrying_part,
+    format_interval,
     list_rows,
 )
 from tests.gap_cases import facts, held_out, replace
@@ -373,3 +374,18 @@ def test_a_refit_that_is_worse_than_the_model_as_given_is_no_measure() -> None:
     assert compute_remaining_share(known) == pytest.approx(150.0 / 240.0)
     assert decide(known).verdict == "unexplained"
     assert decide(known).causes == ()
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (0.999937, 1.0, "(at least 99.9 %)"),
+        (0.9941, 1.0, "(99.4 … 100.0 %)"),
+        (0.81, 0.94, "(81 … 94 %)"),
+        (None, None, ""),
+    ],
+)
+def test_the_interval_of_a_closed_share_has_at_most_one_decimal(
+    low: float | None, high: float | None, text: str
+) -> None:
+    assert format_interval(Closed(before=9.0, after=1.0, share=0.9, ci95=(low, high))) == text

@@ -175,7 +175,7 @@ def _make_result(m: Identified, checks: list[Check], notices: Sequence[Notice]) 
         checks=checks,
         tables=[_errors(m), _modes(m)],
         figures=[_free_run(m), _residuals(m)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(m),
         references=REFERENCES,
         provenance=file.provenance,

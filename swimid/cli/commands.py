@@ -168,25 +168,41 @@ def doctor(
         "optional": _versions(name for name, extra in known.items() if extra),
         "video_decoding": _decodes_video(),
     }
+    if options.warm_up:
+        findings["kernels_s"] = _warm_up(progress)
+    findings["healthy"] = all(findings["packages"].values()) and findings["video_decoding"]
+    outputs = []
+    if output is not None:
+        atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
+        outputs.append(output)
+    return Installation("doctor", data=findings, outputs=outputs, evidence=_evidence(findings, known))
+
+
+def _warm_up(progress: Progress) -> dict[str, float]:
+    """Compile the numerical functions, and return the time of each module, s."""
+    times_s = {}
+    with progress("compiling", total=len(KERNELS)) as step:
+        for name in KERNELS:
+            start_s = time.perf_counter()
+            importlib.import_module(name).warm_up()
+            times_s[name] = round(time.perf_counter() - start_s, 3)
+            step()
+    return times_s
+
+
+def _evidence(findings: dict[str, Any], extras: dict[str, str]) -> Evidence:
+    """Return the verdict on an installation, and a table of its packages with the ``extras`` of each."""
     rows = [[name, version or "MISSING", ""] for name, version in findings["packages"].items()]
     for name, version in findings["optional"].items():
-        rows.append([name, version or "not installed", f"pip install 'swimid[{known[name]}]'"])
-    if options.warm_up:
-        findings["kernels_s"] = {}
-        with progress("compiling", total=len(KERNELS)) as step:
-            for name in KERNELS:
-                began = time.perf_counter()
-                importlib.import_module(name).warm_up()
-                findings["kernels_s"][name] = round(time.perf_counter() - began, 3)
-                rows.append([name, "compiled", f"in {findings['kernels_s'][name]:.1f} s"])
-                step()
-    missing = [name for name, version in findings["packages"].items() if version is None]
-    findings["healthy"] = not missing and findings["video_decoding"]
+        rows.append([name, version or "not installed", f"pip install 'swimid[{extras[name]}]'"])
+    for name, time_s in findings.get("kernels_s", {}).items():
+        rows.append([name, "compiled", f"in {time_s:.1f} s"])
     verdict = Verdict(level="good", text="Everything is in place.")
     if not findings["healthy"]:
+        missing = [name for name, version in findings["packages"].items() if version is None]
         lacking = ", ".join(missing) or "FFmpeg in OpenCV"
         verdict = Verdict(level="bad", text=f"Reinstall swimid. Missing: {lacking}.")
-    evidence = Evidence(
+    return Evidence(
         command="doctor",
         title=f"swimid {swimid.__version__}",
         verdict=verdict,
@@ -197,11 +213,6 @@ def doctor(
         },
         tables=[Table(id="packages", title="Packages", columns=["package", "state", "use"], rows=rows)],
     )
-    outputs = []
-    if output is not None:
-        atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
-        outputs.append(output)
-    return Installation("doctor", data=findings, outputs=outputs, evidence=evidence)
 
 
 def _dependencies() -> dict[str, str]:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
-from swimid.commands import COMMANDS, EVIDENCE, TABLE, CommandSpec
+from swimid.commands import COMMAND_SPECS, EVIDENCE, TABLE, CommandSpec
 from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, name_arguments
 from swimid.files import atomic, provenance
 from swimid.notices import Notice, Progress, Step, record_warnings, silent
@@ -323,40 +323,46 @@ class Command(click.Command):
         run(partial(self._outcome, run, files, typed))
 
     def _outcome(self, run: CommandRun, files: Any, typed: dict[str, Any]) -> Result:
-        """Call the function of the command with the typed options, and return its result.
-
-        Before that, raise an error for an output file that must not be replaced.
-        """
-        spec = self.spec
-        declared = spec.model().declarations()
+        """Call the function of the command with the typed options, and return its result."""
+        declared = self.spec.model().declarations()
         options = {name: value_of(declared[name], text) for name, text in typed.items()}
-        output = run.output
-        if spec.usage.stdout is not None and (output is None or str(output) == "-"):
+        output, defaults = run.output, self.spec.usage.stdout
+        to_stdout = defaults is not None and output in (None, Path("-"))
+        if defaults is not None and to_stdout:
             output = None
-            options |= {name: value for name, value in spec.usage.stdout.items() if options[name] is None}
-        read = [files]
-        if isinstance(files, tuple):
-            read = list(files)
-        read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
-        written = [options[entry.name] for entry in declared.values() if entry.written]
-        written = [place for place in [output, *written] if place is not None]
-        _insist_distinct(written)
-        allow = partial(run.protect, inputs=read)
-        function = spec.run()
-        taken = inspect.signature(function).parameters.keys()
-        offered = {"progress": run.progress, "force": run.force, "allow": allow}
-        given: dict[str, Any] = {name: offered[name] for name in offered if name in taken}
-        if not {"allow", "force"} & taken:
-            for place in written:
-                allow(place)
-        if output is not None and not output.is_dir():
-            _protect_beside(output, spec, run)
+            options |= {name: value for name, value in defaults.items() if options[name] is None}
+        function = self.spec.run()
+        given = self._protect(function, run, files, output, options)
         outcome: Result = function(*filter(None, [files]), output=output, **options, **given)
-        if spec.usage.stdout is not None and output is None and not run.as_json:
+        if to_stdout and not run.as_json:
             # Print the document also with --quiet, because it is the result.
             click.echo(outcome.text)
             outcome = replace(outcome, text="")
         return outcome
+
+    def _protect(
+        self, function: Any, run: CommandRun, files: Any, output: Path | None, options: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Raise an error for an output that must not be replaced. Return the arguments that a function takes.
+
+        A function with an argument ``allow`` or ``force`` protects its outputs itself.
+        """
+        inputs = list(files) if isinstance(files, tuple) else [files]
+        written = [] if output is None else [output]
+        for name, entry in self.spec.model().declarations().items():
+            inputs += entry.files(options[name])
+            if entry.written and options[name] is not None:
+                written.append(options[name])
+        _insist_distinct(written)
+        allow = partial(run.protect, inputs=inputs)
+        offered = {"progress": run.progress, "force": run.force, "allow": allow}
+        given = {name: offered[name] for name in inspect.signature(function).parameters if name in offered}
+        if not given.keys() & {"allow", "force"}:
+            for place in written:
+                allow(place)
+        if output is not None and not output.is_dir():
+            _protect_beside(output, self.spec, run)
+        return given
 
 
 def check_words(spec: CommandSpec, words: list[str]) -> None:
@@ -597,7 +603,7 @@ def optimise() -> None:
     """Find the best stiffness for each frequency and amplitude, or the best gait."""
 
 
-for spec in COMMANDS.values():
+for spec in COMMAND_SPECS.values():
     {"track": track_group, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
 
 

@@ -32,7 +32,6 @@ from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
-from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.numbers import join_names
 from swimid.results.parameters import ParameterFile
@@ -240,7 +239,7 @@ def _find_power(task: _Task, notices: Sequence[Notice]) -> DetectionPower:
     with threadpool_limits(limits=1, user_api="blas"):
         rows, left_out = power.compute_power(task.study, task.applicable, task.asked, seed=task.options.seed)
     file = power.PowerFile(**task.about, effects=rows, left_out=left_out)
-    return DetectionPower.of(file, power.build_power_evidence(file, ev.notices(notices)))
+    return DetectionPower.of(file, power.build_power_evidence(file, list(notices)))
 
 
 def _check_command(path: Path, file: GapFile) -> None:
@@ -322,11 +321,12 @@ def diagnose(
     -------
     Diagnosis or DetectionPower
         With ``power=True`` the detection power of the trials, otherwise the diagnosis.
-        ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
-        parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
-        with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
-        channel. ``.repaired`` has the parameters of the model with the causes, or is None. ``.next`` is the
-        command file of the trial that separates rival causes best, or None.
+        ``.answer`` is ``"none"``, ``"explained"``, ``"partial"``, ``"ambiguous"`` or ``"unexplained"``
+        (:mod:`swimid.diagnosis.verdict`). ``.causes`` has the parameters of each cause with their units.
+        ``.shrinkage`` has the errors on held-out data without and with the causes, divided by the measured
+        range. ``.where`` has the gap and the noise floor of each channel. ``.repaired`` has the parameters of
+        the model with the causes, or is None. ``.next`` is the command file of the trial that separates rival
+        causes best, or None.
 
     Raises
     ------
@@ -392,7 +392,7 @@ def diagnose(
             text = f"{repaired_path.name} belongs to an earlier run: this one found no cause to write to it"
             warn("SWM061", text)
     sources = loaded.experiment.robot.sources
-    shown = evidence.build_gap_evidence(file, worst, sources=sources, notices=ev.notices(notices))
+    shown = evidence.build_gap_evidence(file, worst, sources=sources, notices=list(notices))
     made = replace(Diagnosis.of(file, shown), repaired=repaired_file, simulator=simulator)
     made = _write_outputs(made, output, repaired_path, options.next)
     checkpoint.finish()

@@ -332,8 +332,8 @@ class GapFile(yamlio.ResultFile):
     trials: list[str] = []
     #: Facts from which the verdict follows.
     facts: Facts = Facts()
-    #: Hypotheses (``hypotheses``), number of samples (``samples``) and number of effects (``tried``) from
-    #: which the probabilities in this file are computed.
+    #: Hypotheses, number of samples (``samples``), and number of effects, changed parameters and other
+    #: readings (``tried``), from which the probabilities in this file are computed.
     hypotheses: list[HypothesisRow] = []
     samples: int | None = None
     tried: int | None = None
@@ -378,11 +378,6 @@ class GapFile(yamlio.ResultFile):
             cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
         self.scores.sort(key=lambda s: -_size(s.gain))
         return self
-
-    @property
-    def has_changed_parameter(self) -> bool:
-        """Return whether a changed parameter is among the causes."""
-        return any(isinstance(v, ChangedValue) for c in self.causes for v in c.parameters.values())
 
     @property
     def channel_errors(self) -> list[Shrinkage]:

@@ -13,7 +13,7 @@ from swimid.errors import InputError
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, RigInput, Trial
 from swimid.logs.experiments import EVERYWHERE, Params, Trials
-from swimid.logs.log import Log, unwrapped
+from swimid.logs.log import Log, unwrap_angle
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import warn
 from swimid.rig import model as rig
@@ -233,7 +233,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     the first of the largest swings. If the body was held at an excursion before its release, or was at rest
     before it was deflected, the decay begins at the end of this time.
     """
-    column = unwrapped(name, log[name])
+    column = unwrap_angle(name, log[name])
     there = np.isfinite(column)
     time, values = log.time_s[there], column[there]
     noise = white_noise_sd(values, 0.0)

@@ -18,7 +18,7 @@ from swimid.errors import InputError
 from swimid.files.yamlio import ASK
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import SurgeInput, Trial
-from swimid.kinematics.frequency import find_beat, stated_against_found
+from swimid.kinematics.frequency import compare_frequencies, find_beat
 from swimid.logs.experiments import (
     EVERYWHERE,
     Drive,
@@ -137,7 +137,7 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
         used = "the measured frequency is used"
-        beat_facts[entry.id] = stated_against_found(entry.id, drive.frequency_hz, beat, used)
+        beat_facts[entry.id] = compare_frequencies(entry.id, drive.frequency_hz, beat, used)
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue

@@ -534,14 +534,18 @@ class Checkpoint:
         if lines and not raw.endswith(b"\n"):
             with path.open("ab") as stream:
                 stream.write(b"\n")
+        self._warn_of_lines(path, len(lines), damaged)
+
+    def _warn_of_lines(self, path: Path, count: int, damaged: int) -> None:
+        """Warn of the lines of the checkpoint file that are damaged or of other computations."""
         others = len(self._others)
-        told = []
+        texts = []
         if others:
-            told.append(f"{others} of runs with other inputs or options, or of another version")
+            texts.append(f"{others} of runs with other inputs or options, or of another version")
         if damaged:
-            told.append(f"{damaged} damaged")
-        if told:
-            text = f"{path}: {others + damaged} of {len(lines)} lines were ignored: {', '.join(told)}"
+            texts.append(f"{damaged} damaged")
+        if texts:
+            text = f"{path}: {others + damaged} of {count} lines were ignored: {', '.join(texts)}"
             if others:
                 text += f"; delete {path.name} if nobody goes on with those runs"
             warn("SWM150", text)

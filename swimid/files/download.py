@@ -133,30 +133,14 @@ def fetch(
         dataset = yamlio.read_document(dataset, RemoteFiles)
     source = address or os.environ.get(VARIABLE) or ADDRESS
     with tempfile.TemporaryDirectory() as scratch, progress("downloading", total=len(dataset.files)) as step:
-        found: dict[str, Path] = {}
-        missing = []
-        for number, (path, digest) in enumerate(dataset.files.items()):
-            if "://" in source:
-                file, origin = _from_server(dataset, path, source, Path(scratch) / str(number))
-            else:
-                there = _from_folder(dataset, path, Path(source))
-                if there is None:
-                    missing.append(dataset.local(path))
-                    step()
-                    continue
-                file = Path(scratch) / str(number)
-                with file_errors(there, noted=False):
-                    shutil.copyfile(there, file)
-                origin = str(there)
-            if (actual := sha256(file)) != digest:
-                raise InputError(
-                    f"has SHA-256 {actual}, and {digest} is expected",
-                    file=origin,
-                    hint=f"get the file {path} of {dataset.repository} at {dataset.commit} again",
-                )
-            found[dataset.local(path)] = file
+        files: dict[str, Path] = {}
+        for number, path in enumerate(dataset.files):
+            file = Path(scratch) / str(number)
+            if _get(dataset, path, source, file):
+                files[dataset.local(path)] = file
             step()
-        if not found:
+        missing = [name for name in map(dataset.local, dataset.files) if name not in files]
+        if not files:
             raise InputError(
                 f"the folder has none of the files {', '.join(missing)}",
                 file=source,
@@ -164,11 +148,31 @@ def fetch(
             )
         if missing:
             warn("SWM178", f"{source} has no {', '.join(missing)}: these files are left out")
-        return _write(dataset, found, folder)
+        return _write(dataset, files, folder)
 
 
-def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> tuple[Path, str]:
-    """Download one file, and return its temporary path and its address."""
+def _get(dataset: RemoteFiles, path: str, source: str, file: Path) -> bool:
+    """Copy one file of a dataset to a temporary path, check its SHA-256, and return whether it is there."""
+    if "://" in source:
+        origin = _from_server(dataset, path, source, file)
+    else:
+        there = _from_folder(dataset, path, Path(source))
+        if there is None:
+            return False
+        with file_errors(there, noted=False):
+            shutil.copyfile(there, file)
+        origin = str(there)
+    if (actual := sha256(file)) != dataset.files[path]:
+        raise InputError(
+            f"has SHA-256 {actual}, and {dataset.files[path]} is expected",
+            file=origin,
+            hint=f"get the file {path} of {dataset.repository} at {dataset.commit} again",
+        )
+    return True
+
+
+def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> str:
+    """Download one file to a temporary path, and return its address."""
     import pooch
     import requests
 
@@ -194,7 +198,7 @@ def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> tu
                 hint=f"download the files of https://github.com/{dataset.repository}/tree/{dataset.commit}"
                 " on another machine, and name their folder: --from FOLDER",
             ) from error
-        return file, url
+        return url
     raise AssertionError("a file has at least one place")
 
 

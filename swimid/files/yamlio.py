@@ -25,7 +25,7 @@ from typing_extensions import TypedDict
 
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
-from swimid.options import BEYOND, is_beyond
+from swimid.options import BEYOND, describe_problem, is_beyond
 
 #: Maximum size of a YAML file, bytes. A larger file is an error, and is not parsed.
 MAX_BYTES = 20_000_000
@@ -389,20 +389,24 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
         if isinstance(place, Mapping) and (wrote := nearest(str(location[-1]), [*map(str, place)])):
             hint = f"you wrote '{wrote}'"
         return f"key '{location[-1]}' is missing", hint
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind == "value_error":
-        return message, None
-    expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
-    if close := nearest(str(value), [word.strip(" '") for word in expected.split(",")]):
-        hint = f"did you mean '{close}'?"
-    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+,\d+", value):
-        hint = f"write the decimal point as a dot: {value.replace(',', '.')}"
-    elif kind == "too_long" and all(isinstance(one, int) for one in value):
-        hint = "a decimal comma separates two items; write the decimal point as a dot"
+        return problem["msg"].removeprefix("Value error, "), None
     shown = type(value).__name__
     if value is None or isinstance(value, str | int | float):
         shown = textwrap.shorten(repr(value), MAX_VALUE_LETTERS, placeholder=" ...")
-    return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", hint
+    return f"{shown} is not allowed: {describe_problem(problem)}", _hint_of_value(problem)
+
+
+def _hint_of_value(problem: Any) -> str | None:
+    """Return the hint about a value that is not allowed: a similar word, or a decimal point."""
+    value = problem.get("input")
+    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+,\d+", value):
+        return f"write the decimal point as a dot: {value.replace(',', '.')}"
+    if problem["type"] == "too_long" and all(isinstance(one, int) for one in value):
+        return "a decimal comma separates two items; write the decimal point as a dot"
+    expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
+    close = nearest(str(value), [word.strip(" '") for word in expected.split(",")])
+    return f"did you mean '{close}'?" if close else None
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:

@@ -197,11 +197,11 @@ def read_trial_log(
     measured = {name: re.sub(r"_(m|rad)$", r"_raw_\1", name) for name in pose}
     optional = (*optional, *measured.values())
     if entry._held is not None:
-        log = entry._held.chosen(required, optional)
+        log = entry._held.select_columns(required, optional)
     else:
         log = log_format.read(folder / entry.log, required=required, optional=optional)
     columns = {name: values for name, values in log.columns.items() if name not in measured.values()}
-    if log_format.written_by(log.metadata, "swimid track video"):
+    if log_format.is_written_by(log.metadata, "swimid track video"):
         # In a log of another program a column of this name may have any meaning.
         columns |= {name: log[raw] for name, raw in measured.items() if raw in log}
     return _cut(_blank_repeats(replace(log, columns=columns)), entry)
@@ -1114,7 +1114,7 @@ def finish(
         command=command,
         verdict=ev.make_verdict(answer(file), checks),
         checks=checks,
-        notices=ev.notices(warnings),
+        notices=list(warnings),
         provenance=file.provenance,
         **shown,
     )

@@ -302,10 +302,10 @@ def search(
         each = {t.id: _correct(mistake, t, before, simulate) for t in trials if t.id in before}
         corrected = {name: one for name, one in each.items() if one is not None}
         screened.append((sum(max(gain, 0.0) for _, _, gain in corrected.values()), mistake, corrected))
-    screened.sort(key=lambda one: -one[0])
+    screened = sorted(screened, key=lambda one: -one[0])[: None if refit is None else MAX_REFITS]
     explain = partial(_explain, trials=trials, alternatives=len(known) * (len(trials) + 1), before=before)
     found = []
-    for _, mistake, corrected in screened[: None if refit is None else MAX_REFITS]:
+    for _, mistake, corrected in screened:
         gained = tuple(name for name, (_, _, gain) in corrected.items() if gain > rivals.STRONG)
         after = {gained: {name: corrected[name][1] for name in gained}}
         if refit is not None:

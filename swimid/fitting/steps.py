@@ -90,8 +90,7 @@ def choose_step(
         models.append(finer)
         for k in rest:
             levels[k] += 1
-    sound = [level for level, one in zip(levels, changes, strict=True) if math.inf not in one.values()]
-    chosen = max(sound, default=0)
+    chosen = max((k for k, one in zip(levels, changes, strict=True) if _largest(one) < math.inf), default=0)
     return StepChoice(models[chosen], changes, chosen)
 
 

@@ -63,7 +63,7 @@ class Extreme:
 
 
 @dataclass
-class Channel:
+class ChannelStatistics:
     """Statistics of all rows of one channel, taken in batches.
 
     Attributes
@@ -179,7 +179,7 @@ class RowStatistics:
     pauses: int = 0
     shortest_s: float = np.inf
     longest_s: float = -np.inf
-    channels: dict[str, Channel] = field(default_factory=dict)
+    channels: dict[str, ChannelStatistics] = field(default_factory=dict)
 
     def faults(self) -> dict[str, str]:
         """Return the measured channels with values that no working sensor gives, with a message for each."""
@@ -262,7 +262,7 @@ class Averager:
             self._last_s = float(time_s[-1])
         for name, values in columns.items():
             if name != TIME:
-                statistics.channels.setdefault(name, Channel()).take(values)
+                statistics.channels.setdefault(name, ChannelStatistics()).take(values)
 
     def _starts(self, time_s: Array) -> NDArray[np.intp]:
         """Return the index of the first row of each average. A pause in the time stamps ends an average."""

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 
 #: Minimum number of common samples for a comparison of two logs.
-MIN_SAMPLES = 16
+MIN_SAMPLES_OFFSET = 16
 #: Maximum sample time of a compared log, as a fraction of the shortest period of drift. With a longer sample
 #: time, motion cannot be distinguished from drift.
 MAX_STEP = 0.2
@@ -106,7 +106,7 @@ def clock_offset(
     True
     """
     known = np.isfinite(seen).all(axis=1)
-    few = known.sum() < MIN_SAMPLES or np.ptp(time_s) == 0
+    few = known.sum() < MIN_SAMPLES_OFFSET or np.ptp(time_s) == 0
     if few or np.median(np.diff(seen_time_s[known])) > MAX_STEP * slow_s:
         return None
     profile = _Profile(time_s, reference, seen_time_s[known], seen[known], slow_s)
@@ -134,7 +134,7 @@ class _Profile:
     def __init__(self, t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> None:
         self.t, self.reference = t, reference
         self.seen_t, self.seen, self.slow_s = seen_t, seen, slow_s
-        fast = without_slow(seen_t, seen, slow_s)
+        fast = remove_drift(seen_t, seen, slow_s)
         speed = np.gradient(fast, seen_t, axis=0)
         lead = int(np.argmax(np.std(fast, axis=0)))
         turning = float(np.std(speed[:, lead]))
@@ -151,10 +151,10 @@ class _Profile:
 
         step = float(np.median(np.diff(self.seen_t)))
         a_t, b_t = (np.arange(t[0], t[-1], step) for t in (self.t, self.seen_t))
-        if min(len(a_t), len(b_t)) < MIN_SAMPLES:
+        if min(len(a_t), len(b_t)) < MIN_SAMPLES_OFFSET:
             return np.zeros(0)
-        a = _normal(without_slow(a_t, resampled(a_t, self.t, self.reference), self.slow_s))
-        b = _normal(without_slow(b_t, resampled(b_t, self.seen_t, self.seen), self.slow_s))
+        a = _normal(remove_drift(a_t, resample(a_t, self.t, self.reference), self.slow_s))
+        b = _normal(remove_drift(b_t, resample(b_t, self.seen_t, self.seen), self.slow_s))
         ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
         overlap = signal.correlate(ones_a, ones_b)
         alike = np.zeros(len(overlap))
@@ -185,10 +185,10 @@ class _Profile:
         when = self.seen_t + shift
         if inside is None:
             inside = (when >= self.t[0]) & (when <= self.t[-1])
-        if inside.sum() < MIN_SAMPLES:
+        if inside.sum() < MIN_SAMPLES_OFFSET:
             return None
-        expected = resampled(when[inside], self.t, self.reference)
-        both = without_slow(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
+        expected = resample(when[inside], self.t, self.reference)
+        both = remove_drift(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
         x, y = np.hsplit(both, [expected.shape[1]])
         factors = np.asarray(np.linalg.lstsq(x, y, rcond=1e-9)[0], dtype=float)
         return x, y, factors, self.seen_t[inside]
@@ -246,7 +246,7 @@ class _Profile:
         return Offset(value, stderr, value - BAND * stderr, value + BAND * stderr, explained, factors)
 
 
-def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
+def remove_drift(t: Array, channels: Array, slow_s: float) -> Array:
     """Return channels, shape (n, k), without drift: cosines with periods above ``slow_s`` are subtracted."""
     duration = float(t[-1] - t[0])
     count = max(int(2 * duration / slow_s), 1) + 1
@@ -264,6 +264,6 @@ def _normal(channels: Array) -> Array:
     return channels[:, spread > 0] / spread[spread > 0]
 
 
-def resampled(at_s: Array, time_s: Array, values: Array) -> Array:
+def resample(at_s: Array, time_s: Array, values: Array) -> Array:
     """Return columns, shape (n, k), interpolated linearly from times ``time_s`` to ``at_s``, shape (m, k)."""
     return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.imports.averaging import Channel
+from swimid.imports.averaging import ChannelStatistics
 from swimid.kinematics.attitude import AXES, from_angles, with_angles
 from swimid.kinematics.course import compare_course
 from swimid.kinematics.jumps import WINDOW, find_jumps
-from swimid.kinematics.stroke import NO_MOTION, coordinates
-from swimid.logs.log import TIME, runs, unwrapped
+from swimid.kinematics.stroke import NO_MOTION, coordinate_columns
+from swimid.logs.log import TIME, runs, unwrap_angle
 from swimid.logs.sampling import LONG_ENOUGH, SET, find_held, has_levels
 from swimid.logs.units import quantity_of
 
@@ -48,7 +48,7 @@ _DEGREES = (np.pi / 180, 180 / np.pi)
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ColumnComparison:
     """Comparison of a column with another column that shows the same motion.
 
     Attributes
@@ -72,7 +72,7 @@ class Comparison:
     doubtful: bool = False
 
 
-def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
+def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[ColumnComparison]:
     """Compare rates in a log with derivatives of its pose, and the direction of travel with the heading.
 
     Each comparison is made if the log has the columns for it: u, v with the velocity of the track in the body
@@ -88,7 +88,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
         twelfth of the duration.
     """
     time = columns[TIME]
-    found: list[Comparison] = []
+    found: list[ColumnComparison] = []
     for name, values in columns.items():
         hit = re.fullmatch(r"(.+)_(m|rad|px)_s", name)
         if hit is None or hit[1] in ("u", "v", "w"):
@@ -101,7 +101,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
         if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
             against = "yaw_rad"
         if against in columns:
-            motion = unwrapped(against, columns[against])
+            motion = unwrap_angle(against, columns[against])
             found += _judge(time, [motion], [[values]], [name], against, angle=pose == "rad")
     turned = with_angles(dict(columns))
     for x_name, y_name, angle in PLANES:
@@ -125,7 +125,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
 
 def _of_course(
     time: Array, x: Array, y: Array, yaw: Array, period_s: float | None, name: str
-) -> list[Comparison]:
+) -> list[ColumnComparison]:
     """Compare the direction of travel of a track with the heading, averaged over windows of a stroke or more.
 
     The mean angle is that of windows of several strokes, because the sway changes the course of one stroke.
@@ -142,14 +142,14 @@ def _of_course(
     if is_mirrored:
         text = f"turns opposite to {against}: one of both is mirrored (factor: -1 for {name} or y)"
     elif extent > MIN_SPEED_M_S * np.ptp(time):
-        text = seen.turned(name)
+        text = seen.find_turn(name)
     doubtful = bool(text) and not seen.mirrored
-    return [Comparison(name, against, 1.0 - 2.0 * is_mirrored, math.nan, text, doubtful)]
+    return [ColumnComparison(name, against, 1.0 - 2.0 * is_mirrored, math.nan, text, doubtful)]
 
 
 def _of_quaternion(
     time: Array, q: Array, columns: Mapping[str, Array], turns: Sequence[str]
-) -> list[Comparison]:
+) -> list[ColumnComparison]:
     """Compare turn rates about body axes with the rotations between successive attitude quaternions."""
     from scipy.spatial.transform import Rotation
 
@@ -159,7 +159,7 @@ def _of_quaternion(
     attitudes = Rotation.from_quat(q[there], scalar_first=True)
     steps = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
     angles = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))
-    found: list[Comparison] = []
+    found: list[ColumnComparison] = []
     for k, name in enumerate(turns):
         rate = columns[name][there]
         found += _judge(time[there], [angles[:, k]], [[rate]], [name], "the quaternion", angle=True)
@@ -171,7 +171,7 @@ def _of_quaternion(
             "turns opposite to the quaternion, which is that from world to body, or the sign is wrong: "
             "quaternion: {direction: world-to-body} in the mapping conjugates it"
         )
-        return [Comparison(names, "the quaternion", mirrored[0].gain, mirrored[0].stderr, text)]
+        return [ColumnComparison(names, "the quaternion", mirrored[0].gain, mirrored[0].stderr, text)]
     return found
 
 
@@ -183,7 +183,7 @@ def _judge(
     against: str,
     *,
     angle: bool,
-) -> list[Comparison]:
+) -> list[ColumnComparison]:
     """Regress a pose on integrated rates, and name the mistake that explains a coefficient other than 1.
 
     The regression is that of increments of the pose on increments of the integrated rates.
@@ -224,12 +224,12 @@ def _judge(
     found = []
     for name, gain, stderr in zip(names, best[1], best[2], strict=True):
         if abs(gain) > MIN_STDERRS * stderr:
-            text = _named(float(gain), angle=angle)
-            found.append(Comparison(name, against, float(gain), float(stderr), text))
+            text = _explain_factor(float(gain), angle=angle)
+            found.append(ColumnComparison(name, against, float(gain), float(stderr), text))
     return found
 
 
-def _named(gain: float, *, angle: bool) -> str:
+def _explain_factor(gain: float, *, angle: bool) -> str:
     """Return the mistake (sign, unit, scale) that explains a factor between columns; empty for factor 1."""
     factors = [10.0**k for k in range(-3, 4)]
     if angle:
@@ -334,7 +334,7 @@ def _channels(columns: Mapping[str, Array]) -> Iterator[tuple[tuple[str, ...], A
             place[there] = turned.as_matrix().reshape(-1, 9) / np.sqrt(2.0)
             yield group, place, {}
             names = [name for name in names if name not in group]
-    track = coordinates(columns)
+    track = coordinate_columns(columns)
     if len(track) == 1:
         yield (track[0],), columns[track[0]][:, None], {}
     for name in names:
@@ -394,7 +394,7 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
         known = values[np.isfinite(values)]
         if len(known) < LONG_ENOUGH or quantity_of(name) is None:
             continue
-        channel = Channel()
+        channel = ChannelStatistics()
         channel.take(known)
         if SET.fullmatch(name):
             if text := channel.far():

@@ -15,13 +15,20 @@ from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.imports import consistency, mapping
 from swimid.imports.averaging import RowStatistics
-from swimid.imports.consistency import ANGLES, MAX_JUMPED, Comparison, Jumped, find_jumped, find_unmeasured
+from swimid.imports.consistency import (
+    ANGLES,
+    MAX_JUMPED,
+    ColumnComparison,
+    Jumped,
+    find_jumped,
+    find_unmeasured,
+)
 from swimid.imports.mapping import MappedLog, Order
 from swimid.imports.options import ImportOptions
 from swimid.kinematics import speed as track_speed
 from swimid.kinematics import stroke as strokes
 from swimid.kinematics import wave
-from swimid.kinematics.frequency import contradiction, stated_frequency
+from swimid.kinematics.frequency import contradiction, read_frequency
 from swimid.kinematics.jumps import Cleaning, clean_track
 from swimid.kinematics.logged import Logged
 from swimid.kinematics.plot import figures_of
@@ -35,7 +42,6 @@ from swimid.options import takes
 from swimid.points import point_evidence, point_files
 from swimid.points.point_files import Request
 from swimid.points.points import Posed, pose_of
-from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, make_check, make_verdict
 
@@ -98,7 +104,7 @@ def import_log(
     (['t_s', 'yaw_rad'], 1.5)
     """
     given, map_path = log.unread(source), options.map_path
-    rules = None if map_path is None else mapping.of(map_path)
+    rules = None if map_path is None else mapping.read_mapping(map_path)
     inputs: list[provenance.Input] = [given]
     if rules is not None:
         inputs.append(map_path if isinstance(map_path, str | Path) else rules)
@@ -109,7 +115,7 @@ def import_log(
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with record_warnings(repeat=True) as notices:
-        read = mapping.apply(rules, given, options.stated, every=options.every or 1, progress=progress)
+        read = mapping.apply(rules, given, options.file_values, every=options.every or 1, progress=progress)
         found = examine(read, options, request)
         settings = options.settings(clean=found.cleaned)
         origin = provenance.collect(inputs, settings=settings)
@@ -155,7 +161,7 @@ class Examined:
         Reason why no stroke is found; empty if one is found.
     doubts : list of Doubt
         Columns with values that no swimmer reaches.
-    comparisons : list of Comparison
+    comparisons : list of ColumnComparison
         Comparisons of columns that show the same motion.
     uneven : str
         Range of the time steps, as text for a message; empty for even sampling.
@@ -178,7 +184,7 @@ class Examined:
     against: str
     unknown: str
     doubts: list[Doubt]
-    comparisons: list[Comparison]
+    comparisons: list[ColumnComparison]
     uneven: str
     bursts: bool
     posed: Posed | None = None
@@ -187,10 +193,10 @@ class Examined:
     @property
     def unit(self) -> str:
         """Unit of the positions in the imported log: m or px."""
-        return "px" if {"x_px", "y_px", "z_px"} & set(strokes.coordinates(self.log.columns)) else "m"
+        return "px" if {"x_px", "y_px", "z_px"} & set(strokes.coordinate_columns(self.log.columns)) else "m"
 
     @property
-    def done(self) -> str:
+    def treatment(self) -> str:
         """Participle for messages: whether repeated samples and jumps of the track are left out or kept."""
         return "left out" if self.cleaned else "kept"
 
@@ -205,7 +211,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     InputError
         No sample has a time, or the clock is reset within the log.
     NoTrustworthyResult
-        A cleaned track has fewer samples than :data:`swimid.kinematics.speed.MIN_SAMPLES`.
+        A cleaned track has fewer samples than :data:`swimid.kinematics.speed.MIN_SAMPLES_STROKE`.
     """
     name, columns = source.path.name, source.columns
     order = _in_order(source)
@@ -216,14 +222,14 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         warn("SWM057", f"{name}: rows {order.summary}")
     uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
-    posed, markers = _posed(source, request, metadata)
-    coordinates, known = strokes.coordinates(columns), _measured(columns)
+    posed, markers = _add_pose(source, request, metadata)
+    coordinates, known = strokes.coordinate_columns(columns), _select_measured(columns)
     cleaned = options.clean
     if cleaned is None:
-        cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
+        cleaned = len(coordinates) > 1 and not log.is_written_by(source.metadata, "swimid track")
     cleaned = cleaned and bool(coordinates)
     cleaning = speed = None
-    jumped = _jumped(source, source.rows[order.index], options.clean)
+    jumped = _remove_jumps(source, source.rows[order.index], options.clean)
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
         angles = [log.unwrap(known[column]) for column in ANGLES if column in columns]
@@ -231,14 +237,16 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         cleaning = clean_track(stamps, track, angles)
     if options.clean is not False:
         _take_out(columns, cleaning if cleaned else None, list(jumped.values()), name, metadata)
-    channels = {key: values for key, values in _measured(columns).items() if key not in (TIME, *markers)}
+    channels = {
+        key: values for key, values in _select_measured(columns).items() if key not in (TIME, *markers)
+    }
     times, times_sd_s = columns[TIME], 0.0
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
         if (np.diff(measured_s) > 0).all():  # equal times occur if other channels have rows between pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
-    stated_hz = stated_frequency(metadata)
+    stated_hz = read_frequency(metadata)
     stroke = find_stroke(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
     unknown, against, periodic_hz, period_s = "", "", None, None
     if stroke is None:
@@ -246,15 +254,15 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     else:
         stroke = add_time_error(stroke, times_sd_s, times)
         periodic_hz, period_s = stroke.beat.frequency_hz, 1.0 / stroke.beat.frequency_hz
-        against = _against(stroke, stated_hz, name)
+        against = _check_stroke(stroke, stated_hz, name)
     if cleaning is not None:
         speed = path_speed(stamps, track, cleaning, periodic_hz)
     if posed is not None:
         posed.centre(columns, None if stroke is None else stroke.beat.frequency_hz)
-    doubts = [*log.doubts(columns[TIME], columns), *_bent(stroke)]
+    doubts = [*log.doubts(columns[TIME], columns), *_doubt_amplitudes(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
-    comparisons = _compared(columns, period_s, name)
+    comparisons = _compare_columns(columns, period_s, name)
     return Examined(
         source,
         Log(source.path, metadata, columns, None),
@@ -291,7 +299,7 @@ def _in_order(source: MappedLog) -> Order:
     return order
 
 
-def _posed(
+def _add_pose(
     source: MappedLog, request: Request | None, metadata: dict[str, Any]
 ) -> tuple[Posed | None, list[str]]:
     """Add pose and joint angles from tracked points to a log and its metadata, in place, if requested.
@@ -301,7 +309,7 @@ def _posed(
     if request is None:
         return None, []
     columns = source.columns
-    if log.written_by(metadata, "swimid track"):
+    if log.is_written_by(metadata, "swimid track"):
         metadata["tracked_by"] = metadata.pop("made_by")
         point_files.keep_markers(columns)
     found = pose_of(columns, request, source.path)
@@ -319,7 +327,7 @@ def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
         columns[name] = columns[name][rows]
 
 
-def _bent(stroke: Rhythm | None) -> list[Doubt]:
+def _doubt_amplitudes(stroke: Rhythm | None) -> list[Doubt]:
     """Return a :class:`Doubt` about each angle that oscillates with an amplitude above 180 degrees.
 
     No joint of a robot can move so far. The angle is probably in degrees.
@@ -331,7 +339,7 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
     return [Doubt(name, text.format(size)) for name, size in beats.items() if size > np.pi]
 
 
-def _compared(columns: dict[str, Array], period_s: float | None, name: str) -> list[Comparison]:
+def _compare_columns(columns: dict[str, Array], period_s: float | None, name: str) -> list[ColumnComparison]:
     """Return the comparisons of columns that show the same motion; warn of those that contradict."""
     comparisons = consistency.compare_columns(columns, period_s)
     for one in comparisons:
@@ -342,12 +350,12 @@ def _compared(columns: dict[str, Array], period_s: float | None, name: str) -> l
     return comparisons
 
 
-def _jumped(source: MappedLog, lines: NDArray[np.int64], clean: bool | None) -> dict[str, Jumped]:
+def _remove_jumps(source: MappedLog, lines: NDArray[np.int64], clean: bool | None) -> dict[str, Jumped]:
     """Return the jumps and spikes of the channels of a log by a message on them; warn of them.
 
     A track that swimid computed is not searched, unless ``clean`` asks for it.
     """
-    if not clean and log.written_by(source.metadata, "swimid track"):
+    if not clean and log.is_written_by(source.metadata, "swimid track"):
         return {}
     found = {_describe(one, source, lines, clean is not False): one for one in find_jumped(source.columns)}
     for text in found:
@@ -403,7 +411,7 @@ def _take_out(
             done["elsewhere_s"] = elsewhere
         out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
         if out.any():
-            if len(out) >= 2 * track_speed.MIN_SAMPLES and good < track_speed.MIN_SAMPLES:
+            if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
                 text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
                 hint = "--raw keeps them all; is this a track of positions in metres?"
                 raise NoTrustworthyResult(text, hint=hint)
@@ -420,7 +428,7 @@ def _take_out(
         _keep(columns, ~empty)
 
 
-def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
+def _check_stroke(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
     """Return a message if the stroke contradicts the metadata; warn of this and of a doubtful stroke."""
     against = ""
     if stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
@@ -431,7 +439,7 @@ def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
     return against
 
 
-def _measured(columns: dict[str, Array]) -> dict[str, Array]:
+def _select_measured(columns: dict[str, Array]) -> dict[str, Array]:
     """Return the columns of a log, with the poses as they were before smoothing and interpolation.
 
     A log written by ``swimid track`` has the positions before smoothing in separate columns. Interpolated
@@ -449,7 +457,7 @@ def _measured(columns: dict[str, Array]) -> dict[str, Array]:
 
 #: Minimum number of values of each channel, and minimum number of samples of a log, for the checks of an
 #: imported log.
-MIN_SAMPLES = LONG_ENOUGH + 1
+MIN_SAMPLES_STROKE = LONG_ENOUGH + 1
 #: Minimum number of track samples per stroke. With fewer samples the path of the robot between two samples is
 #: not known.
 MIN_SAMPLES_PER_STROKE = 6.0
@@ -461,7 +469,7 @@ MAX_DROPPED, MAX_FROZEN = 0.1, 0.01
 #: Pattern of the columns whose values are compared with the limits of a swimmer
 #: (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
-METHODS = [
+IMPORT_METHODS = [
     "Repeated pictures and jumps of a track are found by a Hampel identifier on its steps. The mean speed is "
     "taken along cubic smoothing splines and corrected for the noise by a parametric bootstrap.",
     "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles beside a "
@@ -483,7 +491,7 @@ REFERENCES = [
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
     """Return the evidence of an imported log: checks, tables, figures and notices."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
-    methods, references = [*METHODS], [] if found.cleaning is None else [*REFERENCES]
+    methods, references = [*IMPORT_METHODS], [] if found.cleaning is None else [*REFERENCES]
     notes = []
     if found.mapped.all_rows is not None:
         checks += _all_rows_checks(found.mapped.all_rows)
@@ -494,7 +502,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
     if found.posed is not None:
         checks += point_evidence.checks(found.posed)
         shown += point_evidence.figures(found.posed, found.wave)
-        methods += point_evidence.METHODS
+        methods += point_evidence.POINT_METHODS
         references += point_evidence.REFERENCES
     return Evidence(
         command="import",
@@ -506,7 +514,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         checks=checks,
         tables=_tables(found),
         figures=shown,
-        notices=ev.notices([*notices, *drawn]),
+        notices=[*notices, *drawn],
         notes=notes,
         methods=methods,
         references=references,
@@ -541,13 +549,13 @@ def _amount_checks(found: Examined) -> list[Check]:
     """Return the checks that the rows, the columns and the times of an imported log are complete."""
     time, n, rows = found.log.time_s, len(found.log.time_s), len(found.mapped)
     counts = {name: int(np.isfinite(values).sum()) for name, values in found.log.signals.items()}
-    scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES]
-    few = f"too few values to judge {', '.join(scarce)}: a channel needs {MIN_SAMPLES}"
-    if n < MIN_SAMPLES:
-        few = f"{n} samples are too few to judge a log, which needs {MIN_SAMPLES}"
+    scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES_STROKE]
+    few = f"too few values to judge {', '.join(scarce)}: a channel needs {MIN_SAMPLES_STROKE}"
+    if n < MIN_SAMPLES_STROKE:
+        few = f"{n} samples are too few to judge a log, which needs {MIN_SAMPLES_STROKE}"
     last = int(np.argmax(np.diff(time)))
     pause_s = float(time[last + 1] - time[last])
-    long = n >= MIN_SAMPLES and pause_s > 0.5 * (time[-1] - time[0])
+    long = n >= MIN_SAMPLES_STROKE and pause_s > 0.5 * (time[-1] - time[0])
     pause = (
         f"no sample lies between {time[last]:.6g} s and {time[last + 1]:.6g} s, more than half of the log: "
         "do the times count from two origins?"
@@ -563,9 +571,14 @@ def _amount_checks(found: Examined) -> list[Check]:
     least, longest = str(min(counts.values())), numbers.format_number(pause_s, 3, "s")
     checks = [
         _check(
-            "Samples", not scarce, f"≥ {MIN_SAMPLES} in a channel", few, least, fails=not any(counts.values())
+            "Samples",
+            not scarce,
+            f"≥ {MIN_SAMPLES_STROKE} in a channel",
+            few,
+            least,
+            fails=not any(counts.values()),
         ),
-        _check("Longest pause", not long, "≤ half of the log", pause, longest, made=n >= MIN_SAMPLES),
+        _check("Longest pause", not long, "≤ half of the log", pause, longest, made=n >= MIN_SAMPLES_STROKE),
         _check("Rows in order", not (odd or notes), "none", remarks, f"{odd} of {rows} odd", fails=many),
         _check("Quantity of every column", not names, "known", open_, names, fails=True),
     ]
@@ -581,7 +594,7 @@ def _amount_checks(found: Examined) -> list[Check]:
 
 def _value_checks(found: Examined) -> list[Check]:
     """Return the checks for uneven sampling and for contradicting, frozen, faulty or unusual channels."""
-    stuck = find_frozen(found.log.time_s, _measured(found.log.columns))
+    stuck = find_frozen(found.log.time_s, _select_measured(found.log.columns))
     scales = {target: factor for target, (_, factor, _) in found.mapped.sources.items()}
     wrong = [one for one in found.comparisons if one.text]
     failed = not all(one.doubtful for one in wrong)
@@ -594,9 +607,9 @@ def _value_checks(found: Examined) -> list[Check]:
     lossy = any(one.out.mean() > MAX_JUMPED for one in found.jumped.values())
     long_held = any(end - begin > MAX_FROZEN * span_s for begin, end in stuck.values())
     uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
-    enough = len(found.log.time_s) >= MIN_SAMPLES
+    enough = len(found.log.time_s) >= MIN_SAMPLES_STROKE
     channels = {name: values for name, values in found.log.signals.items() if not SET.fullmatch(name)}
-    long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in channels.values())
+    long = any(np.isfinite(values).sum() >= MIN_SAMPLES_STROKE for values in channels.values())
     continuous = any(may_freeze(*channel) for channel in found.log.signals.items())
     limited = enough and any(map(LIMITED.fullmatch, found.log.signals))
     return [
@@ -627,7 +640,7 @@ def _track_checks(found: Examined) -> list[Check]:
     if cleaning is None:
         return []
     lost, repeats = cleaning.counts["samples_jumped"], cleaning.counts["repeats"]
-    seen, done = int(cleaning.good.sum()) + repeats + lost, found.done
+    seen, done = int(cleaning.good.sum()) + repeats + lost, found.treatment
     held = "the track holds repeated pictures (--clean leaves them out)"
     jumps = f"the track jumps {cleaning.jumps} times ({lost} samples {done})"
     if cleaning.offset_rows:
@@ -679,7 +692,7 @@ def _facts(found: Examined) -> dict[str, str]:
             facts["Stroke"] += ", may be twice the stroke: no channel that swings sideways is there"
     if cleaning is not None:
         counts, gaps = cleaning.counts, f"{len(cleaning.gaps)} gaps kept"
-        facts["Track"] = f"{counts['repeats']} repeats and {counts['jumps']} jumps {found.done}, {gaps}"
+        facts["Track"] = f"{counts['repeats']} repeats and {counts['jumps']} jumps {found.treatment}, {gaps}"
     if speed is not None:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"

@@ -28,10 +28,19 @@ from swimid.files.yamlio import ASK
 from swimid.imports.averaging import Averager, RowStatistics
 from swimid.imports.formats import open_table
 from swimid.imports.options import ImportOptions
-from swimid.imports.table import GROUPED, MAX_ODD, Options, Table, in_words, is_text, numbers_in, signed
-from swimid.kinematics.attitude import AXES, rearranged
+from swimid.imports.table import (
+    GROUPED,
+    MAX_ODD,
+    ForeignTable,
+    ReaderOptions,
+    in_words,
+    is_text,
+    numbers_in,
+    restore_sign,
+)
+from swimid.kinematics.attitude import AXES, reorder_quaternion
 from swimid.logs import log
-from swimid.logs.log import TIME, Log, LogLike, metadata_of, written_by
+from swimid.logs.log import TIME, Log, LogLike, is_written_by, metadata_of
 from swimid.logs.sampling import PAUSE, SET, UNIFORM_SHARE, usual_step
 from swimid.logs.units import COMPOUND, KNOWN, UNITS, canonical, quantity_of, states_quantity, unit_factor
 from swimid.notices import Progress, silent, warn
@@ -40,7 +49,7 @@ from swimid.results.result import Text
 
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_KEY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 #: Maximum number of instances (sensors, animals, tags) that are recognised if their rows alternate in one
 #: table.
 MAX_INSTANCES = 16
@@ -57,7 +66,7 @@ _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(
 #: Hint at the end of an error message about a cell that is not a number.
 MISSING_HINT = ", or name what marks it under 'missing:' of the mapping"
 #: Pattern of the rest of a column name after the name of a tracked point: a coordinate such as ``_x``.
-_COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
+_COORDINATE_NAME = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 #: Name of the unit of a dimensionless quantity in a mapping.
 NO_UNIT = "1"
 #: Period of a time of day, s.
@@ -145,7 +154,7 @@ class Column(yamlio.Document):
     @field_validator("target")
     @classmethod
     def _plain_name(cls, value: str) -> str:
-        if not _NAME.fullmatch(value):
+        if not _KEY_NAME.fullmatch(value):
             raise ValueError(f"'{value}' must be letters, digits and underscores, as in x_m")
         return value
 
@@ -188,12 +197,12 @@ class TableSource(yamlio.Document):
     profile: str | None = Field(default=None, alias="as")
     #: Track, individual, topic, message type, struct or group to read, if the file holds several.
     select: str | int | None = None
-    reader: Options = Options()
+    reader: ReaderOptions = ReaderOptions()
     time: Time | None = None
     #: Condition for the rows that are read: they have one of the given values in each named column.
     where: dict[str, str | float | int | list[str | float | int]] = {}
 
-    def table(self, given: str | Path | Log) -> Table:
+    def table(self, given: str | Path | Log) -> ForeignTable:
         """Return the table in a file or in a log in memory."""
         select = None if self.select is None else str(self.select)
         return open_table(given, self.reader, select, self.profile)
@@ -301,7 +310,7 @@ class MappedLog:
         return len(self.rows)
 
 
-def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
+def read_mapping(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
     """Return the mapping for an argument: the path of a mapping file, a mapping, or a dict with its keys.
 
     Raises
@@ -479,14 +488,14 @@ def _offset(
 
 
 #: Number of copies of all cells that are in memory while a log is examined, measured with 10 million rows.
-N_COPIES = 8
+N_ROWS_COPIED = 8
 
 
 class NoRowError(InputError):
     """Error for a table of which ``where`` chooses no row."""
 
 
-def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedLog:
+def _read(mapping: Mapping, table: ForeignTable, path: Path, every: int = 1) -> MappedLog:
     """Map the rows of a table and those that follow in its file. The mean of ``every`` rows becomes one row.
 
     Raises
@@ -509,7 +518,7 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
         rows = len(table.columns[names[0]]) + table.after
         hint = f"import means of successive rows, as in --every {100 * every}, or map fewer columns"
         what = f"{rows // every} rows of {len(names)} columns"
-        memory.check_fits(path, what, 8.0 * N_COPIES * len(names) * (rows // every), hint)
+        memory.check_fits(path, what, 8.0 * N_ROWS_COPIED * len(names) * (rows // every), hint)
         if every == 1:
             isolated.check_size(path, 8 * len(names) * rows)
     clock, averager = Clock(), Averager(every)
@@ -517,7 +526,7 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
     refused: NoRowError | None = None
     for batch in table.batches(names):
         try:
-            pieces.append(_mapped(mapping, columns, batch, path, metadata, clock))
+            pieces.append(_map_columns(mapping, columns, batch, path, metadata, clock))
         except NoRowError as error:
             refused = refused or error
             continue
@@ -557,15 +566,20 @@ def _concatenate(pieces: list[MappedLog]) -> MappedLog:
     return replace(first, columns=columns, rows=rows, notes=notes, unlikely=dict(unlikely))
 
 
-def _unknown(columns: list[Column], metadata: dict[str, Any]) -> list[str]:
+def _find_unknown(columns: list[Column], metadata: dict[str, Any]) -> list[str]:
     """Return the targets whose quantity neither a unit nor the name states, in a log of others."""
-    if written_by(metadata, "swimid"):
+    if is_written_by(metadata, "swimid"):
         return []
     return [c.target for c in columns if c.unit != NO_UNIT and not states_quantity(c.target)]
 
 
-def _mapped(
-    mapping: Mapping, columns: list[Column], table: Table, path: Path, metadata: dict[str, Any], clock: Clock
+def _map_columns(
+    mapping: Mapping,
+    columns: list[Column],
+    table: ForeignTable,
+    path: Path,
+    metadata: dict[str, Any],
+    clock: Clock,
 ) -> MappedLog:
     notes = table.notes
     sources = {column.target: table.column(column.source, path) for column in columns}
@@ -581,7 +595,7 @@ def _mapped(
     for column in sorted(columns, key=lambda column: column.target != TIME):
         values = _values(column, table, sources[column.target], mapping.reader.missing, path, notes)
         found.setdefault(column.target, values)
-    chosen = _chosen(table, mapping.where, rows, path)
+    chosen = _select_rows(table, mapping.where, rows, path)
     if np.isnan(found[TIME]).any():
         # Leave out rows without any value, which pad a table. They are no lost samples.
         padding = np.all([np.isnan(values) for values in found.values()], axis=0)
@@ -609,15 +623,15 @@ def _mapped(
         raise InputError(text, file=path, column=lacking[0], hint=hint)
     if not lacking:
         q = np.column_stack([found[axis] for axis in AXES])
-        q = rearranged(q, mapping.quaternion.order, mapping.quaternion.direction)
+        q = reorder_quaternion(q, mapping.quaternion.order, mapping.quaternion.direction)
         found |= dict(zip(AXES, q.T, strict=True))
     if time is not None and time.frame is None and time.sources:
-        notes += _contradicted(table, table.column(time.sources[0], path))
+        notes += _check_frame_numbers(table, table.column(time.sources[0], path))
     lines = table.before + np.arange(1, rows + 1, dtype=np.int64)
     if table.lines is not None:
         lines = table.lines
     scales = {column.target: (str(column.source), column.scale, column.offset) for column in columns}
-    unknown = _unknown(columns, metadata)
+    unknown = _find_unknown(columns, metadata)
     numbers = lines[:rows][chosen]
     return MappedLog(path, found, numbers, metadata, notes, scales, unknown, table.profile, unlikely)
 
@@ -640,7 +654,7 @@ RATE_RTOL = 0.01
 
 
 def _with_own_times(
-    mapping: Mapping, columns: list[Column], table: Table, path: Path
+    mapping: Mapping, columns: list[Column], table: ForeignTable, path: Path
 ) -> tuple[Mapping, list[Column]]:
     """Return a mapping and its columns with the times that the file states, unless the mapping names others.
 
@@ -670,7 +684,7 @@ def _short(value: Any) -> Any:
     return value.strip().partition("\n")[0][:120] if isinstance(value, str) else value
 
 
-def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
+def _identity(table: ForeignTable, path: Path, metadata: dict[str, Any]) -> list[Column]:
     """Map each column with a name of the log format to itself; warn of all other columns."""
     names = ", ".join(list(table.columns)[:20])
     hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
@@ -678,9 +692,9 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     if not {TIME, "frame"} & set(table.columns):
         raise InputError("this column is missing", file=path, column=TIME, hint=hint)
     kept, out = [], []
-    own = written_by(metadata, "swimid")
+    own = is_written_by(metadata, "swimid")
     for name in table.columns:
-        known = (own or states_quantity(name)) and _NAME.fullmatch(name)
+        known = (own or states_quantity(name)) and _KEY_NAME.fullmatch(name)
         if known and _numbers(table, name, [], path) is not None:
             kept.append(Column(source=name, target=name))
         elif name != "frame":
@@ -697,7 +711,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     return kept
 
 
-def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -> Time | None:
+def _time(mapping: Mapping, table: ForeignTable, sources: dict[str, str], path: Path) -> Time | None:
     """Return the source of a file's sample times; None if the mapping has a column ``t_s``."""
     time, has_frames = mapping.time, "frame" in table.columns and mapping.profile is not None
     if TIME in sources:
@@ -724,7 +738,7 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
     return time
 
 
-def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
+def _same_length(names: Sequence[str], table: ForeignTable, path: Path) -> int:
     """Return the common number of rows of the mapped columns; raise an error if their lengths differ."""
     lengths = {name: len(table.columns[name]) for name in names}
     if len(set(lengths.values())) > 1:
@@ -737,7 +751,7 @@ def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
     return rows
 
 
-def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path) -> Array | None:
+def _numbers(table: ForeignTable, name: str, missing: Sequence[float | str], path: Path) -> Array | None:
     """Return a column of a file as numbers, with NaN for missing-sample codes; None for dates or text."""
     values = table.columns[name]
     if values.dtype.kind == "M":
@@ -753,7 +767,12 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
 
 
 def _values(
-    column: Column, table: Table, name: str, missing: Sequence[float | str], path: Path, notes: list[str]
+    column: Column,
+    table: ForeignTable,
+    name: str,
+    missing: Sequence[float | str],
+    path: Path,
+    notes: list[str],
 ) -> Array:
     """Return the values of a target column, in SI units; raise an error for a column of text or dates."""
     values = _numbers(table, name, missing, path)
@@ -761,11 +780,11 @@ def _values(
         kind = "text" if is_text(table.columns[name]) else "dates"
         raise InputError(f"holds {kind}, not numbers", file=path, column=name)
     if column.target != TIME:
-        values = signed(values, name, notes)
+        values = restore_sign(values, name, notes)
     return values * column.scale + column.offset
 
 
-def _contradicted(table: Table, name: str) -> list[str]:
+def _check_frame_numbers(table: ForeignTable, name: str) -> list[str]:
     """Return a note if the name and the steps of a time column are those of a frame number.
 
     The result is a list with this note. It is empty for any other column.
@@ -783,7 +802,7 @@ def _contradicted(table: Table, name: str) -> list[str]:
 # ---------------------------------------------------------------- samples that are not taken
 
 
-def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArray[np.bool_]:
+def _select_rows(table: ForeignTable, where: dict[str, Any], rows: int, path: Path) -> NDArray[np.bool_]:
     """Flag the rows of a table that have one of the wanted values in each column of ``where``.
 
     The result has the shape (rows,).
@@ -813,7 +832,9 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
     return kept
 
 
-def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[str]) -> tuple[str, list[str]]:
+def find_mixed(
+    table: ForeignTable, time_s: Array, kept: NDArray[np.bool_], used: Set[str]
+) -> tuple[str, list[str]]:
     """Find a column that numbers sensors, animals or tags whose rows alternate; return its name and values.
 
     Each sensor, animal or tag is an instance. The column that numbers the instances has few values and
@@ -879,7 +900,7 @@ def empty_unlikely(columns: dict[str, Array], sources: dict[str, str], minimum: 
             hit = _LIKELIHOOD.fullmatch(name)
             if hit is None or target in emptied:
                 continue
-            point = re.compile(re.escape(hit["point"]) + _COORDINATE)
+            point = re.compile(re.escape(hit["point"]) + _COORDINATE_NAME)
             coordinates = [other for other, written in names.items() if point.fullmatch(written)]
             if not coordinates:
                 continue
@@ -911,7 +932,12 @@ class Clock:
 
 
 def seconds(
-    table: Table, time: Time, rows: int, path: Path, metadata: dict[str, Any], clock: Clock | None = None
+    table: ForeignTable,
+    time: Time,
+    rows: int,
+    path: Path,
+    metadata: dict[str, Any],
+    clock: Clock | None = None,
 ) -> Array:
     """Return the sample times of a foreign file, s, shape (rows,); NaN for a row without a time.
 
@@ -942,7 +968,7 @@ def seconds(
     elif any(is_text(part) for part in parts):
         # Parse the text to dates or times of day. Times of day are then in seconds, so that their factor is
         # 1.
-        parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
+        parts, factors = [_parse_times(parts, table, time, names, path)], [1.0]
         if parts[0].dtype.kind != "M":
             period = DAY_S
     known = np.logical_and.reduce([np.isfinite(part) for part in parts])
@@ -953,7 +979,7 @@ def seconds(
         if part.dtype.kind == "M":
             part, factors[k] = part.astype("datetime64[ns]").astype(np.int64), 1e-9
         elif period is not None:
-            part = unwrapped(part, period, *clock.counts[k : k + 1])
+            part = unwrap_counter(part, period, *clock.counts[k : k + 1])
         values_of.append(part)
     if not clock.origin:
         clock.origin = [values[np.argmax(known)] for values in values_of]
@@ -968,7 +994,7 @@ def seconds(
     return np.where(known, total + time.offset_s, np.nan)
 
 
-def _frames(table: Table, name: str, path: Path) -> Array:
+def _frames(table: ForeignTable, name: str, path: Path) -> Array:
     """Return a column of frame numbers as floats; raise an error if a cell is a fraction or text."""
     values = table.columns[name]
     if is_text(values) or values.dtype.kind == "M":
@@ -983,7 +1009,7 @@ def _frames(table: Table, name: str, path: Path) -> Array:
     return frames
 
 
-def unwrapped(counts: NDArray[Any], period: float, before: float = 0.0) -> Array:
+def unwrap_counter(counts: NDArray[Any], period: float, before: float = 0.0) -> Array:
     """Unwrap a counter that restarts from 0 at ``period``: return values that never decrease.
 
     ``before`` is the last unwrapped value of the rows before.
@@ -997,11 +1023,11 @@ def unwrapped(counts: NDArray[Any], period: float, before: float = 0.0) -> Array
     return values + period * (turns + np.cumsum(steps < -period / 2))
 
 
-def _parsed(
-    parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
+def _parse_times(
+    parts: list[NDArray[Any]], table: ForeignTable, time: Time, names: list[str], path: Path
 ) -> NDArray[Any]:
     """Convert the text of time cells to dates (``datetime64[ns]``), or to times of day in s."""
-    cells = _joined(parts)
+    cells = _join_cells(parts)
     stamps = _dates(cells, time.format)
     bad = (cells.notna() & stamps.isna()).to_numpy(dtype=bool)
     row = int(np.argmax(bad))
@@ -1018,7 +1044,7 @@ def _parsed(
     return stamps.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
 
 
-def _joined(parts: list[NDArray[Any]]) -> Any:
+def _join_cells(parts: list[NDArray[Any]]) -> Any:
     """Return the text of the cells of several columns, which a blank separates."""
     import pandas as pd
 
@@ -1233,7 +1259,7 @@ class Draft(Text):
         InputError
             A value is still ``ASK``.
         """
-        return of(yamlio.parse_scalar(self.document))
+        return read_mapping(yamlio.parse_scalar(self.document))
 
 
 @takes(ImportOptions)
@@ -1276,7 +1302,9 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
     given = log.unread(source)
     path = path_of(given)
     unit, select = options.length_unit, options.select
-    table = open_table(given, Options(bad_lines="skip", length_unit=unit), select, options.profile or "")
+    table = open_table(
+        given, ReaderOptions(bad_lines="skip", length_unit=unit), select, options.profile or ""
+    )
     lines = [
         f"# Drafted from {path.name} by swimid import --guess. Answer or delete every line with {ASK};",
         "# an axis may be swapped or flipped (factor: -1), which no name states.",
@@ -1303,7 +1331,7 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
     return Draft("import", said, data, document=text).write_output(output)
 
 
-def _of_profile(table: Table) -> list[str]:
+def _of_profile(table: ForeignTable) -> list[str]:
     """Return the lines of a drafted mapping for a file whose format has a profile."""
     lines = [f"as: {table.profile}"]
     if TIME not in table.columns:
@@ -1312,7 +1340,7 @@ def _of_profile(table: Table) -> list[str]:
     return [*lines, f"# columns of the log, which 'columns:' may choose and rename: {', '.join(names)}"]
 
 
-def _of_names(table: Table) -> list[str]:
+def _of_names(table: ForeignTable) -> list[str]:
     """Return the lines of a drafted mapping for a file without a profile.
 
     The lines follow from the column names and the stated units.
@@ -1340,7 +1368,7 @@ def _of_names(table: Table) -> list[str]:
     for source, values in columns.items():
         if source in taken:
             continue
-        target, unit = named(source, table.units.get(source))
+        target, unit = name_target(source, table.units.get(source))
         if is_text(values) or values.dtype.kind == "M" or not np.isfinite(values.astype(float)).any():
             left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
             lines.append(f"  # {left_out}")
@@ -1358,9 +1386,9 @@ def _line(key: str, value: Any, comment: str = "") -> str:
 
     If the key is a dash, the line is an item of a list.
     """
-    text = _written(key, value)
+    text = _write_value(key, value)
     if isinstance(value, dict):
-        entries = [f"{name}: {_written(name, v)}" for name, v in value.items() if v is not None]
+        entries = [f"{name}: {_write_value(name, v)}" for name, v in value.items() if v is not None]
         text = f"{{{', '.join(entries)}}}"
     start = f"{key}:".replace("-:", "-")
     if comment:
@@ -1368,7 +1396,7 @@ def _line(key: str, value: Any, comment: str = "") -> str:
     return f"{start} {text}"
 
 
-def _written(key: str, value: Any) -> str:
+def _write_value(key: str, value: Any) -> str:
     """Return the value of a key in a drafted mapping as YAML text.
 
     Names and units of the file are in quotes, column numbers and keywords are not.
@@ -1378,7 +1406,7 @@ def _written(key: str, value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def named(source: str, written: str | None = None) -> tuple[str, str | None]:
+def name_target(source: str, written: str | None = None) -> tuple[str, str | None]:
     """Return the target column and the unit that follow from a foreign column's name and stated unit.
 
     An unknown target column or unit is ``ASK``. The unit is None for a column of the log format.
@@ -1427,7 +1455,7 @@ def _target(bare: str, unit: str | None) -> str | None:
     return f"{word}_{next(iter(UNITS[quantities[0]])).replace('/', '_')}"
 
 
-def _guess_time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
+def _guess_time(table: ForeignTable, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
     """Return the value of ``time:`` for a drafted mapping, and a comment.
 
     The value is known as far as column names and units state it. The name of the column must be that of a
@@ -1444,7 +1472,7 @@ def _guess_time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] |
     if stamps and is_text(columns[stamps[0]]):
         texts = [name for name in stamps if is_text(columns[name])]
         time: dict[str, Any] = {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
-        cells = _joined([columns[name] for name in texts])
+        cells = _join_cells([columns[name] for name in texts])
         if _dates(cells, None).notna().mean() < (1 - MAX_ODD) * cells.notna().mean():
             formats = date_formats(cells)
             time["format"] = formats[0] if len(formats) == 1 else ASK
@@ -1475,7 +1503,7 @@ def _is_clock(name: str, unit: str) -> bool:
 
 def _unit_of_time(name: str, written: str | None) -> str:
     """Return the unit of a time column, as its name states it; ``ASK`` if the name states no unit."""
-    units_stated = (named(name, written)[1], canonical(name))
+    units_stated = (name_target(name, written)[1], canonical(name))
     return next((unit for unit in units_stated if unit in UNITS["time"]), ASK)
 
 

@@ -75,7 +75,7 @@ class ImportOptions(Options):
     )
 
     @property
-    def stated(self) -> dict[str, Any]:
+    def file_values(self) -> dict[str, Any]:
         """Values that the user gives for a foreign file, such as its format and unit of length, by option.
 
         They replace or complete the values of the mapping of the file.

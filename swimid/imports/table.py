@@ -37,7 +37,7 @@ BAG_INFORMATION = "metadata.yaml"
 MAX_ELEMENTS = 100
 
 
-class Options(yamlio.Document):
+class ReaderOptions(yamlio.Document):
     """Layout of a foreign file, as far as the user states it (key ``reader:`` of a mapping)."""
 
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
@@ -60,7 +60,7 @@ class Options(yamlio.Document):
 
 
 @dataclass(eq=False)
-class Table:
+class ForeignTable:
     """Content of one file, or of one topic in a file: samples, units and metadata.
 
     Attributes
@@ -109,16 +109,16 @@ class Table:
     names: list[str] = field(default_factory=list)
     before: int = 0
     after: int = 0
-    rest: Callable[[list[str]], Iterator[Table]] | None = None
+    rest: Callable[[list[str]], Iterator[ForeignTable]] | None = None
     asked: dict[str, str] = field(default_factory=dict)
 
-    def batches(self, names: list[str]) -> Iterator[Table]:
+    def batches(self, names: list[str]) -> Iterator[ForeignTable]:
         """Yield this table, and then the rows of the file that follow, with only the columns ``names``."""
         yield self
         if self.rest is not None:
             yield from map(convert_text, self.rest(names))
 
-    def whole(self) -> Table:
+    def whole(self) -> ForeignTable:
         """Return the table with all rows of the file."""
         pieces = list(self.batches(list(self.columns)))
         columns = {name: np.concatenate([one.columns[name] for one in pieces]) for name in self.columns}
@@ -237,7 +237,7 @@ class Format:
 
     name: str
     title: str
-    open: Callable[[Path, Options, str | None], Table]
+    open: Callable[[Path, ReaderOptions, str | None], ForeignTable]
     recognises: Callable[[Peek], bool] | None = None
     endings: tuple[str, ...] = ()
     magic: tuple[bytes, ...] = ()
@@ -266,7 +266,7 @@ def numbers_in(values: Any) -> tuple[Array, NDArray[np.bool_]]:
     return found, np.isnan(found) & given.to_numpy(dtype=bool)
 
 
-def convert_text(table: Table) -> Table:
+def convert_text(table: ForeignTable) -> ForeignTable:
     """Convert the columns of text in a table that hold numbers, or lists of numbers.
 
     Cells with other text become NaN if there are few of them (:data:`MAX_ODD`), and a note names them. Lists
@@ -380,7 +380,7 @@ def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> s
     return select or known[0]
 
 
-def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any], Any]) -> Table:
+def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any], Any]) -> ForeignTable:
     """Return a table of the nested arrays in a file, or in the group of the file that ``select`` names.
 
     The columns of a matrix are named ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix with
@@ -399,7 +399,7 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
         content = parts(content[choose(part, list(content), "struct or group", path)])
     if not isinstance(content, dict):
         content = {part: content}
-    table, arrays = Table({}), {}
+    table, arrays = ForeignTable({}), {}
     for name, value in flat(content, parts, "{}"):
         array = np.atleast_1d(np.asarray(value))
         if isinstance(value, str) and value.strip():
@@ -422,7 +422,7 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
     return table
 
 
-def signed(values: Array, name: str, notes: list[str]) -> Array:
+def restore_sign(values: Array, name: str, notes: list[str]) -> Array:
     """Return whole numbers with their sign, if they are negative numbers written as unsigned integers.
 
     A note on the column ``name`` is appended to ``notes``; any other column is returned unchanged. In two's
@@ -511,7 +511,7 @@ def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dic
     return {source.format(letter): target.format(name) for letter, name in pairs}
 
 
-def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
+def rename_columns(table: ForeignTable, names: Mapping[str, str]) -> dict[str, Array]:
     """Return the numeric columns of a table that ``names`` lists, by their names in the log.
 
     ``names`` maps names in the file to names in the log.
@@ -521,7 +521,7 @@ def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
     return {names[name]: columns[name].astype(float) for name in found}
 
 
-def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
+def rows(table: ForeignTable, kept: NDArray[np.bool_]) -> ForeignTable:
     """Return a copy of a table with only the rows that ``kept`` flags."""
     lines = None if table.lines is None else table.lines[kept]
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)

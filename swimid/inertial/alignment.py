@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
-from swimid.imports.clocks import MIN_EXPLAINED, MIN_SAMPLES, Offset, clock_offset, without_slow
+from swimid.imports.clocks import MIN_EXPLAINED, MIN_SAMPLES_OFFSET, Offset, clock_offset, remove_drift
 from swimid.inertial import record as recording
 from swimid.inertial.record import Array, AttitudeSource, ImuRecord, Poses, integral, resampled, turns_of
 from swimid.kinematics.attitude import angles
@@ -70,7 +70,7 @@ def _with_mount(record: ImuRecord, poses: Poses, offset: Offset) -> Offset:
 
 def _by_turns(record: ImuRecord, source: AttitudeSource, poses: Poses) -> Offset | None:
     rows = np.flatnonzero(poses.has_attitude)
-    if len(rows) < MIN_SAMPLES:
+    if len(rows) < MIN_SAMPLES_OFFSET:
         return None
     seen, rate = poses.angles[rows][:, poses.has_angle], record.rate
     by_yaw = seen.shape[1] == 1 and bool(poses.has_angle[2])
@@ -114,9 +114,9 @@ def _find_mount(record: ImuRecord, poses: Poses) -> tuple[Rotation, float]:
     t = record.time_s
     rows = np.flatnonzero(poses.has_attitude & (poses.time_s > t[0]) & (poses.time_s < t[-1]))
     rotation, when = poses.rotation[rows], poses.time_s[rows]
-    body = without_slow(when, _sum_turns(rotation), SLOW_TURN_S)
+    body = remove_drift(when, _sum_turns(rotation), SLOW_TURN_S)
     turned = integral(t, record.rate - record.rate.mean(axis=0))
-    sensor = without_slow(when, resampled(when, t, turned), SLOW_TURN_S)
+    sensor = remove_drift(when, resampled(when, t, turned), SLOW_TURN_S)
     # Average the direction of gravity over a window from each pose: in sensor axes from the integral of the
     # specific force, in body axes from the sum over poses.
     last = np.clip(np.searchsorted(when, when + GRAVITY_S), 0, len(when) - 1)
@@ -161,11 +161,11 @@ def find_world_turn(record: ImuRecord, source: AttitudeSource, poses: Poses, mou
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
         # Do not rotate if the other log lacks a horizontal coordinate, which is then constant.
-        if len(rows) < MIN_SAMPLES or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
+        if len(rows) < MIN_SAMPLES_OFFSET or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
             return Rotation.identity()
         t = poses.time_s[rows]
         path = resampled(t, record.time_s, _fast_path(record, source)[:, :2])
-        both = without_slow(t, np.hstack([path, poses.position[rows, :2]]), SLOW_PATH_S)
+        both = remove_drift(t, np.hstack([path, poses.position[rows, :2]]), SLOW_PATH_S)
         cross = both[:, :2].T @ both[:, 2:]
         turn = float(np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))
     return Rotation.from_rotvec([0.0, 0.0, turn])
@@ -175,4 +175,4 @@ def _fast_path(record: ImuRecord, source: AttitudeSource) -> Array:
     """Return the path from accelerations along world axes (m), without drift slower than ``SLOW_PATH_S``."""
     force = source.rotation.apply(record.acceleration)
     path = integral(record.time_s, integral(record.time_s, force - force.mean(axis=0)))
-    return without_slow(record.time_s, path, SLOW_PATH_S)
+    return remove_drift(record.time_s, path, SLOW_PATH_S)

@@ -833,7 +833,7 @@ def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
     rows = np.isfinite(place).all(axis=1)
-    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_PATH_S)
+    fast = alignment.remove_drift(poses.time_s[rows], place[rows], alignment.SLOW_PATH_S)
     return held_out["rms_m"] ** 2 < (1 - alignment.MIN_EXPLAINED) * float(np.mean(fast**2))
 
 

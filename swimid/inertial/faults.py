@@ -19,7 +19,7 @@ from swimid.errors import InputError
 from swimid.imports.mapping import in_order
 from swimid.inertial import record as recording
 from swimid.inertial.record import CHANNELS, DEG, GRAVITY_M_S2, Array, Finding, Flags, ImuRecord, turns_of
-from swimid.kinematics.attitude import rearranged
+from swimid.kinematics.attitude import reorder_quaternion
 from swimid.logs import sampling
 from swimid.logs.log import runs
 
@@ -517,7 +517,7 @@ def _quaternion_residuals(record: ImuRecord, unit: float = 1.0) -> dict[tuple[st
     )
     found = {}
     for convention in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
-        turned = turns_of(recording.rotations(rearranged(record.quaternion[::size], *convention)))
+        turned = turns_of(recording.rotations(reorder_quaternion(record.quaternion[::size], *convention)))
         found[convention] = float(np.sum((turned - sensed) ** 2) / max(np.sum(sensed**2), 1e-300))
     return found
 

@@ -23,7 +23,7 @@ from swimid.files.provenance import path_of
 from swimid.files.tabular import column_error
 from swimid.imports import mapping
 from swimid.imports.clocks import BAND as BAND
-from swimid.imports.clocks import resampled as resampled
+from swimid.imports.clocks import resample as resampled
 from swimid.inertial.options import TrackImuOptions
 from swimid.kinematics.attitude import angles, from_angles, with_angles
 from swimid.kinematics.jumps import clean_track

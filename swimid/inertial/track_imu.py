@@ -21,7 +21,7 @@ from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import BAND, DEG, GRAVITY_M_S2, Array, Finding, ImuRecord, ImuSetup
 from swimid.inertial.smoother import Motion, SmoothedMotion
 from swimid.kinematics import frequency
-from swimid.kinematics.frequency import stated_frequency
+from swimid.kinematics.frequency import read_frequency
 from swimid.kinematics.logged import Logged
 from swimid.kinematics.stroke import Rhythm, find_stroke
 from swimid.logs import log
@@ -97,7 +97,7 @@ def track_imu(
     True
     """
     unread = log.unread(imu, name="imu")
-    rules = None if options.map_path is None else mapping.of(options.map_path)
+    rules = None if options.map_path is None else mapping.read_mapping(options.map_path)
     given = _inputs(unread, rules, options)
     if output is not None:
         output = atomic.check_writable(output, inputs=given)
@@ -133,7 +133,7 @@ def _estimate(
         raise UsageError("--method paper cannot use another log", hint=hint)
     record, notes = recording.read_record(unread, rules, named, progress)
     record, findings = faults.repair(record)
-    poses = None if options.other is None else recording.read_poses(log.of(options.other, name="other"))
+    poses = None if options.other is None else recording.read_poses(log.as_log(options.other, name="other"))
     setup, more = recording.prepare_setup(record, options)
     with progress("smoothing", total=None) as step:
         run = estimate_by_method(replace(setup, advance=step), [*findings, *more], poses)
@@ -266,7 +266,7 @@ def estimate_by_method(setup: ImuSetup, findings: list[Finding], poses: recordin
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
     readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
-    stated_hz = stated_frequency(record.metadata)
+    stated_hz = read_frequency(record.metadata)
     stroke, cutoff = find_stroke(t, readings), LOWEST_HZ
     if stroke is not None:
         cutoff = STROKE_SHARE * stroke.beat.frequency_hz
@@ -433,7 +433,7 @@ def _result(run: ImuRun, notices: Sequence[Notice], provenance: dict[str, Any]) 
         checks=checks,
         tables=_tables(run),
         figures=_figures(run),
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(run),
         references=references,
         provenance=provenance,

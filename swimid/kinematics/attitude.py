@@ -46,7 +46,7 @@ def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
 AXES = ("qw", "qx", "qy", "qz")
 
 
-def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") -> Array:
+def reorder_quaternion(q: Array, order: str = "wxyz", direction: str = "body-to-world") -> Array:
     """Convert quaternions, shape (n, 4), to real part first and to the rotation from body to world.
 
     >>> rearranged(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()

@@ -52,7 +52,7 @@ class Course:
     mirrored: bool
     opposed: bool
 
-    def turned(self, name: str) -> str:
+    def find_turn(self, name: str) -> str:
         """Return a message if the heading, column ``name``, stands at a constant angle to the course."""
         if self.spread_rad >= LARGEST_SLIP or abs(self.slip_rad) <= MIN_ANGLE:
             return ""

@@ -82,7 +82,7 @@ N_CYCLES = 4
 #: Number of samples per stroke cycle from which the quantities of a simulated trial are computed.
 PER_CYCLE = 64
 #: Minimum number of samples in a stroke cycle whose quantities are computed.
-MIN_SAMPLES = 6
+MIN_SAMPLES_CYCLE = 6
 #: Conditions under which the Strouhal number of a swim is computed: minimum speed, body lengths per second,
 #: and maximum change of the heading from beat to beat, rad.
 MIN_SPEED_BL_S, MAX_TURN_IN_BEAT = 0.05, math.radians(15.0)
@@ -404,40 +404,40 @@ def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Windo
 
     Notes
     -----
-    A quantity is computed only if the cycle has at least :data:`MIN_SAMPLES` samples. The pitch rate is the
-    channel ``pitch_rate_rad_s``, or the central difference of the pitch.
+    A quantity is computed only if the cycle has at least :data:`MIN_SAMPLES_CYCLE` samples. The pitch rate is
+    the channel ``pitch_rate_rad_s``, or the central difference of the pitch.
     """
     inside = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
     found: dict[str, float] = {}
 
-    def within(values: Array | None) -> tuple[Array, Array] | None:
-        """Return the times and samples of a channel in the cycle; None for fewer than MIN_SAMPLES."""
+    def samples_in_cycle(values: Array | None) -> tuple[Array, Array] | None:
+        """Return the times and samples of a channel in the cycle; None for fewer than MIN_SAMPLES_CYCLE."""
         if values is None:
             return None
         there = inside & np.isfinite(np.atleast_2d(values)).all(axis=0)
-        if there.sum() < MIN_SAMPLES:
+        if there.sum() < MIN_SAMPLES_CYCLE:
             return None
         return time_s[there], values[..., there]
 
-    moving = within(world_velocity(time_s, channels))
+    moving = samples_in_cycle(world_velocity(time_s, channels))
     if moving is not None:
         t, speed = moving[0], np.hypot(*moving[1])
         found["max_speed_m_s"] = float(speed.max())
         found["path_speed_m_s"] = float(np.trapezoid(speed, t) / (t[-1] - t[0]))
     for name, way in (("x_m", "surge_m"), ("z_m", "heave_m")):
-        place = within(channels.get(name))
+        place = samples_in_cycle(channels.get(name))
         if place is not None:
             found[way] = float(place[1][-1] - place[1][0])
     if "surge_m" in found and "heave_m" in found:
         found["mean_speed_m_s"] = math.hypot(found["surge_m"], found["heave_m"]) / window.duration_s
-    pitch = within(channels.get("pitch_rad"))
+    pitch = samples_in_cycle(channels.get("pitch_rad"))
     if pitch is not None:
         t, angle = pitch
         rate = channels.get("pitch_rate_rad_s")
         if rate is None:
             rate = _differences(time_s, channels["pitch_rad"])
         found["final_pitch_rad"] = float(angle[-1])
-        if np.isfinite(rate[inside]).sum() >= MIN_SAMPLES:
+        if np.isfinite(rate[inside]).sum() >= MIN_SAMPLES_CYCLE:
             found["max_pitch_rate_rad_s"] = float(np.nanmax(np.abs(rate[inside])))
         found["mean_pitch_rate_rad_s"] = float((angle[-1] - angle[0]) / (t[-1] - t[0]))
     return {name: found[name] for name in CYCLE_QUANTITIES if name in found}

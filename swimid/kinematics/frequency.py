@@ -36,7 +36,7 @@ TAPERED_SHARE = 0.1
 #: Minimum fraction of samples of a record that are not missing, for the test for a spectral line.
 MIN_KNOWN_SHARE = 0.8
 #: Probability of a false detection of a beat in noise of any spectrum.
-FALSE_ALARM = 0.01
+FALSE_ALARM_BEAT = 0.01
 #: Minimum fractions of a channel's variance about its drift that beats must explain. At least one beat of a
 #: channel must reach the first fraction. Every beat must reach the second fraction, which is smaller because
 #: a stroke may be weaker than its own harmonic.
@@ -53,7 +53,7 @@ SAME_RTOL = 0.03
 #: spread over the record.
 MAX_WINDOWS = 120
 #: Minimum number of samples in a window of two cycles to which a sine is fitted.
-MIN_SAMPLES = DRIFT_ORDER + 5
+MIN_SAMPLES_BEAT = DRIFT_ORDER + 5
 #: Ridge that is added to the covariance of a beat's phases in successive windows to make it regular. The
 #: phase of a window is ignored if its amplitude, divided by the largest amplitude, is below the square root
 #: of this ridge.
@@ -120,7 +120,7 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
     return text
 
 
-def stated_frequency(metadata: Mapping[str, Any]) -> float | None:
+def read_frequency(metadata: Mapping[str, Any]) -> float | None:
     """Return the stroke frequency that the metadata of a log state, Hz; None without a positive number."""
     value = metadata.get("frequency_hz")
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
@@ -128,7 +128,7 @@ def stated_frequency(metadata: Mapping[str, Any]) -> float | None:
     return value
 
 
-def stated_against_found(
+def compare_frequencies(
     trial: str, stated_hz: float, beat: Beat | None, consequence: str
 ) -> dict[str, float | str | None]:
     """Return the stated and the estimated stroke frequency of a trial, Hz, and warn of a contradiction.
@@ -198,7 +198,7 @@ def find_beats(
     """
     there = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[there], values[there]
-    if len(t) < 2 * MIN_SAMPLES:
+    if len(t) < 2 * MIN_SAMPLES_BEAT:
         return []
     active = _active_part(x)
     if np.ptp(active) < MAX_ACTIVE_SHARE * len(x):
@@ -216,13 +216,13 @@ def find_beats(
     peaks, main, number = _peaks(t, x, low, high, duration)
     tested = [_test(t, x, frequency, duration) for frequency in peaks]
     found = [result for result in tested if result is not None]
-    limit = FALSE_ALARM / max(duration * (high - low), 1.0)
+    limit = FALSE_ALARM_BEAT / max(duration * (high - low), 1.0)
     sure = [beat for chance, beat in found if chance < limit]
     # The strongest line of the spectrum competes with few other frequencies if it holds most of the power.
     sure += [
         beat
         for chance, beat in found
-        if limit <= chance < FALSE_ALARM / number
+        if limit <= chance < FALSE_ALARM_BEAT / number
         and abs(beat.frequency_hz - main) < 1.0 / duration
         and beat.share > MIN_MAIN_SHARE
         and beat.cycles > 1.5 * MIN_CYCLES
@@ -291,7 +291,7 @@ def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
     there = there[:: max(len(there) // 1000, 1)]
     t, x = time_s[there], values[there]
-    if len(t) < 2 * MIN_SAMPLES or not np.ptp(x) > 1e-12 * np.max(np.abs(x)):
+    if len(t) < 2 * MIN_SAMPLES_BEAT or not np.ptp(x) > 1e-12 * np.max(np.abs(x)):
         return None
     duration = float(t[-1] - t[0])
     u = 2.0 * (t - t[0]) / duration - 1.0
@@ -370,7 +370,7 @@ def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float,
         return None
     time, amplitude, share, width, hop = windows
     chance = 3.0 * min(*_incoherent(time, amplitude, width, hop), _no_line(t, x, frequency))
-    if chance >= FALSE_ALARM or share < MIN_FAINT_SHARE:
+    if chance >= FALSE_ALARM_BEAT or share < MIN_FAINT_SHARE:
         return None
     size = np.abs(amplitude)
     slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
@@ -405,7 +405,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
     """
     # At a low sample rate the windows must be longer than two cycles, so that they hold enough samples.
     step = float(np.median(np.diff(t)))
-    hop = max(1.0, np.ceil(MIN_SAMPLES * step * frequency / WINDOW_CYCLES)) / frequency
+    hop = max(1.0, np.ceil(MIN_SAMPLES_BEAT * step * frequency / WINDOW_CYCLES)) / frequency
     width = WINDOW_CYCLES * hop
     count = int((t[-1] - t[0] - width) / hop * (1 + 1e-9)) + 1
     if count < 3:
@@ -417,11 +417,11 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
         first = np.linspace(0, count - WINDOW_CYCLES - 1, MAX_WINDOWS // 2).astype(int)
         starts = starts[np.unique(np.concatenate((first, first + WINDOW_CYCLES)))]
     ends = np.searchsorted(t, np.column_stack((starts, starts + width)))
-    enough = ends[:, 1] - ends[:, 0] >= max(MIN_SAMPLES, 0.5 * width / step)
+    enough = ends[:, 1] - ends[:, 0] >= max(MIN_SAMPLES_BEAT, 0.5 * width / step)
     if enough.sum() < 3:
         return None
     time = starts[enough] + 0.5 * width
-    amplitude, share = _fitted(t, x, ends[enough], time, width, frequency)
+    amplitude, share = _fit_windows(t, x, ends[enough], time, width, frequency)
     carries = np.abs(amplitude) > np.sqrt(RIDGE) * np.max(np.abs(amplitude))
     if carries.sum() < 3:
         return None
@@ -505,7 +505,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     return float((1.0 + best / (N_TAPERS - 1)) ** (1 - N_TAPERS))
 
 
-def _fitted(
+def _fit_windows(
     t: Array, x: Array, ends: NDArray[np.intp], middles: Array, width: float, frequency: float
 ) -> tuple[Complex, float]:
     """Fit a sine and a polynomial in each window; return the sine's amplitudes and fraction of variance."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.log import runs
-from swimid.logs.sampling import FALSE_ALARM, PAUSE, Held, find_held, pauses, quantum
+from swimid.logs.sampling import FALSE_ALARM_REPEATS, PAUSE, Held, find_held, pauses, quantum
 
 if TYPE_CHECKING:
     pass
@@ -215,7 +215,7 @@ def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[n
     If the tail of a distribution is that of a Pareto distribution with the index 2, the logarithms of the
     ratios of ``k`` values above a threshold to this threshold have a sum of Gamma distribution with the shape
     ``k`` and the scale 1/2 (Hill 1975, Ann. Statist. 3, 1163). Noise with a heavier tail has no finite
-    variance. The excursions are spikes if the probability of their sum is below :data:`FALSE_ALARM`.
+    variance. The excursions are spikes if the probability of their sum is below :data:`FALSE_ALARM_REPEATS`.
     """
     from scipy.special import gammaincc
 
@@ -231,7 +231,7 @@ def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[n
     for first, end in back[lengths > most]:
         long[max(first - WINDOW, 0) : end + WINDOW] = True
     short = (lengths <= most) & (excess > 0.0) & ~long[back[:, 0]]
-    if not short.any() or gammaincc(short.sum(), 2.0 * excess[short].sum()) >= FALSE_ALARM:
+    if not short.any() or gammaincc(short.sum(), 2.0 * excess[short].sum()) >= FALSE_ALARM_REPEATS:
         return back[:0]
     return back[short]
 

@@ -111,7 +111,7 @@ def plot(
             name = "log"
             if len(logs) > 1:
                 name = f"log {number}"
-            records.append(log.of(given, name=name))
+            records.append(log.as_log(given, name=name))
         figures = figures_of(records)
     proof = Evidence(
         command="plot",
@@ -119,7 +119,7 @@ def plot(
         verdict=Verdict(level="good", text="Drawn as logged, nothing judged."),
         facts={record.name: f"{len(record)} samples" for record in records},
         figures=figures,
-        notices=ev.notices(notices),
+        notices=list(notices),
     )
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
     told = "\n".join(f"{record.name}: {len(record)} samples, drawn as logged" for record in records)
@@ -158,7 +158,7 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
     return [figure for figure in drawn if figure is not None and figure.panels]
 
 
-def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
+def _find_missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
     """Return start and end times, s, of each gap in a channel.
 
     A gap is a sequence of NaN values, or a pause in the time stamps. ``after`` has the index of the last
@@ -170,7 +170,7 @@ def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[
     return sorted({(float(time[first]), float(time[last])) for first, last in ends})
 
 
-def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
+def _insert_pauses(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
     """Return times and values of a channel, with a NaN sample inserted in each pause of the time stamps.
 
     No line is then drawn across the pause. ``after`` has the index of the last sample before each pause.
@@ -195,12 +195,12 @@ def channels(logs: Sequence[Log]) -> Figure:
     for channel in order[:MAX_PANELS]:
         traces, gaps = [], []
         for number, record, values in by_channel[channel]:
-            x, y = thin_curve(*_broken(record.time_s, values, after[number]))
+            x, y = thin_curve(*_insert_pauses(record.time_s, values, after[number]))
             label, group, lacking = ("", None, "missing")
             if several:
                 label, group, lacking = names[number], number, f"missing in {names[number]}"
             traces.append(Trace(x=x, y=y, label=label, group=group))
-            ends = _missing(record.time_s, values, after[number])
+            ends = _find_missing(record.time_s, values, after[number])
             gaps += [Span(start=start, end=end, label=lacking) for start, end in ends]
         longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_GAPS]
         title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
@@ -241,7 +241,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
             path, arrows = name, f"heading, {name}"
         x, y = record["x_m"], record[up]
         step, after = len(x) // MAX_TRACE_POINTS + 1, pauses(record.time_s)
-        line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
+        line = (_insert_pauses(record.time_s, values, after)[1][::step] for values in (x, y))
         traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
         heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]

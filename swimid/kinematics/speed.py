@@ -20,11 +20,11 @@ Flags = NDArray[np.bool_]
 
 
 #: Minimum number of samples of a gap-free segment of a track from which the speed is estimated.
-MIN_SAMPLES = 12
+MIN_SAMPLES_SPEED = 12
 #: Maximum number of samples of a track to which one smoothing spline is fitted. A longer segment is divided.
 MAX_STRETCH = 1500
 #: Number of samples of a track above which it is thinned before smoothing: only every k-th sample is used.
-MAX_SAMPLES = 60_000
+MAX_SAMPLES_SPEED = 60_000
 #: Candidates for the smoothing weight of a spline (factor of the squared curvature), among which
 #: cross-validation chooses. Their unit of time is the mean time step of the track.
 STRENGTHS = np.logspace(-4, 6, 11)
@@ -45,7 +45,7 @@ MAX_CORRELATION = 0.8
 
 
 @dataclass(frozen=True)
-class Estimate:
+class TrackEstimate:
     """Estimate of a quantity with its 95 % interval. The limits are NaN if the uncertainty is unknown."""
 
     value: float
@@ -69,20 +69,20 @@ class TrackSpeed:
         Duration of the track without its gaps, s.
     """
 
-    path: Estimate
-    line: Estimate
+    path: TrackEstimate
+    line: TrackEstimate
     noise_m: float
     covered_s: float
 
 
-def widening(residuals: Array) -> float:
+def error_factor(residuals: Array) -> float:
     """Return the factor by which the correlation of successive residuals enlarges the error of a mean."""
     squares = max(float(residuals @ residuals), 1e-300)
     together = min(max(float(residuals[1:] @ residuals[:-1]) / squares, 0.0), MAX_CORRELATION)
     return float(np.sqrt((1.0 + together) / (1.0 - together)))
 
 
-def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
+def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> TrackEstimate:
     """Return the weighted mean of values with its 95 % interval from the means of :data:`BLOCKS` blocks.
 
     The values are divided into blocks of equal weight. The interval is Student's t interval of the block
@@ -107,15 +107,15 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     half = 0.0
     if len(means) > 1:
         # Widen the interval, because the means of successive blocks are correlated.
-        error = float(means.std(ddof=1)) / np.sqrt(len(means)) * widening(means - means.mean())
+        error = float(means.std(ddof=1)) / np.sqrt(len(means)) * error_factor(means - means.mean())
         half = float(stdtrit(len(means) - 1, 0.975)) * error
     half = float(np.hypot(half, shift))
-    return Estimate(value + shift, value + shift - half, value + shift + half)
+    return TrackEstimate(value + shift, value + shift - half, value + shift + half)
 
 
 def net_speed(
     time_s: Array, place: Array, frequency_hz: float | None = None, stamp_sd_s: float = 0.0
-) -> Estimate | None:
+) -> TrackEstimate | None:
     """Return the net speed of a track: the displacement of its averaged path divided by its duration.
 
     The unit is that of the positions ``place`` per s.
@@ -135,7 +135,7 @@ def net_speed(
     Returns
     -------
     Estimate or None
-        Net speed; None for fewer than :data:`MIN_SAMPLES` samples.
+        Net speed; None for fewer than :data:`MIN_SAMPLES_SPEED` samples.
 
     Notes
     -----
@@ -152,7 +152,7 @@ def net_speed(
     """
     from scipy.special import stdtrit
 
-    if len(time_s) < MIN_SAMPLES:
+    if len(time_s) < MIN_SAMPLES_SPEED:
         return None
     first, last = float(time_s[0]), float(time_s[-1])
     duration = last - first
@@ -173,7 +173,10 @@ def net_speed(
         freedom = min(freedom for *_, freedom in fits)
     else:
         counts = np.searchsorted(time_s, [first + end_s, last - end_s])
-        head, tail = max(int(counts[0]), MIN_SAMPLES), min(int(counts[1]), len(time_s) - MIN_SAMPLES)
+        head, tail = (
+            max(int(counts[0]), MIN_SAMPLES_SPEED),
+            min(int(counts[1]), len(time_s) - MIN_SAMPLES_SPEED),
+        )
         start = _fit_path(time_s[:head], place[:head], (first,), END_ORDER, frequency_hz)
         stop = _fit_path(time_s[tail:], place[tail:], (last,), END_ORDER, frequency_hz)
         away, variance = stop[1][0] - start[1][0], start[2][0, 0] + stop[2][0, 0]
@@ -182,7 +185,7 @@ def net_speed(
     along = float(variance @ (away / max(size, 1e-300)) ** 2)
     late = np.sqrt(2.0) * stamp_sd_s * size / duration
     half = float(stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
-    return Estimate(size / duration, (size - half) / duration, (size + half) / duration)
+    return TrackEstimate(size / duration, (size - half) / duration, (size + half) / duration)
 
 
 def _fit_path(
@@ -261,9 +264,9 @@ def path_speed(
     strength = _strength(time_s[longest], place[longest])
     for rows in stretches:
         t, x = time_s[rows], place[rows]
-        smooth, slope = _smoothed(t, x, strength)
+        smooth, slope = _smooth_path(t, x, strength)
         left = x - smooth
-        again = _smoothed(t, smooth + rng.choice(left, len(left)), strength)[1]
+        again = _smooth_path(t, smooth + rng.choice(left, len(left)), strength)[1]
         part = np.convolve(np.diff(t), [0.5, 0.5])  # duration, s, that each sample represents
         weights[rows] = part
         velocity[rows] = slope
@@ -273,7 +276,7 @@ def path_speed(
     used = weights > 0
     along = np.linalg.norm(velocity[used], axis=1)
     line = net_speed(time_s[cleaning.good], place[cleaning.good], frequency_hz, stamp_sd_s)
-    assert line is not None  # each segment has at least MIN_SAMPLES samples
+    assert line is not None  # each segment has at least MIN_SAMPLES_SPEED samples
     path = mean_of_blocks(along, weights[used], -excess / covered)
     return TrackSpeed(path, line, float(np.sqrt(squares / max(count, 1))), covered)
 
@@ -284,19 +287,19 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
     Segments of more than :data:`MAX_STRETCH` samples are divided.
     """
     rows = np.flatnonzero(cleaning.good)
-    rows = rows[:: max(len(rows) // MAX_SAMPLES, 1)]
-    if len(rows) < MIN_SAMPLES:
+    rows = rows[:: max(len(rows) // MAX_SAMPLES_SPEED, 1)]
+    if len(rows) < MIN_SAMPLES_SPEED:
         return []
     ends = {end for _, end in cleaning.gaps} | {float(time_s[row]) for row in cleaning.offset_rows}
     cuts = np.unique(np.searchsorted(time_s[rows], sorted(ends)))
     found = []
     for stretch in np.split(rows, cuts):
         pieces = max(int(np.ceil(len(stretch) / MAX_STRETCH)), 1)
-        found += [part for part in np.array_split(stretch, pieces) if len(part) >= MIN_SAMPLES]
+        found += [part for part in np.array_split(stretch, pieces) if len(part) >= MIN_SAMPLES_SPEED]
     return found
 
 
-def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
+def _smooth_path(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
     """Return the coordinates of a track after smoothing, and their time derivatives, each shape (n, d)."""
     from scipy.interpolate import make_smoothing_spline
 

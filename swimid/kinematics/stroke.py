@@ -20,7 +20,7 @@ from swimid.kinematics.frequency import (
     multiple,
     waves,
 )
-from swimid.logs.log import FREQUENCY_RTOL, unwrapped
+from swimid.logs.log import FREQUENCY_RTOL, unwrap_angle
 from swimid.logs.sampling import longest_even, quantum
 
 Array = NDArray[np.float64]
@@ -143,7 +143,7 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
     if place.shape[1] == 1:
         return {"surge": place[:, 0]}
     width = max(int(there.sum() * share) | 1, 5)
-    path, tangent = _averaged_path(place[there], width)
+    path, tangent = _average_path(place[there], width)
     about = place[there] - path
     ways = ("surge", "sway")
     if np.median(np.linalg.norm(tangent, axis=1)) * width < 2.0 * float(np.sqrt(np.mean(about**2))):
@@ -161,7 +161,7 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
 LONG_PRODUCT = 100_000_000
 
 
-def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
+def _average_path(place: Array, width: int) -> tuple[Array, Array]:
     """Return values and slopes of straight lines fitted to ``width`` samples around each sample of a path.
 
     The slopes are per sample. Within half a window of either end of the path, the line of the first or last
@@ -182,7 +182,7 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
     return middles[line] + slopes[line] * beyond[:, None], slopes[line]
 
 
-def coordinates(columns: Mapping[str, Array]) -> list[str]:
+def coordinate_columns(columns: Mapping[str, Array]) -> list[str]:
     """Return the names of the position columns of a log: those in metres, or if there are none, in pixels."""
     metres, pixels = ([n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px"))
     return metres or pixels
@@ -190,7 +190,7 @@ def coordinates(columns: Mapping[str, Array]) -> list[str]:
 
 def _coordinates(columns: Mapping[str, Array]) -> list[Array]:
     """Return the samples of a log's first two position columns, or of the only one; empty without any."""
-    return [columns[name] for name in coordinates(columns)[:2]]
+    return [columns[name] for name in coordinate_columns(columns)[:2]]
 
 
 def find_stroke(
@@ -235,7 +235,7 @@ def find_stroke(
         beats = {n: b for n, b in seen.items() if SIDEWAYS.fullmatch(n)} or seen
         if not beats:
             continue
-        chosen = _chosen(beats, beats | pushed)
+        chosen = _choose_stroke(beats, beats | pushed)
         if not within:
             slow = find_slowest(time_s, columns)
             if slow is not None and slow[1].may_cause(chosen.frequency_hz):
@@ -264,7 +264,7 @@ def _motions(
 
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
-    channels = {n: unwrapped(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
+    channels = {n: unwrap_angle(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
     channels |= swing(columns)
     seen = _beats(time_s, channels, within)
     swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
@@ -334,7 +334,7 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
     """
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
-    signals = {name: unwrapped(name, columns[name]) for name in names}
+    signals = {name: unwrap_angle(name, columns[name]) for name in names}
     axes = _coordinates(columns)
     if axes and not driven:
         place = np.column_stack(axes)
@@ -349,7 +349,7 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
     return max(slow.items(), key=lambda item: item[1].frequency_hz, default=None)
 
 
-def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
+def _choose_stroke(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
     """Return the candidate beat that is taken for the stroke, by the rules given in :func:`find_stroke`."""
 
     def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
@@ -407,7 +407,7 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
         slow_hz = slow[1].frequency_hz
         laps = [slow_hz]
     elif len(axes) > 1:
-        laps = [beat.frequency_hz for v in axes for beat in find_beats(*_prepared(time_s, v))]
+        laps = [beat.frequency_hz for v in axes for beat in find_beats(*_prepare_samples(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
             text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
@@ -428,13 +428,13 @@ def _beats(
     low, high = within or (None, None)
     found = {}
     for name, values in columns.items():
-        beats = find_beats(*_prepared(time_s, values), lowest_hz=low, highest_hz=high)
+        beats = find_beats(*_prepare_samples(time_s, values), lowest_hz=low, highest_hz=high)
         if beats:
             found[name] = beats
     return found
 
 
-def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
+def _prepare_samples(time_s: Array, values: Array) -> tuple[Array, Array]:
     """Return the samples of a channel for the search for a beat, reduced to :data:`MAX_RATE_HZ` or less.
 
     The result holds times and samples. The samples are those of the longest segment without gaps, at even

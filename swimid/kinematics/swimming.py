@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from swimid.kinematics.frequency import Beat, waves
 from swimid.kinematics.jumps import Cleaning, gaps
-from swimid.kinematics.speed import Estimate, mean_of_blocks, net_speed, path_speed, widening
+from swimid.kinematics.speed import TrackEstimate, error_factor, mean_of_blocks, net_speed, path_speed
 from swimid.kinematics.stroke import explain_missing, find_stroke
 from swimid.logs.log import runs
 
@@ -54,7 +54,7 @@ MIN_SPEED_SHARE = 0.2
 
 
 @dataclass(frozen=True)
-class Track:
+class SwimTrack:
     """Measured and smoothed positions and headings of a robot, with all lengths in the same unit.
 
     Attributes
@@ -94,23 +94,23 @@ class Swimming:
     window : str
         Choice of the window: ``given`` by the user, ``steady part`` of the track, or ``whole track`` if no
         part is steady.
-    path_speed : Estimate or None
+    path_speed : TrackEstimate or None
         Mean of the speed along the path, including sway; None if no segment is long enough.
-    advance : Estimate or None
+    advance : TrackEstimate or None
         Mean speed along the path averaged over strokes. In a steady window this is the steady speed. Without
         a stroke it is the displacement divided by the duration, or, if the course makes a full rotation, the
         mean speed of the blocks.
-    change : Estimate or None
+    change : TrackEstimate or None
         Change of the advance speed from the start to the end of the window.
-    acceleration : Estimate or None
+    acceleration : TrackEstimate or None
         Mean rate of change of the advance speed.
-    acceleration_xy : tuple of Estimate, or None
+    acceleration_xy : tuple of TrackEstimate, or None
         Mean rates of change of the coordinates of the velocity.
     stroke : Beat or None
         Stroke in the window; None if none is found.
-    frequency_hz : Estimate or None
+    frequency_hz : TrackEstimate or None
         Frequency of the stroke, Hz, with its 95 % interval.
-    amplitudes : dict of str to Estimate
+    amplitudes : dict of str to TrackEstimate
         Significant amplitudes at the stroke frequency: ``sway`` across the mean heading (across the path if
         there is no heading), and ``turn``, the amplitude of the heading (rad).
     doubt : str
@@ -122,14 +122,14 @@ class Swimming:
     begin_s: float
     end_s: float
     window: Literal["given", "steady part", "whole track"]
-    path_speed: Estimate | None
-    advance: Estimate | None
-    change: Estimate | None
-    acceleration: Estimate | None
-    acceleration_xy: tuple[Estimate, Estimate] | None
+    path_speed: TrackEstimate | None
+    advance: TrackEstimate | None
+    change: TrackEstimate | None
+    acceleration: TrackEstimate | None
+    acceleration_xy: tuple[TrackEstimate, TrackEstimate] | None
     stroke: Beat | None
-    frequency_hz: Estimate | None
-    amplitudes: dict[str, Estimate]
+    frequency_hz: TrackEstimate | None
+    amplitudes: dict[str, TrackEstimate]
     doubt: str = ""
     unknown: str = ""
 
@@ -180,7 +180,9 @@ class _Stroke:
         return None if self.beat is None else 1.0 / self.beat.frequency_hz
 
 
-def measure(track: Track, window_s: tuple[float | None, float | None] = (None, None)) -> Swimming:
+def measure_swimming(
+    track: SwimTrack, window_s: tuple[float | None, float | None] = (None, None)
+) -> Swimming:
     """Measure the speeds, the accelerations and the stroke of a track.
 
     Parameters
@@ -233,7 +235,7 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
         advance = _not_negative(net)
     amplitudes = {}
     if stroke.beat is not None:
-        frequency = Estimate(stroke.beat.frequency_hz, *stroke.beat.interval_hz)
+        frequency = TrackEstimate(stroke.beat.frequency_hz, *stroke.beat.interval_hz)
         amplitudes = _amplitudes(track, begin, end, stroke.beat.frequency_hz)
     time, good, none = track.time_s[inside], track.measured[inside], np.zeros(int(inside.sum()), dtype=bool)
     cleaning = Cleaning(good, none, none, 0, [], gaps(time, good))
@@ -255,7 +257,7 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
     )
 
 
-def _is_level(change: Estimate, speed: float) -> bool:
+def _is_level(change: TrackEstimate, speed: float) -> bool:
     """Return whether a change of the swimming speed is so small that the speed counts as constant.
 
     The 95 % interval of the change must be small relative to the speed. In addition the change itself must be
@@ -266,14 +268,14 @@ def _is_level(change: Estimate, speed: float) -> bool:
     return abs(change.value) <= MAX_CHANGE * abs(speed) or change.low <= 0 <= change.high
 
 
-def _not_negative(speed: Estimate | None) -> Estimate | None:
+def _not_negative(speed: TrackEstimate | None) -> TrackEstimate | None:
     """Return the estimate of a speed with its 95 % interval cut off at zero."""
     if speed is None:
         return None
-    return Estimate(speed.value, max(speed.low, 0.0), speed.high)
+    return TrackEstimate(speed.value, max(speed.low, 0.0), speed.high)
 
 
-def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
+def _find_stroke(track: SwimTrack, begin: float, end: float) -> _Stroke:
     """Find the stroke in a window of a track.
 
     In a track without a heading, the direction of travel is searched for the stroke instead.
@@ -339,7 +341,7 @@ def _long_axis(place: Array) -> Array:
     return np.asarray(np.linalg.eigh(np.cov(known))[1][:, -1])
 
 
-def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dict[str, Estimate]:
+def _amplitudes(track: SwimTrack, begin: float, end: float, frequency: float) -> dict[str, TrackEstimate]:
     """Return the amplitudes of sway and heading at a frequency, if they are significant.
 
     The sway is the motion across the mean heading. Without a heading it is the motion across the mean path,
@@ -347,10 +349,10 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
     """
     time = track.time_s
     rows = (time >= begin) & (time <= end)
-    mean = np.array([_running_mean(time, row, 1 / frequency) for row in track.smooth])
+    mean = np.array([_mean_over_period(time, row, 1 / frequency) for row in track.smooth])
     channels, errors = {}, {"sway": track.error, "turn": track.angle_error}
     if track.angle is not None:
-        heading = _running_mean(time, track.angle, 1 / frequency)
+        heading = _mean_over_period(time, track.angle, 1 / frequency)
         across = np.array([-np.sin(heading), np.cos(heading)])
         if track.raw_angle is not None:
             channels["turn"] = track.raw_angle - heading
@@ -369,7 +371,7 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
     return found
 
 
-def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
+def _amplitude(time: Array, values: Array, frequency: float) -> TrackEstimate | None:
     """Return the mean amplitude of sines fitted to successive strokes; None if it is not significant."""
     if not len(time):
         return None
@@ -395,11 +397,11 @@ def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
         return None
     if len(sizes) < 3:
         half = 1.96 * error / math.sqrt(len(sizes))
-        return Estimate(mean, mean - half, mean + half)
+        return TrackEstimate(mean, mean - half, mean + half)
     return mean_of_blocks(np.array(sizes), np.ones(len(sizes)))
 
 
-def _running_mean(time: Array, values: Array, period: float) -> Array:
+def _mean_over_period(time: Array, values: Array, period: float) -> Array:
     """Return the running mean of a channel over one period; NaN where the period has missing samples."""
     known = np.isfinite(values)
     safe = np.where(known, values, 0.0)
@@ -412,7 +414,7 @@ def _running_mean(time: Array, values: Array, period: float) -> Array:
     return np.where(inside & whole, mean, np.nan)
 
 
-def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Blocks:
+def _blocks(track: SwimTrack, begin: float, end: float, period: float | None) -> _Blocks:
     """Return the speeds of a track in successive blocks of whole strokes, without blocks that have gaps.
 
     Without a stroke the blocks have equal durations.
@@ -422,7 +424,7 @@ def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Bl
         period = (end - begin) / N_BLOCKS
     # Use measured samples where there are any, because the errors of smoothed samples are correlated.
     filled = np.where(track.measured & np.isfinite(track.raw), track.raw, track.smooth)
-    path = np.array([_running_mean(time, row, period) for row in filled])
+    path = np.array([_mean_over_period(time, row, period) for row in filled])
     known = np.isfinite(path[0])
     if not known.any():
         return _Blocks(np.zeros(0), np.zeros((2, 0)), np.zeros(0), period)
@@ -472,13 +474,13 @@ def _transient(speed: Array, most: float) -> int:
     return int(np.argmax(scores <= scores[best] * (1 + math.sqrt(2 / (counts[best] - 1)))))
 
 
-def _change(middle: Array, speed: Array) -> Estimate:
+def _change(middle: Array, speed: Array) -> TrackEstimate:
     """Return the change of speed from the first to the last block of a track, according to a fitted line."""
     span, slope = float(middle[-1] - middle[0]), _slope(middle, speed)
-    return Estimate(span * slope.value, span * slope.low, span * slope.high)
+    return TrackEstimate(span * slope.value, span * slope.low, span * slope.high)
 
 
-def _slope(time: Array, values: Array) -> Estimate:
+def _slope(time: Array, values: Array) -> TrackEstimate:
     """Return the slope of a line fitted to values over time, with its 95 % interval.
 
     The interval is widened for correlated residuals.
@@ -491,5 +493,5 @@ def _slope(time: Array, values: Array) -> Estimate:
     stderr = math.sqrt(squares / freedom / float(design[:, 1] @ design[:, 1]))
     from scipy import special
 
-    half = float(special.stdtrit(freedom, 0.975)) * stderr * widening(residual)
-    return Estimate(float(weights[1]), float(weights[1]) - half, float(weights[1]) + half)
+    half = float(special.stdtrit(freedom, 0.975)) * stderr * error_factor(residual)
+    return TrackEstimate(float(weights[1]), float(weights[1]) - half, float(weights[1]) + half)

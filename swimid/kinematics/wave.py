@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.kinematics.speed import Estimate
+from swimid.kinematics.speed import TrackEstimate
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,9 +34,9 @@ class Wave:
     ----------
     behind : ndarray, shape (k,)
         Distance of each station behind the front end along the straight body, in the unit of the positions.
-    amplitude, phase : list of Estimate, one for each station
+    amplitude, phase : list of TrackEstimate, one for each station
         Amplitude of the lateral motion, and phase lag behind the reference station, rad.
-    length, speed : Estimate or None
+    length, speed : TrackEstimate or None
         Wavelength, and speed of the wave along the body in units per s; None if the phase does not increase
         towards the rear significantly.
     windows : int
@@ -47,10 +47,10 @@ class Wave:
     """
 
     behind: Array
-    amplitude: list[Estimate]
-    phase: list[Estimate]
-    length: Estimate | None
-    speed: Estimate | None
+    amplitude: list[TrackEstimate]
+    phase: list[TrackEstimate]
+    length: TrackEstimate | None
+    speed: TrackEstimate | None
     windows: int
     frequency_hz: float
     reference: int
@@ -98,7 +98,7 @@ def distances(straight: Complex) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(straight)))])
 
 
-def measure(
+def measure_wave(
     time_s: Array,
     stations: Complex,
     behind: Array,
@@ -169,8 +169,8 @@ def measure(
     length = speed = None
     if number.low > 0:
         ends = (number.value, number.high, number.low)
-        length = Estimate(*(2 * np.pi / end for end in ends))
-        speed = Estimate(*(2 * np.pi * frequency_hz / end for end in ends))
+        length = TrackEstimate(*(2 * np.pi / end for end in ends))
+        speed = TrackEstimate(*(2 * np.pi * frequency_hz / end for end in ends))
     amplitude = [_student(column) for column in (waves * np.exp(-1j * np.angle(mean))).real.T]
     phase = [_student(column) for column in lags.T]
     return Wave(behind, amplitude, phase, length, speed, len(waves), frequency_hz, most)
@@ -184,7 +184,7 @@ class Swing:
     ----------
     frequency_hz : float
     mean : float, rad
-    amplitude : Estimate
+    amplitude : TrackEstimate
         Amplitude of the sine, rad, with its 95 % interval.
     stderr : float, rad
         Standard error of the amplitude; NaN without two complete cycles.
@@ -192,7 +192,7 @@ class Swing:
 
     frequency_hz: float
     mean: float
-    amplitude: Estimate
+    amplitude: TrackEstimate
     stderr: float
 
     @property
@@ -251,7 +251,7 @@ def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None
         spread = _student(np.array(sizes))
         half = 0.5 * (spread.high - spread.low)
         stderr = float(np.std(sizes, ddof=1) / np.sqrt(len(sizes)))
-    return Swing(frequency_hz, float(weights[0]), Estimate(size, size - half, size + half), stderr)
+    return Swing(frequency_hz, float(weights[0]), TrackEstimate(size, size - half, size + half), stderr)
 
 
 def _sine(t: Array, x: Array, frequency_hz: float) -> tuple[Array, float]:
@@ -262,10 +262,10 @@ def _sine(t: Array, x: Array, frequency_hz: float) -> tuple[Array, float]:
     return weights, float(np.mean((x - design @ weights) ** 2))
 
 
-def _student(values: Array) -> Estimate:
+def _student(values: Array) -> TrackEstimate:
     """Return the mean of values from successive windows with its 95 % interval."""
     from scipy.special import stdtrit
 
     mean, count = float(values.mean()), len(values)
     half = float(stdtrit(count - 1, 0.975) * values.std(ddof=1) / np.sqrt(count))
-    return Estimate(mean, mean - half, mean + half)
+    return TrackEstimate(mean, mean - half, mean + half)

@@ -396,7 +396,7 @@ def make_evidence(
         verdict=ev.make_verdict(answer, checks),
         facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},
         checks=list(checks),
-        notices=ev.notices(notices),
+        notices=list(notices),
         references=REFERENCES,
         provenance=origin,
         **shown,

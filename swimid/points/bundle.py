@@ -2,8 +2,8 @@
 
 A fault is a point that does not belong where it was tracked: labels that were exchanged, two labels on one
 place, or a stray label. A point is left out of a frame if its residual exceeds a quantile of the chi-square
-distribution. The quantile belongs to the probability :data:`FALSE_ALARM` that any point of a film without
-faults is left out (Bonferroni's bound; data snooping, Baarda 1968).
+distribution. The quantile belongs to the probability :data:`FALSE_ALARM_POINTS` that any point of a film
+without faults is left out (Bonferroni's bound; data snooping, Baarda 1968).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from swimid.points import linkage as links
 from swimid.points.linkage import Array, Complex, Flags, Linkage, Residuals, State
 
 #: Probability that at least one point is left out of a film that has no faults.
-FALSE_ALARM = 0.01
+FALSE_ALARM_POINTS = 0.01
 #: Median of the absolute value of a standard normal variable.
 HALF_NORMAL = float(special.ndtri(0.75))
 #: Maximum number of robust iterations, and of iterations of the final fit; relative change of a noise
@@ -94,7 +94,7 @@ class Film:
         """Replace the points of some frames by those of another film, in place."""
         self.seen[rows], self.there[rows], self.likelihood[rows] = other.seen, other.there, other.likelihood
 
-    def ordered(self, points: list[int]) -> Film:
+    def reorder(self, points: list[int]) -> Film:
         """Return a film whose labels are those of other points, by index."""
         return Film(self.time_s, self.seen[:, points], self.there[:, points], self.likelihood[:, points])
 
@@ -120,7 +120,7 @@ class Fault:
 
 
 @dataclass
-class Fit:
+class FilmFit:
     """Estimate of a film of tracked points.
 
     Attributes
@@ -168,7 +168,7 @@ class Fit:
     mirrored: bool
 
 
-def fit(film: Film, linkage: Linkage) -> Fit:
+def fit_film(film: Film, linkage: Linkage) -> FilmFit:
     """Estimate states, noise, faults and global quantities of a film.
 
     Parameters
@@ -194,7 +194,7 @@ def fit(film: Film, linkage: Linkage) -> Fit:
     estimate.remove_bias()
     found = estimate.residuals()
     faults = _faults(estimate, found)
-    return Fit(
+    return FilmFit(
         estimate.linkage,
         estimate.state,
         found,
@@ -202,7 +202,7 @@ def fit(film: Film, linkage: Linkage) -> Fit:
         estimate.noise,
         estimate.exponent,
         estimate.place_sd_m,
-        estimate.undetermined(),
+        estimate.find_undetermined(),
         faults,
         estimate.level,
         estimate.order,
@@ -221,7 +221,7 @@ class _Estimate:
         self.floor = MIN_NOISE * linkage.scale * linkage.size
         self.noise = np.full(film.seen.shape[1], 1e3 * self.floor)
         self.exponent, self.place_sd_m = 0.0, 0.0
-        self.level = FALSE_ALARM / max(int(film.there.sum()), 1)
+        self.level = FALSE_ALARM_POINTS / max(int(film.there.sum()), 1)
         usual = np.ones(film.seen.shape[1])
         for k, column in enumerate(film.likelihood.T):
             if film.there[:, k].any():
@@ -279,7 +279,7 @@ class _Estimate:
 
     def _solve(self) -> None:
         weight = np.where(self.used, 1.0 / self.variance, 0.0)
-        self.state = links.solve(self.linkage, self.film.seen, weight, self.state)
+        self.state = links.solve_linkage(self.linkage, self.film.seen, weight, self.state)
 
     @property
     def prior(self) -> Array:
@@ -297,10 +297,10 @@ class _Estimate:
             return 0.0
         weight, prior = np.where(self.used & rows[:, None], 1.0 / self.variance, 0.0), self.prior
         made = links.scores(self.linkage, self.film.seen, weight, self.state)
-        covariance = links.inverted(made.normal + np.diag(prior[:, 1]))
+        covariance = links.invert_normal_matrix(made.normal + np.diag(prior[:, 1]))
         step = covariance @ (made.value.sum(axis=0) + prior[:, 0] * prior[:, 1])
-        self.state = self.state.moved(made.rest - made.gain @ step)
-        self.linkage = self.linkage.changed(step, covariance)
+        self.state = self.state.add_steps(made.rest - made.gain @ step)
+        self.linkage = self.linkage.apply_step(step, covariance)
         if "places" in self.linkage.free:
             squares = self.prior[:, 0] ** 2 + np.diag(covariance)
             self.place_sd_m = float(np.sqrt(squares[-2 * len(self.noise) :].mean()))
@@ -340,10 +340,10 @@ class _Estimate:
             order = list(points)
             order[i], order[j] = j, i
             orders.append(order)
-        best, found = _least_noise([some.ordered(order) for order in orders], stated)
+        best, found = _least_noise([some.reorder(order) for order in orders], stated)
         if best == 0:
             return False
-        whole = _Estimate.of(self.film.ordered(orders[best]), found.linkage)
+        whole = _Estimate.of(self.film.reorder(orders[best]), found.linkage)
         whole.noise = self.noise = found.noise
         whole._solve()
         self.place_sd_m = min(self.place_sd_m, PLACE_SD_M)
@@ -388,7 +388,7 @@ class _Estimate:
                 continue
             film, used = self.film.part(tried), self.used[tried]
             out = film.there & ~used
-            trial = _Estimate.of(film.ordered(order.tolist()), self.linkage)
+            trial = _Estimate.of(film.reorder(order.tolist()), self.linkage)
             trial.noise, trial.exponent, trial.level = self.noise, self.exponent, self.level
             both = out[:, i] & out[:, j] & used.any(axis=1)
             trial.used[both] = used[both]
@@ -419,7 +419,7 @@ class _Estimate:
         clean: Flags = np.asarray(~rows & there.any(axis=1))
         starts = [self.state[rows]]
         if clean.any():
-            starts.append(links.bridged(self.film.time_s, self.state, clean)[rows])
+            starts.append(links.interpolate_frames(self.film.time_s, self.state, clean)[rows])
         inner = _Estimate(self.film.part(rows), self.linkage, starts[0])
         inner.noise, inner.exponent, inner.level = self.noise, self.exponent, self.level
         inner.log_likelihood = self.log_likelihood[rows]
@@ -429,14 +429,14 @@ class _Estimate:
     def find_inliers(self, starts: list[State]) -> None:
         """Choose the points of each frame that agree with one state of the linkage."""
         there = self.film.there
-        found = [self._annealed(starts[0], THRESHOLDS)]
-        found += [self._annealed(begin, THRESHOLDS[-NEAR:]) for begin in starts[1:]]
+        found = [self._anneal(starts[0], THRESHOLDS)]
+        found += [self._anneal(begin, THRESHOLDS[-NEAR:]) for begin in starts[1:]]
         costs = np.array([cost for _, cost in found])
         costs[1:] -= MUCH_WORSE
         best = np.argmin(costs, axis=0)
         for k, (state, _) in enumerate(found):
             self.state[best == k] = state[best == k]
-        off = np.abs(self.film.seen - links.predicted(self.linkage, self.state)) ** 2 / self.variance
+        off = np.abs(self.film.seen - links.predict_points(self.linkage, self.state)) ** 2 / self.variance
         self.used = there & (off < THRESHOLDS[-1] ** 2)
         self._remove_worst()
         result = self.residuals()
@@ -446,15 +446,15 @@ class _Estimate:
         lost = 2 * self.used.sum(axis=1) <= there.sum(axis=1)
         self.used[lost & (self.used != there).any(axis=1)] = False
 
-    def _annealed(self, state: State, thresholds: tuple[float, ...]) -> tuple[State, Array]:
+    def _anneal(self, state: State, thresholds: tuple[float, ...]) -> tuple[State, Array]:
         """Return the states that agree with most points, and their costs, shape (n,)."""
         there, variance = self.film.there, self.variance
         for threshold in thresholds:
             for _ in range(STEPS):
-                off = np.abs(self.film.seen - links.predicted(self.linkage, state)) ** 2 / variance
+                off = np.abs(self.film.seen - links.predict_points(self.linkage, state)) ** 2 / variance
                 weight = np.where(there, (1.0 + off / threshold**2) ** -2 / variance, 0.0)
-                state = links.solve(self.linkage, self.film.seen, weight, state, steps=2)
-        off = np.abs(self.film.seen - links.predicted(self.linkage, state)) ** 2 / variance
+                state = links.solve_linkage(self.linkage, self.film.seen, weight, state, steps=2)
+        off = np.abs(self.film.seen - links.predict_points(self.linkage, state)) ** 2 / variance
         return state, np.sum(np.where(there, np.minimum(off, THRESHOLDS[-1] ** 2), 0.0), axis=1)
 
     def _remove_worst(self) -> None:
@@ -536,10 +536,10 @@ class _Estimate:
         starts = [self.state[rows]]
         bridged = starts[0]
         if whole.any():
-            bridged = links.bridged(self.film.time_s, self.state, whole)[rows]
+            bridged = links.interpolate_frames(self.film.time_s, self.state, whole)[rows]
             starts.append(bridged)
-        starts += [links.placed(self.linkage, seen, weight, shape) for shape in (*shapes, *-shapes)]
-        found = [links.solve(self.linkage, seen, weight, start) for start in starts]
+        starts += [links.place_linkage(self.linkage, seen, weight, shape) for shape in (*shapes, *-shapes)]
+        found = [links.solve_linkage(self.linkage, seen, weight, start) for start in starts]
         costs = np.array([links.cost(self.linkage, seen, weight, state) for state in found])
         same: Flags = np.asarray(costs <= costs.min(axis=0) + MUCH_WORSE)
         values, near = np.array([state.components for state in found]), bridged.components
@@ -604,27 +604,27 @@ class _Estimate:
         weight, prior = np.where(self.used, 1.0 / self.variance, 0.0), self.prior
         made = links.scores(self.linkage, self.film.seen, weight, self.state)
         rng, bias, noisy = np.random.default_rng(SEED), np.zeros(len(prior)), np.zeros_like(made.normal)
-        true = links.predicted(self.linkage, self.state)
+        true = links.predict_points(self.linkage, self.state)
         for _ in range(PAIRS):
             x, y = rng.normal(size=(2, *self.used.shape)) * np.sqrt(self.variance)
             for sign in (1.0, -1.0):
                 seen = true + sign * (x + 1j * y)
-                state = links.solve(self.linkage, seen, weight, self.state)
+                state = links.solve_linkage(self.linkage, seen, weight, self.state)
                 simulated = links.scores(self.linkage, seen, weight, state)
                 bias += simulated.value.sum(axis=0) / (2 * PAIRS)
                 noisy += simulated.normal / (2 * PAIRS)
         self.information = 2.0 * made.normal - noisy
         # Differences along the axes of the covariance, by one standard error to either side.
-        values, vectors = np.linalg.eigh(links.inverted(made.normal + np.diag(prior[:, 1])))
+        values, vectors = np.linalg.eigh(links.invert_normal_matrix(made.normal + np.diag(prior[:, 1])))
         kept = values > 0
         axes = vectors[:, kept] * np.sqrt(values[kept])
         columns = []
         for axis in axes.T:
             ends = []
             for sign in (1.0, -1.0):
-                moved = self.linkage.changed(sign * STEP * axis, self.linkage.covariance)
-                begin = self.state.moved(-sign * STEP * (made.gain @ axis))
-                state = links.solve(moved, self.film.seen, weight, begin)
+                moved = self.linkage.apply_step(sign * STEP * axis, self.linkage.covariance)
+                begin = self.state.add_steps(-sign * STEP * (made.gain @ axis))
+                state = links.solve_linkage(moved, self.film.seen, weight, begin)
                 ends.append(links.scores(moved, self.film.seen, weight, state).value.sum(axis=0))
             columns.append(axes.T @ (ends[1] - ends[0]) / (2.0 * STEP))
         of_data, of_prior = np.array(columns), axes.T @ (prior[:, 1:] * axes)
@@ -632,16 +632,16 @@ class _Estimate:
         bent = (vectors * np.maximum(values, 0.0)) @ vectors.T + of_prior
         inverse = np.linalg.pinv(bent, hermitian=True)
         # In few frames the scores may vary less than their curvature implies.
-        spread, least = made.spread(axes), np.maximum(np.diag(of_data), 0.0)
+        spread, least = made.score_covariance(axes), np.maximum(np.diag(of_data), 0.0)
         wider = np.sqrt(np.maximum(least / np.maximum(np.diag(spread), 1e-300), 1.0))
         spread = spread * wider[:, None] * wider
         covariance = axes @ inverse @ (spread + of_prior) @ inverse @ axes.T
         step = axes @ inverse @ axes.T @ (made.value.sum(axis=0) - bias + prior[:, 0] * prior[:, 1])
-        self.state = self.state.moved(made.rest - made.gain @ step)
-        self.linkage = self.linkage.changed(step, covariance)
+        self.state = self.state.add_steps(made.rest - made.gain @ step)
+        self.linkage = self.linkage.apply_step(step, covariance)
         self._solve()
 
-    def undetermined(self) -> Array:
+    def find_undetermined(self) -> Array:
         """Return the directions in the space of the places that the film does not determine.
 
         A direction counts as determined if the film leaves less than :data:`UNDETERMINED` of the variance of
@@ -685,7 +685,7 @@ class _Estimate:
             value = min(max(value + min(max(step, -0.5), 0.5), 0.0), MAX_EXPONENT)
             if abs(step) < 1e-4:
                 break
-        if value * np.sqrt(curvature) < float(special.ndtri(1 - FALSE_ALARM / 2)):
+        if value * np.sqrt(curvature) < float(special.ndtri(1 - FALSE_ALARM_POINTS / 2)):
             return 0.0
         return value
 
@@ -708,7 +708,7 @@ def _least_noise(films: list[Film], linkage: Linkage) -> tuple[int, _Estimate]:
 def _faults(estimate: _Estimate, found: Residuals) -> list[Fault]:
     """Return the points that were left out, by reason and names, with their frames."""
     film, names, out = estimate.film, estimate.linkage.names, estimate.film.there & ~estimate.used
-    places, variance = links.predicted(estimate.linkage, estimate.state), estimate.variance
+    places, variance = links.predict_points(estimate.linkage, estimate.state), estimate.variance
     doubt = np.abs(found.share - 1.0).max(axis=2) * variance
     limit = float(special.chdtri(2.0, estimate.level))
     reach = (estimate.linkage.scale * estimate.linkage.size) ** 2

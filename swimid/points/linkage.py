@@ -196,7 +196,7 @@ class Linkage:
             parts += [turned, 1j * turned]
         return np.concatenate([np.zeros((n, p, 0), dtype=complex), *parts], axis=2)
 
-    def changed(self, step: Array, covariance: Array) -> Linkage:
+    def apply_step(self, step: Array, covariance: Array) -> Linkage:
         """Return a linkage whose global quantities are changed by a step, with their covariance."""
         step = step.copy()
         found = replace(self, covariance=covariance)
@@ -247,7 +247,7 @@ class State:
         """Position and angles as real numbers, shape (n, 2 + links)."""
         return np.column_stack([self.position.real, self.position.imag, self.angles])
 
-    def moved(self, step: Array) -> State:
+    def add_steps(self, step: Array) -> State:
         """Return the states changed by steps, shape (n, 2 + links)."""
         return State(self.position + step[:, 0] + 1j * step[:, 1], self.angles + step[:, 2:])
 
@@ -258,7 +258,7 @@ def blocks(count: int) -> Iterator[slice]:
         yield slice(start, min(start + BLOCK, count))
 
 
-def predicted(linkage: Linkage, state: State) -> Complex:
+def predict_points(linkage: Linkage, state: State) -> Complex:
     """Return the points of a linkage, in the unit of the tracked points, shape (n, points)."""
     return np.asarray(state.position[:, None] + linkage.scale * linkage.shape(state.angles)[2])
 
@@ -282,7 +282,9 @@ def _inner(a: Complex, weight: Array, b: Complex) -> Array:
     return np.asarray((np.swapaxes(a.conj() * weight[..., None], 1, 2) @ b).real)
 
 
-def solve(linkage: Linkage, seen: Complex, weight: Array, state: State, steps: int = MAX_STEPS) -> State:
+def solve_linkage(
+    linkage: Linkage, seen: Complex, weight: Array, state: State, steps: int = MAX_STEPS
+) -> State:
     """Return the states with the smallest weighted sum of squared residuals, by Levenberg-Marquardt.
 
     Parameters
@@ -302,7 +304,7 @@ def solve(linkage: Linkage, seen: Complex, weight: Array, state: State, steps: i
 
 def cost(linkage: Linkage, seen: Complex, weight: Array, state: State) -> Array:
     """Return the weighted sum of the squared residuals of each frame, shape (n,)."""
-    return np.asarray(np.sum(weight * np.abs(seen - predicted(linkage, state)) ** 2, axis=1))
+    return np.asarray(np.sum(weight * np.abs(seen - predict_points(linkage, state)) ** 2, axis=1))
 
 
 def _solve(linkage: Linkage, seen: Complex, weight: Array, state: State, steps: int) -> State:
@@ -317,7 +319,7 @@ def _solve(linkage: Linkage, seen: Complex, weight: Array, state: State, steps: 
         floor = 1e-12 * ridge.max(axis=1, keepdims=True) + 1e-300
         damped = normal + np.eye(normal.shape[1]) * (damping[active, None] * ridge + floor)[:, None]
         step = np.linalg.solve(damped, right)[..., 0]
-        moved = now.moved(step)
+        moved = now.add_steps(step)
         new = cost(linkage, y, w, moved)
         better = new <= before[active]
         state[active[better]] = moved[better]
@@ -465,7 +467,7 @@ class Scores:
     gain: Array
     rest: Array
 
-    def spread(self, axes: Array) -> Array:
+    def score_covariance(self, axes: Array) -> Array:
         """Return the covariance of the sum of the scores along axes, shape (k, k).
 
         Its variances are enlarged if the sums over successive blocks of frames vary more than those of
@@ -505,7 +507,7 @@ def scores(linkage: Linkage, seen: Complex, weight: Array, state: State) -> Scor
     return Scores(value, normal, gain, rest)
 
 
-def inverted(normal: Array) -> Array:
+def invert_normal_matrix(normal: Array) -> Array:
     """Return the pseudo-inverse of a normal matrix of global quantities, whose units differ."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     sizes = np.outer(size, size)
@@ -537,10 +539,14 @@ def start(linkage: Linkage, time_s: Array, seen: Complex, used: Flags) -> State:
     number = np.maximum(w.sum(axis=1), 1)
     middle, centre = (y * w).sum(axis=1) / number, (w @ q) / number
     product = np.sum(w * (y - middle[:, None]) * np.conj(q - centre[:, None]), axis=1)
-    angles[:, 0] = _filled(time_s, np.angle(product), (w.sum(axis=1) >= 2) & (np.abs(product) > 0), True)
+    angles[:, 0] = _interpolate_unknown(
+        time_s, np.angle(product), (w.sum(axis=1) >= 2) & (np.abs(product) > 0), True
+    )
     position = middle - linkage.scale * np.exp(1j * angles[:, 0]) * centre
     there: Flags = np.asarray(w.any(axis=1))
-    position = _filled(time_s, position.real, there) + 1j * _filled(time_s, position.imag, there)
+    position = _interpolate_unknown(time_s, position.real, there) + 1j * _interpolate_unknown(
+        time_s, position.imag, there
+    )
     carries = linkage.carries
     for k in range(1, links):
         axes, origins, _ = linkage.shape(angles)
@@ -551,11 +557,11 @@ def start(linkage: Linkage, time_s: Array, seen: Complex, used: Flags) -> State:
         arm = (places[own] - straight[1][0, k]) * np.conj(straight[0][0, k])
         product = np.sum(used[:, own] * (seen[:, own] - pivot[:, None]) * np.conj(arm), axis=1)
         angle = np.angle(product * np.conj(axes[:, linkage.parent[k]] * np.exp(1j * linkage.mount[k])))
-        angles[:, k] = _filled(time_s, angle, np.abs(product) > 0)
+        angles[:, k] = _interpolate_unknown(time_s, angle, np.abs(product) > 0)
     return State(position, angles)
 
 
-def placed(linkage: Linkage, seen: Complex, weight: Array, joints: Array) -> State:
+def place_linkage(linkage: Linkage, seen: Complex, weight: Array, joints: Array) -> State:
     """Return the states of a linkage with given joint angles that fit the points best (Procrustes)."""
     angles = np.tile(np.r_[0.0, joints], (len(seen), 1))
     points = linkage.shape(angles)[2]
@@ -574,7 +580,7 @@ def differences(a: Array, b: Array) -> Array:
     return np.asarray(off)
 
 
-def _filled(time_s: Array, values: Array, known: Flags, turns: bool = False) -> Array:
+def _interpolate_unknown(time_s: Array, values: Array, known: Flags, turns: bool = False) -> Array:
     """Return values with those that are not known interpolated in time; 0 if none is known."""
     if not known.any():
         return np.zeros(len(values))
@@ -584,8 +590,8 @@ def _filled(time_s: Array, values: Array, known: Flags, turns: bool = False) -> 
     return np.asarray(np.interp(time_s, time_s[known], good))
 
 
-def bridged(time_s: Array, state: State, good: Flags) -> State:
+def interpolate_frames(time_s: Array, state: State, good: Flags) -> State:
     """Return the states interpolated in time between the good frames."""
-    angles = [_filled(time_s, values, good, True) for values in state.angles.T]
-    x, y = (_filled(time_s, part, good) for part in (state.position.real, state.position.imag))
+    angles = [_interpolate_unknown(time_s, values, good, True) for values in state.angles.T]
+    x, y = (_interpolate_unknown(time_s, part, good) for part in (state.position.real, state.position.imag))
     return State(np.asarray(x + 1j * y, dtype=complex), np.column_stack(angles))

@@ -76,7 +76,7 @@ class Plane:
 
     def to_world(self, x: Array, y: Array) -> Array:
         """Return the world coordinates, shape (2, n), of picture points x and y, px. NaN stays NaN."""
-        return _map_known(lambda points: _mapped(_undistorted(points, self.lens), self.matrix), x, y)
+        return _map_known(lambda points: _apply_homography(_undistort(points, self.lens), self.matrix), x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
         """Return the picture coordinates in px, shape (2, n), of world points x and y. NaN stays NaN."""
@@ -89,13 +89,13 @@ class Plane:
         return np.array(moved).reshape(-1, 2, world.shape[1])
 
     def _backward(self, world: Array) -> Array:
-        points = _mapped(world, np.linalg.inv(self.matrix))
+        points = _apply_homography(world, np.linalg.inv(self.matrix))
         if self.lens is None:
             return points
-        rays = cv2.convertPointsToHomogeneous(_mapped(points, np.linalg.inv(self.lens[0])))
+        rays = cv2.convertPointsToHomogeneous(_apply_homography(points, np.linalg.inv(self.lens[0])))
         return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
-    def turned(self) -> Plane:
+    def flip_x(self) -> Plane:
         """Return a copy of the plane whose world x axis has the opposite direction."""
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
         variants = tuple(turn @ matrix for matrix in self.variants)
@@ -132,13 +132,13 @@ def _map_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
     return out
 
 
-def _undistorted(points: Array, lens: tuple[Array, Array] | None) -> Array:
+def _undistort(points: Array, lens: tuple[Array, Array] | None) -> Array:
     if lens is None:
         return points
     return cv2.undistortPoints(points.reshape(-1, 1, 2), *lens, P=lens[0]).reshape(-1, 2)
 
 
-def _mapped(points: Array, matrix: NDArray[Any]) -> Array:
+def _apply_homography(points: Array, matrix: NDArray[Any]) -> Array:
     return cv2.perspectiveTransform(points.reshape(-1, 1, 2).astype(float), matrix).reshape(-1, 2)
 
 
@@ -169,7 +169,7 @@ def plane_of(
         warn("SWM041", f"the setup has no scale: {text}; give scale in the setup for metres")
     else:
         if scale.points_px is not None:
-            points = _undistorted(np.array(scale.points_px), lens)
+            points = _undistort(np.array(scale.points_px), lens)
         if scale.distance_m is not None:
             factor = scale.distance_m / float(np.hypot(*((points[1] - points[0]) * (pixel_aspect, 1.0))))
         if scale.metres_per_pixel is not None:
@@ -194,7 +194,7 @@ def plane_of(
             )
     # Move markers above the plane of the scale towards the point below the camera, because they appear too
     # far from this point.
-    foot = _mapped(camera_centre[None], matrix)[0]
+    foot = _apply_homography(camera_centre[None], matrix)[0]
     nearer = np.array([[shrink, 0, (1 - shrink) * foot[0]], [0, shrink, (1 - shrink) * foot[1]], [0, 0, 1.0]])
     moved = tuple(nearer @ variant for variant in variants)
     unit = "px" if scale is None else "m"
@@ -250,7 +250,10 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tu
         text = "the points are not in the same order in the picture and in the world"
         hint = "list points_px and points_m corner by corner, both going round the same way"
         raise InputError(text, file=file, column="scale.points_m", hint=hint)
-    errors = (_mapped(world, np.linalg.inv(matrix)) - image, _mapped(image, matrix) - world)
+    errors = (
+        _apply_homography(world, np.linalg.inv(matrix)) - image,
+        _apply_homography(image, matrix) - world,
+    )
     in_image, in_world = (float(np.sqrt(np.mean(np.sum(error**2, 1)))) for error in errors)
     return matrix, (in_image, in_world)
 

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from swimid.kinematics import wave
-from swimid.points.bundle import FALSE_ALARM, UNDETERMINED
+from swimid.points.bundle import FALSE_ALARM_POINTS, UNDETERMINED
 from swimid.points.linkage import Array
 from swimid.points.points import MAX_BIAS, MAX_PERSPECTIVE, WRONG_DISTANCE, Posed
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import Check, Figure, Table, Trace
 
-METHODS = [
+POINT_METHODS = [
     "Pose and joint angles are weighted least-squares estimates from all tracked points of a frame. The "
     "noise of each point is estimated by restricted maximum likelihood. A point is left out if its residual "
     "exceeds the quantile of the chi-square distribution at which a film without faults loses a point with "
-    f"{FALSE_ALARM:.0%} probability (Bonferroni)."
+    f"{FALSE_ALARM_POINTS:.0%} probability (Bonferroni)."
 ]
 REFERENCES = [
     "Triggs, B., McLauchlan, P. F., Hartley, R. I., Fitzgibbon, A. W. (2000). Bundle adjustment - a modern "
@@ -90,7 +90,7 @@ def checks(posed: Posed) -> Iterator[Check]:
         reason = f"points do not sit at their places: {names}"
         yield ev.make_check("Places of points", names or "as stated", not names, "as stated", reason=reason)
     if "places" in posed.fit.linkage.free:
-        names = posed.undetermined_text
+        names = posed.free_coordinates_text
         reason = f"the film does not determine the places of {names}"
         yield ev.make_check("Places not determined", names or "none", not names, "none", reason=reason)
 
@@ -117,14 +117,14 @@ def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:
             row |= {"mean forward, mm": 1e3 * float(offset.real), "to port, mm": 1e3 * float(offset.imag)}
         rows.append(row)
     caption = f"Noise of a coordinate in {posed.noise_unit}; means of the residuals in the axes of the link."
-    made.append(_folded("points", "Tracked points", rows, caption))
+    made.append(_fold("points", "Tracked points", rows, caption))
     if posed.faults:
         rows = [
             {"fault": kind, "points": names or "several", "frames": count, "first": frames}
             for kind, names, count, frames in posed.faults
         ]
         caption = f"The probability of a chance removal is {fit.level:.2g} for a point in a frame."
-        made.append(_folded("faults", "Points left out or exchanged back", rows, caption))
+        made.append(_fold("faults", "Points left out or exchanged back", rows, caption))
     if posed.distances:
         given, seen = ("stated", "measured") if posed.robot else ("first half", "second half")
         rows = [
@@ -138,7 +138,7 @@ def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:
             }
             for one in posed.distances
         ]
-        made.append(_folded("distances", "Distances of points on one link", rows))
+        made.append(_fold("distances", "Distances of points on one link", rows))
     names = linkage.quantities
     errors = np.sqrt(np.maximum(np.diag(linkage.covariance), 0.0))
     if "lengths" in linkage.free:
@@ -159,7 +159,7 @@ def _places(posed: Posed, errors: Array) -> Table:
     for k, name in enumerate(linkage.names):
         place, stated = linkage.place[k], posed.stated.place[k]
         x, y = errors[k], errors[len(linkage.names) + k]
-        weak = posed.undetermined.get(name, "")
+        weak = posed.free_coordinates.get(name, "")
         free = [
             word for word, error in (("x", x), ("y", y)) if word in weak or error**2 > UNDETERMINED * sd**2
         ]
@@ -183,7 +183,7 @@ def _places(posed: Posed, errors: Array) -> Table:
     return ev.make_table("places", "Places of points, estimated from the film", rows, caption)
 
 
-def _folded(id: str, title: str, rows: list[dict[str, Any]], caption: str = "") -> Table:
+def _fold(id: str, title: str, rows: list[dict[str, Any]], caption: str = "") -> Table:
     return ev.make_table(id, title, rows, caption).model_copy(update={"folded": True})
 
 
@@ -211,7 +211,7 @@ def wave_of(posed: Posed | None, frequency_hz: float | None) -> wave.Wave | None
     stations = posed.fit.state.position[:, None] / linkage.scale + ends
     stations = np.where(known[:, None], stations, np.nan)
     behind = wave.distances(straight[0])
-    return wave.measure(posed.time_s, stations, behind, angles[:, 0], frequency_hz)
+    return wave.measure_wave(posed.time_s, stations, behind, angles[:, 0], frequency_hz)
 
 
 def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:

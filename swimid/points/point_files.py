@@ -88,7 +88,7 @@ class PointsFile(yamlio.Document):
         return self
 
 
-def of(given: str | Path | PointsFile | Mapping[str, Any]) -> PointsFile:
+def read_points(given: str | Path | PointsFile | Mapping[str, Any]) -> PointsFile:
     """Return the content of a points file, given its path, the content, or a dict with its keys.
 
     Raises
@@ -200,7 +200,7 @@ class Request:
         if isinstance(self.points, str | Path):
             found.append(self.points)
         elif self.points is not None:
-            found.append(of(self.points))
+            found.append(read_points(self.points))
         if self.robot is not None:
             found.append(robot_format.locate(self.robot))
         return found
@@ -217,7 +217,7 @@ class Request:
         """
         spec, where = PointsFile(), "points"
         if self.points is not None:
-            spec = of(self.points)
+            spec = read_points(self.points)
         if isinstance(self.points, str | Path):
             where = str(self.points)
         if self.robot is None:
@@ -245,7 +245,7 @@ class Request:
         return spec, robot.multilink, robot.name, where
 
 
-def tracked_points(columns: Mapping[str, Array]) -> dict[str, tuple[str, str, str]]:
+def find_tracked_points(columns: Mapping[str, Array]) -> dict[str, tuple[str, str, str]]:
     """Return the columns of both coordinates of each tracked point, and their unit, by name of the point."""
     found = {}
     for name in columns:
@@ -270,7 +270,7 @@ def keep_markers(columns: dict[str, Array]) -> None:
 
     The pose of head and tail is left out. Pixels, which have y down in such a log, are turned to y up.
     """
-    markers = tracked_points(columns)
+    markers = find_tracked_points(columns)
     for name in list(columns):
         point = next((one for one in markers if name.startswith(f"{one}_")), None)
         if name != TIME and (point is None or not re.fullmatch(_OF_MARKER, name.removeprefix(f"{point}_"))):
@@ -283,7 +283,7 @@ def keep_markers(columns: dict[str, Array]) -> None:
 _OF_MARKER = r"[xyz]_(px|m)|confidence"
 
 
-def chosen_points(
+def select_points(
     columns: Mapping[str, Array], names: list[str], optional: bool, where: tuple[str, str], path: Path
 ) -> tuple[list[str], str]:
     """Return the points that are tracked, in the order of ``names``, and their unit.
@@ -295,7 +295,7 @@ def chosen_points(
     InputError
         A point is not tracked and not optional, fewer than two are, or their units differ.
     """
-    tracked = tracked_points(columns)
+    tracked = find_tracked_points(columns)
     if not tracked:
         hint = "columns of a tracked point are named snout_x_px, snout_y_px, snout_likelihood"
         raise InputError("has no tracked points", file=path, hint=hint)
@@ -317,9 +317,9 @@ def chosen_points(
     return chosen, units.pop()
 
 
-def coordinates(columns: Mapping[str, Array], name: str) -> Complex:
+def point_coordinates(columns: Mapping[str, Array], name: str) -> Complex:
     """Return a tracked point as complex numbers x + iy, in its unit, shape (n,)."""
-    x, y, _ = tracked_points(columns)[safe(name)]
+    x, y, _ = find_tracked_points(columns)[safe(name)]
     return np.asarray(columns[x] + 1j * columns[y])
 
 
@@ -352,8 +352,8 @@ def in_metres(
         world: Complex = np.empty(seen.shape, dtype=complex)
         world.real, world.imag = x.reshape(seen.shape), y.reshape(seen.shape)
         return scale.refraction * world, None
-    chosen, _ = chosen_points(columns, list(scale.between), False, (where, "scale.between"), path)
-    first, second = (coordinates(columns, name) for name in chosen)
+    chosen, _ = select_points(columns, list(scale.between), False, (where, "scale.between"), path)
+    first, second = (point_coordinates(columns, name) for name in chosen)
     apart = np.abs(first - second)
     apart = apart[np.isfinite(apart)]
     if len(apart) < 2:

@@ -28,7 +28,7 @@ from swimid.notices import warn
 from swimid.points import bundle
 from swimid.points import linkage as links
 from swimid.points import point_files as files
-from swimid.points.bundle import Film, Fit
+from swimid.points.bundle import Film, FilmFit
 from swimid.points.linkage import Array, Complex, Flags, Linkage
 from swimid.robots import file as robot_format
 from swimid.robots import planar
@@ -74,7 +74,7 @@ class Posed:
 
     Attributes
     ----------
-    fit : Fit
+    fit : FilmFit
         Its linkage is in the unit of the log, and ``fit.linkage.scale`` is 1 if the scale is stated.
     stated : Linkage
         Linkage as the files state it.
@@ -105,7 +105,7 @@ class Posed:
         Mean and amplitude of each joint angle that swings periodically, before the mean is taken off.
     """
 
-    fit: Fit
+    fit: FilmFit
     stated: Linkage
     columns: dict[str, Array]
     unit: str
@@ -189,7 +189,7 @@ class Posed:
             "misplaced": self.misplaced,
             "mirrored": self.fit.mirrored,
             "perspective": self.perspective,
-            "undetermined": self.undetermined,
+            "undetermined": self.free_coordinates,
             "estimated": {
                 name: {"value": float(value), "stderr": float(error)}
                 for name, value, error in zip(linkage.quantities, linkage.values, errors, strict=True)
@@ -198,7 +198,7 @@ class Posed:
         }
 
     @property
-    def undetermined(self) -> dict[str, str]:
+    def free_coordinates(self) -> dict[str, str]:
         """Coordinates of the places that the film does not determine, such as ``x`` or ``x, y``, by point.
 
         They have at least half of the largest component of the directions that are not determined.
@@ -215,9 +215,9 @@ class Posed:
         return found
 
     @property
-    def undetermined_text(self) -> str:
+    def free_coordinates_text(self) -> str:
         """Coordinates that the film does not determine, as text; empty if there are none."""
-        return ", ".join(f"{name} ({words})" for name, words in self.undetermined.items())
+        return ", ".join(f"{name} ({words})" for name, words in self.free_coordinates.items())
 
     @property
     def perspective_text(self) -> str:
@@ -233,7 +233,7 @@ class Posed:
         """Frame number of each sample, from 0, shape (n,)."""
         return np.round(self.time_s / usual_step(self.time_s)).astype(int)
 
-    def listed(self, rows: np.ndarray) -> str:
+    def list_frames(self, rows: np.ndarray) -> str:
         """Return the numbers of the first frames of a list, as text."""
         text = ", ".join(str(frame) for frame in self.frames[rows[:MAX_LISTED]])
         more = f" and {len(rows) - MAX_LISTED} more" * (len(rows) > MAX_LISTED)
@@ -245,7 +245,8 @@ class Posed:
         found = sorted(self.fit.faults, key=lambda fault: -len(fault.frames))
         words = {"exchanged": " and ", "merged": " on "}
         return [
-            (f.kind, words.get(f.kind, "").join(f.names), len(f.frames), self.listed(f.frames)) for f in found
+            (f.kind, words.get(f.kind, "").join(f.names), len(f.frames), self.list_frames(f.frames))
+            for f in found
         ]
 
 
@@ -287,7 +288,7 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     place = (where, "points.{}")
     if spec.chain:
         place = (where, "chain")
-    names, unit = files.chosen_points(
+    names, unit = files.select_points(
         columns, spec.chain or list(placed), not (spec.chain or spec.points), place, path
     )
     plane = "horizontal"
@@ -296,7 +297,7 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     if spec.facing == "left" and plane == "horizontal":
         raise InputError("facing: left goes with a robot in the vertical plane", file=where, column="facing")
     shown = files.in_plane(columns, plane)
-    seen = np.column_stack([files.coordinates(shown, name) for name in names])
+    seen = np.column_stack([files.point_coordinates(shown, name) for name in names])
     known_scale, source = None, "the file of the points is in metres"
     if spec.scale is not None:
         if unit == "m":
@@ -316,7 +317,7 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     likelihood = np.column_stack([files.likelihood(columns, name) for name in names])
     film = Film(columns[TIME], np.where(there, seen, 0.0), there, likelihood)
     linkage, estimated = _linkage(film, body, names, placed, where, unit, request.calibrate)
-    fit = bundle.fit(film, linkage)
+    fit = bundle.fit_film(film, linkage)
     if estimated:
         error = math.sqrt(float(fit.linkage.covariance[0, 0]))
         if not error < MAX_SCALE_SE:
@@ -325,13 +326,13 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
         known_scale = (1.0 / fit.linkage.scale, error / fit.linkage.scale)
         source = "from the links of the robot"
         unit = "m"
-    tracked = files.tracked_points(shown)
+    tracked = files.find_tracked_points(shown)
     for axis in range(2):
         pair = [tracked[safe(name)][axis] for name in names]
         values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
         columns.update(zip(pair, np.where(fit.used, values, np.nan).T, strict=True))
     made, empty = _columns(fit, unit, plane, known_scale, relative=spec.zero == "mean")
-    examined, time_s = _examined(fit, linkage, bool(robot)), columns[TIME]
+    examined, time_s = _examine_points(fit, linkage, bool(robot)), columns[TIME]
     posed = Posed(fit, linkage, made, unit, known_scale, source, robot, *examined, empty, time_s, spec.zero)
     _warn(posed, path)
     return posed
@@ -369,7 +370,7 @@ def _linkage(
 
 
 def _columns(
-    fit: Fit, unit: str, plane: str, stated: tuple[float, float] | None, *, relative: bool
+    fit: FilmFit, unit: str, plane: str, stated: tuple[float, float] | None, *, relative: bool
 ) -> tuple[dict[str, Array], dict[str, int]]:
     """Return the columns of pose and joint angles, and the number of frames without each of them.
 
@@ -418,7 +419,7 @@ def _columns(
 # ---------------------------------------------------------------- stated distances and places
 
 
-def _biased(values: Array, level: float, error: float = 0.0) -> tuple[float, float, bool]:
+def _test_mean(values: Array, level: float, error: float = 0.0) -> tuple[float, float, bool]:
     """Return mean and standard error of values in time, and whether the mean is significant and large."""
     from scipy.special import stdtrit
 
@@ -429,9 +430,11 @@ def _biased(values: Array, level: float, error: float = 0.0) -> tuple[float, flo
     return mean.value, stderr, large
 
 
-def _examined(fit: Fit, stated: Linkage, robot: bool) -> tuple[list[Distance], Complex, list[str], float]:
+def _examine_points(
+    fit: FilmFit, stated: Linkage, robot: bool
+) -> tuple[list[Distance], Complex, list[str], float]:
     """Return distances of points of one link, mean residuals, misplaced points, and perspective."""
-    linkage, seen_at = fit.linkage, links.predicted(fit.linkage, fit.state) + fit.residuals.value
+    linkage, seen_at = fit.linkage, links.predict_points(fit.linkage, fit.state) + fit.residuals.value
     of, relative, distances = stated.link, 0.0, []
     pairs = [(i, j) for i, j in combinations(range(len(of)), 2) if of[i] == of[j]]
     if not robot:
@@ -447,7 +450,7 @@ def _examined(fit: Fit, stated: Linkage, robot: bool) -> tuple[list[Distance], C
         longer = float(np.var(apart)) / (2.0 * max(given, float(np.median(apart)), 1e-12))
         if not robot:
             given, apart, longer = float(apart[:half].mean()), apart[half:], 0.0
-        off, error, wrong = _biased(apart - longer - given, WRONG_DISTANCE / len(pairs), relative * given)
+        off, error, wrong = _test_mean(apart - longer - given, WRONG_DISTANCE / len(pairs), relative * given)
         names, link = (linkage.names[i], linkage.names[j]), linkage.links[of[max(i, j)]]
         distances.append(Distance(names, link, given, given + off, error, wrong))
     axes = linkage.shape(fit.state.angles)[0]
@@ -458,7 +461,7 @@ def _examined(fit: Fit, stated: Linkage, robot: bool) -> tuple[list[Distance], C
         if len(values) < MIN_FRAMES:
             continue
         level = WRONG_DISTANCE / (2 * len(stated.link))
-        (x, _, wrong_x), (y, _, wrong_y) = (_biased(part, level) for part in (values.real, values.imag))
+        (x, _, wrong_x), (y, _, wrong_y) = (_test_mean(part, level) for part in (values.real, values.imag))
         offsets[k] = complex(x, y)
         if robot and (wrong_x or wrong_y):
             misplaced.append(name)
@@ -532,8 +535,8 @@ def _warn(posed: Posed, path: Path) -> None:
         warn("SWM121", f"{path.name}: {text} with y downwards, or give scale as four points_px with points_m")
     if posed.perspective > MAX_PERSPECTIVE:
         warn("SWM042", f"{path.name}: {posed.perspective_text}")
-    if posed.undetermined:
-        text = f"the film does not determine the places of {posed.undetermined_text}"
+    if posed.free_coordinates:
+        text = f"the film does not determine the places of {posed.free_coordinates_text}"
         warn("SWM121", f"{path.name}: {text}: bend the joints more, or track two points on a link")
     for one in posed.distances:
         if one.wrong:

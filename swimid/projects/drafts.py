@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import yamlio
+from swimid.files.templates import environment
 from swimid.files.yamlio import ASK
 from swimid.imports.formats import open_table
 from swimid.imports.mapping import FORMAT as MAPPING
@@ -27,7 +27,7 @@ from swimid.logs.experiments import FORMAT as TRIALS
 from swimid.logs.experiments import Trials
 from swimid.logs.units import UNITS, canonical
 from swimid.notices import Progress, silent
-from swimid.points.point_files import tracked_points
+from swimid.points.point_files import find_tracked_points
 from swimid.projects.survey import SurveyedFile, several
 from swimid.robots.file import list_built_in_robots
 from swimid.runs.plan import folder_of, resolve
@@ -166,30 +166,36 @@ def groups_of(recordings: Iterable[SurveyedFile]) -> list[RecordingGroup]:
 
     A film of which a tracker's table is there is not tracked again.
     """
-    found: dict[Any, list[SurveyedFile]] = {}
     order = ("", "log", "points", "table", "choice", "film")
     usable = [one for one in recordings if one.is_alone or one.kind in order]
-    rates: dict[Path, float] = {}
-    tracked: set[Path] = set()
-    films = [one for one in usable if one.kind == "film"]
-    for one in (one for one in usable if one.kind == "points"):
-        film = _namesake(one, films)
-        if film is not None:
-            tracked.add(film.path)
-            # A table of a thinned copy of the film has another number of rows, and another rate.
-            if abs(one.rows - film.rows) <= MAX_FRAME_DIFFERENCE:
-                rates[one.path] = film.rate_hz
+    tracked, rates = _match_films(usable)
+    alike: dict[Any, list[SurveyedFile]] = {}
     for one in sorted(usable, key=lambda one: order.index("" if one.is_alone else one.kind)):
         if one.path not in tracked:
             alone = one.path if one.is_alone or one.kind == "choice" else None
-            found.setdefault((one.alike, alone), []).append(one)
+            alike.setdefault((one.alike, alone), []).append(one)
     groups: list[RecordingGroup] = []
-    for members in found.values():
+    for members in alike.values():
         kind = members[0].kind
         number = sum(group.first.kind == kind for group in groups) + 1
         known = {one.path: rates[one.path] for one in members if rates.get(one.path)}
         groups.append(RecordingGroup(f"{kind}-{number}", members, rates_hz=known))
     return groups
+
+
+def _match_films(recordings: list[SurveyedFile]) -> tuple[set[Path], dict[Path, float]]:
+    """Return the films of which a tracker's table is there, and the frame rate of each of these tables."""
+    tracked: set[Path] = set()
+    rates: dict[Path, float] = {}
+    films = [one for one in recordings if one.kind == "film"]
+    for table in (one for one in recordings if one.kind == "points"):
+        film = _namesake(table, films)
+        if film is not None:
+            tracked.add(film.path)
+            # A table of a thinned copy of the film has another number of rows, and another rate.
+            if abs(table.rows - film.rows) <= MAX_FRAME_DIFFERENCE:
+                rates[table.path] = film.rate_hz
+    return tracked, rates
 
 
 def _namesake(table: SurveyedFile, others: Iterable[SurveyedFile]) -> SurveyedFile | None:
@@ -210,17 +216,23 @@ def pair_groups(groups: list[RecordingGroup]) -> list[RecordingGroup]:
     bases = [group for group in groups if group.first.kind in ("film", "points", "log")]
     kept: list[RecordingGroup] = []
     for group in groups:
-        others = [one for base in bases if base is not group for one in base.recordings]
-        names = [_namesake(one, others) for one in group.recordings]
-        pairs = zip(group.recordings, names, strict=True)
-        suffixes = {one.path.stem.removeprefix(other.path.stem) for one, other in pairs if other is not None}
-        base = next((one for one in bases if all(name in one.recordings for name in names)), None)
-        is_table = group.first.kind in ("table", "log")
-        if base is not None and is_table and len(suffixes) == 1 and "" not in suffixes:
-            base.companions.append(group)
-        else:
+        base = _find_base(group, bases)
+        if base is None:
             kept.append(group)
+        else:
+            base.companions.append(group)
     return kept
+
+
+def _find_base(group: RecordingGroup, bases: list[RecordingGroup]) -> RecordingGroup | None:
+    """Return the group of the same trials, to which the tables of a group belong; None if there is none."""
+    others = [one for base in bases if base is not group for one in base.recordings]
+    names = [_namesake(one, others) for one in group.recordings]
+    pairs = zip(group.recordings, names, strict=True)
+    suffixes = {one.path.stem.removeprefix(other.path.stem) for one, other in pairs if other is not None}
+    if group.first.kind not in ("table", "log") or len(suffixes) != 1 or "" in suffixes:
+        return None
+    return next((base for base in bases if all(name in base.recordings for name in names)), None)
 
 
 def draft(
@@ -238,16 +250,21 @@ def draft(
         project.optional.append(f"swimid track imu {shlex.join(words)}")
     for group in groups:
         _add_trials(project, group, [logs[one.path] for one in group.recordings], notes)
-    names = {name for group in groups if group.robot == ASK for name in group.fitting}
+    _add_robot_file(project)
+
+
+def _add_robot_file(project: Project) -> None:
+    """Add a robot file for the groups whose robot is not known."""
+    names = {name for group in project.groups if group.robot == ASK for name in group.fitting}
     forms = {project.kinds[name].robot_form for name in names} - {""}
-    if forms:
-        joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for group in groups for name in group.columns]
+    if forms == {"links"} and project.robot_text:
+        project.files["robot.yaml"] = project.robot_text
+        project.missing += project.robot_asks
+    elif forms:
+        columns = [name for group in project.groups for name in group.columns]
+        joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for name in columns]
         count = max((int(hit[1]) for hit in joints if hit), default=1)
         links = ["body", *(f"segment{k}" for k in range(1, count)), "tail"]
-        if forms == {"links"} and project.robot_text:
-            project.files["robot.yaml"] = project.robot_text
-            project.missing += project.robot_asks
-            return
         project.files["robot.yaml"] = render_template(
             "robot.yaml", rigid="body" in forms, linked="links" in forms, links=links
         )
@@ -302,7 +319,7 @@ def _of_film(project: Project, group: RecordingGroup, progress: Progress) -> Non
 def _of_points(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add a points file: places on a robot if the robot is known, and a chain otherwise."""
     name = f"{group.name}.points.yaml"
-    points = list(tracked_points({name: np.empty(0) for name in group.first.columns}))
+    points = list(find_tracked_points({name: np.empty(0) for name in group.first.columns}))
     options: dict[str, Any] = {"points": name}
     lines = [
         f"# Points of {group.first.path.name}. Answer every {ASK}. All keys: swimid schema points",
@@ -467,37 +484,48 @@ def _add_trials(project: Project, group: RecordingGroup, logs: list[str], notes:
     group.experiment = experiment = _choose_experiment(project, group, fitting, notes)
     kind = kinds.get(experiment)
     group.fitting = fitting if kind is None else [experiment]
-    metadata = [one.metadata for one in group.recordings]
-    robots = {one.get("robot") for one in metadata} - {None}
-    robot = project.robot or (str(robots.pop()) if len(robots) == 1 else ASK)
-    group.robot = robot
+    robots = {one.metadata.get("robot") for one in group.recordings} - {None}
+    group.robot = project.robot or (str(robots.pop()) if len(robots) == 1 else ASK)
     lines = [
         f"# Trials of {len(group.recordings)} recordings of {group.first.path.parent.name}. "
         f"Answer every {ASK}, or delete its line. All keys: swimid schema trials",
         f"format: {TRIALS}",
         f"experiment: {experiment}" + f"   # {', '.join(fitting)}" * (experiment == ASK),
-        f"robot: {robot}" + f"   # {', '.join(list_built_in_robots())}, or robot.yaml" * (robot == ASK),
+        f"robot: {group.robot}"
+        + f"   # {', '.join(list_built_in_robots())}, or robot.yaml" * (group.robot == ASK),
     ]
     if kind is not None and group.first.is_alone:
         table = project.relative(group.first.path)
         lines += [f"# {kind.about}", f"table: {_flow(table)}", *(f"{key}: {ASK}" for key in kind.asked)]
     else:
         lines.append("# Hold out one trial or more with 'role: validate'. Without one no fit is called good.")
-        commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
-        asked: Mapping[str, Any] = {}
         if kind is None:
             lines += [f"#   {name}: {kinds[name].about}" for name in fitting]
-        else:
-            asked = kind.asked
-        entries = [{**asked, **_keys_of(one, notes, kind)} for one in group.recordings]
-        if commands and any("drive" in entry for entry in entries):
-            lines.append(f"# The drive is in the logs: {', '.join(commands)}.")
-            entries = [{key: entry[key] for key in entry if key != "drive"} for entry in entries]
-        files = {one.path.name for group in project.all_groups() for one in group.recordings}
-        lines += [*_list_unused(notes, kind, files), "trials:"]
-        for log, ident, entry in zip(logs, _idents(group), entries, strict=True):
-            lines.append(f"  - {_flow({'id': ident, 'log': log, **entry})}")
+        lines += _trial_lines(project, group, logs, notes, kind)
     project.files[f"{group.name}.trials.yaml"] = "\n".join(lines) + "\n"
+
+
+def _trial_lines(
+    project: Project,
+    group: RecordingGroup,
+    logs: list[str],
+    notes: list[SurveyedFile],
+    kind: type[Trials] | None,
+) -> list[str]:
+    """Return the lines of a trials file with the trials of a group."""
+    asked: Mapping[str, Any] = {} if kind is None else kind.asked
+    entries = [{**asked, **_keys_of(one, notes, kind)} for one in group.recordings]
+    lines = []
+    commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
+    if commands and any("drive" in entry for entry in entries):
+        lines.append(f"# The drive is in the logs: {', '.join(commands)}.")
+        for entry in entries:
+            entry.pop("drive", None)
+    files = {one.path.name for group in project.all_groups() for one in group.recordings}
+    lines += [*_list_unused(notes, kind, files), "trials:"]
+    for log, ident, entry in zip(logs, _idents(group), entries, strict=True):
+        lines.append(f"  - {_flow({'id': ident, 'log': log, **entry})}")
+    return lines
 
 
 def _choose_experiment(
@@ -577,18 +605,23 @@ def _keys_of(one: SurveyedFile, notes: list[SurveyedFile], kind: type[Trials] | 
     keys = sorted(_keys(kind))
     found = {key: value for key, value in one.metadata.items() if key in keys and value is not None}
     for table in notes:
-        stated = {name: hit for name in table.cells if (hit := _key_of(name, keys)) is not None}
-        for number, file in enumerate(table.cells[table.columns[0]]):
-            if file not in (one.path.name, one.path.stem):
-                continue
-            for name, (key, factor) in stated.items():
-                value = yamlio.parse_scalar(table.cells[name][number])
-                if isinstance(value, int | float) and factor != 1:
-                    value *= factor
-                if value is not None:
-                    found[key] = value
+        rows = enumerate(table.cells[table.columns[0]])
+        for number in [k for k, file in rows if file in (one.path.name, one.path.stem)]:
+            found |= _read_row(table, number, keys)
     drive = {key: found.pop(key) for key in DRIVE_KEYS if key in found}
     return found | ({"drive": drive} if {"frequency_hz", "amplitude_deg"} <= drive.keys() else {})
+
+
+def _read_row(table: SurveyedFile, number: int, keys: list[str]) -> dict[str, Any]:
+    """Return the keys of a trial that a row of a table of recordings states, in the units of the keys."""
+    row = {}
+    for name, cells in table.cells.items():
+        hit = _key_of(name, keys)
+        value = None if hit is None else yamlio.parse_scalar(cells[number])
+        if hit is not None and value is not None:
+            key, factor = hit
+            row[key] = value * factor if isinstance(value, int | float) and factor != 1 else value
+    return row
 
 
 def _flow(value: Any) -> str:
@@ -603,11 +636,5 @@ def relative(path: Path, folder: Path) -> str:
 
 def render_template(template: str, **variables: Any) -> str:
     """Return the text of a template of this package with its variables filled in."""
-    environment = Environment(
-        loader=PackageLoader("swimid.projects"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template(template).render(**variables)
+    templates = environment("swimid.projects", keep_trailing_newline=True, autoescape=False)
+    return templates.get_template(template).render(**variables)

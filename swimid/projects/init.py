@@ -87,23 +87,9 @@ def init(
     target = Path() if output is None else Path(output)
     if output is not None:
         atomic.check_empty(target, force=force)
-    robot = options.robot
-    if robot is not None:
-        place = robot_format.locate(robot)
-        if robot not in robot_format.list_built_in_robots():
-            robot = drafts.relative(place, target)
-    own = find_own_experiments(options.experiment or "")
-    kinds, experiment = find_experiments(own), options.experiment
-    if own:
-        experiment = own[0].title
-    if experiment not in (None, *kinds):
-        hint = suggestion(str(experiment), [*kinds])
-        raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
-    recordings = survey(source, kinds, target if output else None, progress)
-    project = Project(target, robot, experiment, kinds)
-    if own:
-        project.experiment_file = Path(str(options.experiment))
-    if robot is None:
+    project = _start_project(target, options)
+    recordings = survey(source, project.kinds, target if output else None, progress)
+    if project.robot is None:
         _add_robot(project, source)
     written: list[Path] = []
     with atomic.write_together():
@@ -115,6 +101,24 @@ def init(
             written = _write(project)
             data["next"] = f"cd {shlex.quote(str(target))}"
     return Drafted("init", _describe_project(project, data), data, written, document=project)
+
+
+def _start_project(folder: Path, options: InitOptions) -> Project:
+    """Return a project without files, with the robot and the experiment that the user states."""
+    robot = options.robot
+    if robot is not None:
+        place = robot_format.locate(robot)
+        if robot not in robot_format.list_built_in_robots():
+            robot = drafts.relative(place, folder)
+    own = find_own_experiments(options.experiment or "")
+    kinds, experiment = find_experiments(own), options.experiment
+    if own:
+        experiment = own[0].title
+    if experiment not in (None, *kinds):
+        hint = suggestion(str(experiment), [*kinds])
+        raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
+    file = Path(str(options.experiment)) if own else None
+    return Project(folder, robot, experiment, kinds, experiment_file=file)
 
 
 def _add_robot(project: Project, source: Path) -> None:

@@ -304,19 +304,13 @@ class _Draft:
         density = self.options.density
         if density is None:
             density = float(self.compiled.opt.density)
-        elements, coefficients = self._forces(density)
+        elements, coefficients = _draft_forces(self, density)
         about: dict[str, Any] = {"plane": self.plane}
         if fixed:
             about["base"] = "fixed"
         multilink = {**about, **self._markers(), "coefficients": coefficients, "inputs": inputs,
                      "links": links, "joints": joints, "elements": elements}  # fmt: skip
-        if "equality" in self.path.read_text(encoding="utf-8", errors="replace"):
-            self.left_out.append("equality constraints")
-        limited = [self.name("joint", k) for k in self._hinges() if self.compiled.jnt_limited[k]]
-        if limited:
-            self.left_out.append(f"limits of {', '.join(limited)}")
-        if self.compiled.geom_contype.any() and self.compiled.ngeom > 1:
-            self.left_out.append("contacts")
+        self._note_left_out()
         gravity = float(np.linalg.norm(self.compiled.opt.gravity)) or 9.81
         return {
             "format": "swimid-robot/1",
@@ -326,6 +320,16 @@ class _Draft:
             "fluid": {"density_kg_m3": density or 1000.0, "gravity_m_s2": round(gravity, 9)},
             "multilink": {key: value for key, value in multilink.items() if value},
         }
+
+    def _note_left_out(self) -> None:
+        """Note constraints, limits and contacts, which the draft leaves out."""
+        if "equality" in self.path.read_text(encoding="utf-8", errors="replace"):
+            self.left_out.append("equality constraints")
+        limited = [self.name("joint", k) for k in self._hinges() if self.compiled.jnt_limited[k]]
+        if limited:
+            self.left_out.append(f"limits of {', '.join(limited)}")
+        if self.compiled.geom_contype.any() and self.compiled.ngeom > 1:
+            self.left_out.append("contacts")
 
     def _link(self, body: _Body) -> dict[str, Any]:
         compiled, number = self.compiled, body.number
@@ -436,40 +440,6 @@ class _Draft:
                 points[self.name("site", site)] = {"link": body.name, "at_m": [_round(v) for v in at]}
         return {"points": points}
 
-    def _forces(self, density: float) -> tuple[list[Any], dict[str, Any]]:
-        """Return the forces of the water on each link, and their coefficients.
-
-        Each link is an ellipsoid of equal extent for its added mass, and a plate for its drag.
-        """
-        elements: list[Any] = []
-        if self.plane == "vertical" and np.any(self.compiled.opt.gravity):
-            elements += [{"kind": "hydrostatics", "link": body.name} for body in self.bodies]
-            if density > 0.0:
-                self.asks.append("volume_m3 of each link: without it no buoyancy acts")
-        if density <= 0.0:
-            self.left_out.append(
-                "forces of the water: the file has no fluid (option density); --density adds them"
-            )
-            return elements, {}
-        for body in self.bodies:
-            a, b, c = (max(0.5 * v, 1e-4) for v in (body.length, body.width, body.height))
-            surge, sway, turn = _compute_added_mass(a, b, c, density)
-            middle = _round(0.5 * body.length)
-            elements.append(
-                {"kind": "added-mass", "link": body.name, "surge_kg": f"{surge:.4g} * c_ma",
-                 "sway_kg": f"{sway:.4g} * c_ma", "inertia_kg_m2": f"{turn:.4g} * c_ma", "at_m": middle}
-            )  # fmt: skip
-            elements.append(
-                {"kind": "drag", "link": body.name, "strips": 3,
-                 "normal_area_m2": _round(body.length * body.height), "normal_coefficient": "c_n",
-                 "axial_area_m2": _round(math.pi / 4.0 * body.width * body.height),
-                 "axial_coefficient": "c_x"}
-            )  # fmt: skip
-        return elements, {
-            name: {"value": value, "bounds": list(bounds), "meaning": meaning, "source": source}
-            for name, (value, bounds, meaning, source) in WATER.items()
-        }
-
     def text(self, document: dict[str, Any], differences: Mapping[str, float]) -> str:
         """Return the robot file with comments on what is asked and left out."""
         lines = [f"Drafted from {self.path.name} by swimid robot."]
@@ -479,6 +449,41 @@ class _Draft:
             words = ", ".join(f"{name} {value:.2g}" for name, value in differences.items())
             lines.append(f"without water, differences from MuJoCo over the range of each coordinate: {words}")
         return "".join(f"# {line}\n" for line in lines) + yamlio.dumps(document)
+
+
+def _draft_forces(draft: _Draft, density: float) -> tuple[list[Any], dict[str, Any]]:
+    """Return the forces of the water on each link, and their coefficients.
+
+    Each link is an ellipsoid of equal extent for its added mass, and a plate for its drag.
+    """
+    elements: list[Any] = []
+    if draft.plane == "vertical" and np.any(draft.compiled.opt.gravity):
+        elements += [{"kind": "hydrostatics", "link": body.name} for body in draft.bodies]
+        if density > 0.0:
+            draft.asks.append("volume_m3 of each link: without it no buoyancy acts")
+    if density <= 0.0:
+        draft.left_out.append(
+            "forces of the water: the file has no fluid (option density); --density adds them"
+        )
+        return elements, {}
+    for body in draft.bodies:
+        a, b, c = (max(0.5 * v, 1e-4) for v in (body.length, body.width, body.height))
+        surge, sway, turn = _compute_added_mass(a, b, c, density)
+        middle = _round(0.5 * body.length)
+        elements.append(
+            {"kind": "added-mass", "link": body.name, "surge_kg": f"{surge:.4g} * c_ma",
+             "sway_kg": f"{sway:.4g} * c_ma", "inertia_kg_m2": f"{turn:.4g} * c_ma", "at_m": middle}
+        )  # fmt: skip
+        elements.append(
+            {"kind": "drag", "link": body.name, "strips": 3,
+             "normal_area_m2": _round(body.length * body.height), "normal_coefficient": "c_n",
+             "axial_area_m2": _round(math.pi / 4.0 * body.width * body.height),
+             "axial_coefficient": "c_x"}
+        )  # fmt: skip
+    return elements, {
+        name: {"value": value, "bounds": list(bounds), "meaning": meaning, "source": source}
+        for name, (value, bounds, meaning, source) in WATER.items()
+    }
 
 
 def _round(value: float) -> float:
@@ -518,11 +523,7 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
     """
     times = np.arange(0.0, COMPARED_S + 0.5 * STEP_S, STEP_S)
     commands = _commands(draft, times)
-    document = made.model_dump(mode="python")
-    weights = [e for e in document["multilink"]["elements"] if e["kind"] == "hydrostatics"]
-    document["multilink"] |= {"elements": weights, "coefficients": {}}
-    document["fluid"]["density_kg_m3"] = 1.0
-    model = MultilinkModel(schema_of(DRAFTED_PARTS).model_validate(document), max_step=STEP_S)
+    model = _dry_model(made)
     names, values = [p.name for p in model.parameters], np.array([p.start for p in model.parameters])
     released = 0.0 if commands else RELEASED_RAD
     drifts = bool(draft.base) and draft.compiled.jnt_type[draft.base[0]] == 0 and not model.passive
@@ -530,16 +531,11 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
     for axis in model.passive:
         values[names.index(f"initial_angle_{axis.name}")] = released
     if drifts:
-        # the velocity of the front end, in the axes of the link
-        base = draft.bodies[0]
-        lever = base.front - draft.flat(draft.data.xpos[base.number])
-        world = DRIFT[:2] + DRIFT[2] * np.array([-lever[1], lever[0]])
-        side = np.array([-base.forward[1], base.forward[0]])
-        for name, value in zip(model.rates, (world @ base.forward, world @ side, DRIFT[2]), strict=True):
+        for name, value in zip(model.rates, _front_velocity(draft), strict=True):
             values[names.index(f"initial_{name}")] = value
-    document_inputs = document["multilink"].get("inputs", {})
     known: dict[str, Any] = {
-        name: (lambda t, series=commands[name]: np.interp(t, times, series)) for name in document_inputs
+        name: (lambda t, series=commands[name]: np.interp(t, times, series))
+        for name in getattr(made.multilink, "inputs", {})
     }
     pose = tuple(float(simulated[name][0]) for name in model.pose) if draft.free else None
     ran = model.run(values, Trial("draft", "fit", times, {}, swim=SwimInput(inputs=known, pose=pose)))
@@ -550,6 +546,24 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
         if span > STILL_RANGE:
             found[name] = float(np.max(np.abs(np.unwrap(series) - ran[columns.get(name, name)]))) / span
     return found
+
+
+def _dry_model(made: Robot) -> MultilinkModel:
+    """Return the model of a drafted robot without forces of the water."""
+    document = made.model_dump(mode="python")
+    weights = [e for e in document["multilink"]["elements"] if e["kind"] == "hydrostatics"]
+    document["multilink"] |= {"elements": weights, "coefficients": {}}
+    document["fluid"]["density_kg_m3"] = 1.0
+    return MultilinkModel(schema_of(DRAFTED_PARTS).model_validate(document), max_step=STEP_S)
+
+
+def _front_velocity(draft: _Draft) -> tuple[float, float, float]:
+    """Return the velocity of the front end of a drifting robot, in the axes of the first link."""
+    base = draft.bodies[0]
+    lever = base.front - draft.flat(draft.data.xpos[base.number])
+    world = DRIFT[:2] + DRIFT[2] * np.array([-lever[1], lever[0]])
+    side = np.array([-base.forward[1], base.forward[0]])
+    return float(world @ base.forward), float(world @ side), float(DRIFT[2])
 
 
 def _commands(draft: _Draft, times: Array) -> dict[str, Array]:

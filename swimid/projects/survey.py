@@ -15,7 +15,7 @@ from swimid.imports.table import Peek, is_text
 from swimid.logs import log
 from swimid.logs.experiments import Trials
 from swimid.notices import Progress, record_warnings, silent
-from swimid.points.point_files import tracked_points
+from swimid.points.point_files import find_tracked_points
 from swimid.tracking.frames import PICTURE_EXTENSIONS as PICTURES
 from swimid.tracking.frames import Video
 
@@ -163,7 +163,7 @@ def _table(path: Path, kinds: Mapping[str, type[Trials]]) -> SurveyedFile:
     table = open_table(path, kind="")
     kind, is_alone = "table", False
     columns = tuple(table.columns)
-    points = tracked_points(table.columns)
+    points = find_tracked_points(table.columns)
     title = formats()[table.profile].title if table.profile else "table"
     rows = max(map(len, table.columns.values()))
     about = f"{title}, {rows} rows"

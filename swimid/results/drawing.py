@@ -177,7 +177,6 @@ def _trace(
     ``repeat`` the number of earlier traces with the same colour and style.
     """
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
-    marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
     if trace.lower is not None and trace.upper is not None:
         band = axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
@@ -191,20 +190,7 @@ def _trace(
     if trace.style in ("points", "stems"):
         if trace.style == "stems":
             axes.vlines(x, 0, y, color=colour, lw=0.9)
-        size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 1.6, 1.2]))
-        if small:
-            size *= 0.6
-        edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
-        about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
-        if compact and len(x) >= MIN_CLOUD:
-            # Draw the points as one path of very short strokes with round ends, which saves space in an SVG
-            # file.
-            end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
-            dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
-            (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
-            line.get_path().should_simplify = False
-            x, y, marker, size = np.array([]), np.array([]), "o", 3.0
-        axes.plot(x, y, marker=marker, ms=size, **about)
+        _points(axes, x, y, slot, label, small=small, compact=compact)
         return
     steps = {"step": "steps-post"}.get(trace.style, "default")
     (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2, drawstyle=steps)
@@ -216,19 +202,30 @@ def _trace(
         line.set_dashes(DASHES[(slot - 1) % len(DASHES)])
 
 
+def _points(
+    axes: Axes, x: Array, y: Array, slot: int, label: str | None, *, small: bool, compact: bool
+) -> None:
+    """Draw points on axes, as markers or, if there are many and ``compact`` is true, as one path."""
+    marker, colour = MARKERS[slot % len(MARKERS)], _colour(slot)
+    size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 1.6, 1.2]))
+    if small:
+        size *= 0.6
+    edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
+    if compact and len(x) >= MIN_CLOUD:
+        # Draw the points as very short strokes with round ends, which saves space in an SVG file.
+        end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
+        dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
+        (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
+        line.get_path().should_simplify = False
+        x, y, marker, size = np.array([]), np.array([]), "o", 3.0
+    about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
+    axes.plot(x, y, marker=marker, ms=size, **about)
+
+
 def _scales(axes: Axes, panel: Panel) -> None:
-    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
-        values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
-        if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
-            getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
-            axis.set_major_formatter(FuncFormatter(partial(_format_tick, 1.0)))
-            axis.set_minor_formatter(NullFormatter())
-            continue
-        largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-        power = math.floor(math.log10(largest or 1.0))
-        if not -3 <= power < 5:
-            axis.set_major_formatter(FuncFormatter(partial(_format_tick, 10.0**power)))
-            axis.set_label_text(f"{axis.get_label_text()}, × {numbers.power_of_ten(power)}")
+    """Set scales, ticks and categories of the axes of a panel."""
+    _scale_axis(axes, panel, "x")
+    _scale_axis(axes, panel, "y")
     for names, axis in ((panel.x_categories, axes.xaxis), (panel.y_categories, axes.yaxis)):
         if names is not None:
             axis.set_ticks(range(len(names)), [_cut(name) for name in names])
@@ -245,6 +242,22 @@ def _scales(axes: Axes, panel: Panel) -> None:
             axes.yaxis.set_major_locator(MultipleLocator(step))
     if panel.invert_y:
         axes.invert_yaxis()
+
+
+def _scale_axis(axes: Axes, panel: Panel, name: str) -> None:
+    """Set the scale of the axis ``"x"`` or ``"y"``: logarithmic, or with a power of ten in its label."""
+    axis = axes.xaxis if name == "x" else axes.yaxis
+    values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
+    if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
+        getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
+        axis.set_major_formatter(FuncFormatter(partial(_format_tick, 1.0)))
+        axis.set_minor_formatter(NullFormatter())
+        return
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    power = math.floor(math.log10(largest or 1.0))
+    if not -3 <= power < 5:
+        axis.set_major_formatter(FuncFormatter(partial(_format_tick, 10.0**power)))
+        axis.set_label_text(f"{axis.get_label_text()}, × {numbers.power_of_ten(power)}")
 
 
 def _format_tick(factor: float, value: float, _: int | None) -> str:

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from swimid.errors import InputError, UsageError, file_errors
 from swimid.files import atomic, yamlio
 from swimid.notices import Notice
+from swimid.options import describe_problem
 from swimid.results import numbers
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
@@ -378,7 +379,8 @@ def read(path: str | Path) -> Evidence:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"no {FORMAT} file: {first['msg']}", file=path, column=place or None) from error
+        text = f"is no {FORMAT} file: {describe_problem(first)}"
+        raise InputError(text, file=path, column=place or None) from error
 
 
 def thin_curve(x: Any, y: Any, points: int = MAX_TRACE_POINTS) -> tuple[np.ndarray, np.ndarray]:
@@ -447,11 +449,6 @@ def p_text(p: float) -> str:
     if p < 1e-16:
         return "p < 10⁻¹⁶"
     return f"p = {numbers.format_number(p, 2)}"
-
-
-def notices(recorded: Sequence[Notice]) -> list[Notice]:
-    """Return recorded warnings as the list ``notices`` of the evidence of a result."""
-    return list(recorded)
 
 
 # ---------------------------------------------------------------- tables

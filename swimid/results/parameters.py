@@ -13,6 +13,7 @@ from swimid.files import yamlio
 from swimid.files.provenance import InputInMemory
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict
+from swimid.results.next_command import find_inputs
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -345,7 +346,7 @@ class Fitted(FileResult[ParameterFile]):
     @property
     def next_step(self) -> str:  # type: ignore[override]
         """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
-        if not self._inputs(Path()):
+        if not find_inputs(self):
             return FileResult.next_step
         own = "{own}" * (not self.file.effects)
         return f"swimid compare {{trials}}{own} --params {{file}} -o {{free[comparison.yaml]}}"

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import html
-import itertools
-import os
 import re
-import shlex
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,15 +13,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from swimid.commands import COMMANDS, KINDS
+from swimid.commands import COMMAND_SPECS, KINDS
 from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
 from swimid.files import atomic, provenance, tabular, yamlio
-from swimid.files.provenance import paths_of, sha256
+from swimid.files.provenance import paths_of
 from swimid.notices import warn
 from swimid.options import explain_types
-from swimid.reading import name_of
 from swimid.results import evidence as ev
 from swimid.results import numbers
+from swimid.results.next_command import format_command
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,38 +51,6 @@ _INTERNAL = frozenset((
     "bare", "content", "ending", "exit_status", "file_type", "keys", "kind", "leads_page", "next_command",
     "next_step", "of", "text", "write_output",
 ))  # fmt: skip
-
-
-def quote_name(name: str | Path) -> str:
-    """Return a file name as it is typed in a command: quoted for the shell, and never taken for an option.
-
-    >>> typed("my $(run).yaml"), typed("-x.yaml")
-    ("'my $(run).yaml'", './-x.yaml')
-    """
-    text = str(name)
-    if text.startswith("-"):
-        text = f"./{text}"
-    return shlex.quote(text)
-
-
-class _Free(dict[str, str]):
-    """Names of outputs. A name that a file in the folder already has is numbered: ``gap-2.yaml``."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__()
-        self.folder = folder
-
-    def __missing__(self, name: str) -> str:
-        stem, dot, ending = name.rpartition(".")
-        names = itertools.chain([name], (f"{stem}-{k}{dot}{ending}" for k in itertools.count(2)))
-        places = (self.folder / one for one in names)
-        return next(one.name for one in places if not (one.exists() or ev.sidecar(one).exists()))
-
-    @property
-    def repair_option(self) -> str:
-        """Option for the second output of ``diagnose``; empty if its usual name is free."""
-        name = self["repaired.yaml"]
-        return "" if name == "repaired.yaml" else f" --repaired {name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,46 +138,7 @@ class Result:
             Folder in which the command is typed. It must contain the inputs of the result, or the folder of
             the result file or one above it must. Otherwise there is no command.
         """
-        words: dict[str, Any] = {"file": quote_name(file), "free": _Free(folder)}
-        words["data"] = {
-            name: quote_name(value) for name, value in self.data.items() if isinstance(value, str)
-        }
-        step = self.next_step
-        if "{trials}" in step:
-            given = self._inputs(folder)
-            about = getattr(self.document, "params", None)
-            params = [place for name, place in given.items() if Path(name).name == Path(str(about)).name]
-            if not given or ("{params}" in step and not params):
-                return ""
-            code = [place for place in given.values() if place.endswith(".py")]
-            trials = next(place for place in given.values() if place not in code)
-            # the code of a simulator is named in the trials file
-            own = [] if getattr(self.document, "model", None) == "python" else code
-            words |= {"trials": quote_name(trials), "params": "".join(map(quote_name, params[:1]))}
-            words["own"] = "".join(f" --experiment {quote_name(place)}" for place in own)
-        return step.format(**words)
-
-    def _inputs(self, folder: Path) -> dict[str, str]:
-        """Return the paths of YAML and Python files among the inputs of the result from a folder, by name.
-
-        The names of inputs are relative to the folder of the result. The folder is searched for that has
-        these files with their content. The result is empty if there is none.
-        """
-        known = getattr(self.evidence, "provenance", {}).get("inputs", {})
-        paths = getattr(known, "paths", {})
-        digests = {
-            name: digest
-            for name, digest in known.items()
-            if name.endswith((".yaml", ".yml", ".py")) and not name.startswith("swimid/robots/")
-        }
-        for base in (Path(), *self.path.absolute().parents):
-            files = {name: base / paths.get(name, name) for name in digests}
-            if all(file.is_file() and sha256(file) == digests[name] for name, file in files.items()):
-                places = {name: os.path.relpath(file, folder) for name, file in files.items()}
-                # A page does not state a path through the home folder of its author.
-                if all(Path(name_of(file, folder)) == Path(places[name]) for name, file in files.items()):
-                    return places
-        return {}
+        return format_command(self, file, folder)
 
     def content(self) -> ev.Evidence:
         """Return the content of a report on the result: its evidence, and facts and tables of its file.
@@ -425,19 +351,24 @@ class Result:
         return [name for name in super().__dir__() if name[0] != "_" and name not in _INTERNAL]
 
     def _repr_html_(self) -> str:
-        """Return the HTML that a notebook shows: summary, figures (folded after the first), folded checks."""
-        from swimid.results import drawing
+        return notebook_html(self)
 
-        shown = f"<pre>{html.escape(self.summary())}</pre>"
-        for k, figure in enumerate(self._list_evidence("figures")):
-            picture = drawing.for_notebook(figure)
-            if k:
-                picture = f"<details><summary>{html.escape(figure.title)}</summary>{picture}</details>"
-            shown += picture
-        if self.evidence is not None and self.evidence.checks:
-            table = self.checks().to_html(index=False, border=0)
-            shown += f"<details><summary>checks</summary>{table}</details>"
-        return f"<div>{shown}</div>"
+
+def notebook_html(result: Result) -> str:
+    """Return the HTML that a notebook shows: summary, figures (folded after the first), folded checks."""
+    from swimid.results import drawing
+
+    shown = f"<pre>{html.escape(result.summary())}</pre>"
+    figures = [] if result.evidence is None else result.evidence.figures
+    for k, figure in enumerate(figures):
+        picture = drawing.for_notebook(figure)
+        if k:
+            picture = f"<details><summary>{html.escape(figure.title)}</summary>{picture}</details>"
+        shown += picture
+    if result.evidence is not None and result.evidence.checks:
+        table = result.checks().to_html(index=False, border=0)
+        shown += f"<details><summary>checks</summary>{table}</details>"
+    return f"<div>{shown}</div>"
 
 
 class Text(Result):
@@ -622,14 +553,16 @@ def _format_name(form: str) -> str:
 
 def list_result_formats() -> list[str]:
     """Return the names of the formats of all result files, such as ``gap`` for ``swimid-gap/1``."""
-    names = [name for spec in COMMANDS.values() for name in spec.usage.makes.split("|") if name not in KINDS]
+    names = [
+        name for spec in COMMAND_SPECS.values() for name in spec.usage.makes.split("|") if name not in KINDS
+    ]
     return ["parameters", *names]
 
 
 def class_of(name: str) -> type[FileResult[Any]]:
     """Return the class of the results of a format; the module of its command is imported if need be."""
     import_module(PARAMETERS)
-    for spec in COMMANDS.values():
+    for spec in COMMAND_SPECS.values():
         if name not in _CLASSES and name in spec.usage.makes.split("|"):
             spec.run()
     return _CLASSES[name]

@@ -309,7 +309,8 @@ def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
     acting = [p for p in stated.parameters if p.free or p.start != 0.0]
     others = [p for p in acting if p.name in alike and p is not held]
     can_vanish = all(p.lower <= 0.0 <= p.upper for p in others)
-    if not others or not can_vanish or held.start != 0.0 or not is_held_by_default(stated.model, held.name):
+    is_absent = held.start == 0.0 and is_held_by_default(stated.model, held.name)
+    if not (others and can_vanish and is_absent):
         return None
     fixed = dict.fromkeys([p.name for p in others], 0.0)
     parameters = choose_parameters(stated.parameters, fixed=fixed, freed=(held.name,))

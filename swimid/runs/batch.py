@@ -95,9 +95,10 @@ def batch(
     ['pool_pool.mp4', 'rig_trials.yaml', 'tfish_trials.yaml']
     """
     run = Path(output).resolve()
-    resolved = resolve(Path(plan), run)
     if not force:
         _insist_own(Path(output))
+    resolved = resolve(Path(plan), run)
+    if not force:
         _insist_same(run, resolved)
     mine = resolved.items[options.part]
     if options.dry_run:
@@ -108,10 +109,7 @@ def batch(
     if not options.collect:
         problems = _do(run, mine, options, progress)
         _insist_same(run, resolved)
-    whole = summary.of_run(resolved, run, problems)
-    if options.shard is None:
-        summary.write(whole, run)
-    return _answer(whole, mine, Path(output), options)
+    return _summarise(summary.of_run(resolved, run, problems), mine, Path(output), options)
 
 
 def _states_of(items: list[Item], run: Path) -> dict[str, str]:
@@ -203,9 +201,12 @@ def _list_items(mine: list[Item], run: Path, options: BatchOptions) -> Batch:
     return Batch("batch", "\n".join(lines), {"items": items})
 
 
-def _answer(found: summary.Summary, mine: list[Item], output: Path, options: BatchOptions) -> Batch:
-    """Return the result of a run for the terminal."""
-    outputs = [output / name for name in summary.NAMES] if options.shard is None else []
+def _summarise(found: summary.Summary, mine: list[Item], output: Path, options: BatchOptions) -> Batch:
+    """Write the summary of a run, unless it is a shard, and return the result for the terminal."""
+    outputs: list[Path] = []
+    if options.shard is None:
+        summary.write(found, output.resolve())
+        outputs = [output / name for name in summary.NAMES]
     names = {one.id for one in mine}
     entries = [entry for entry in found.entries if entry.id in names]
     counts = Counter(entry.state for entry in entries)

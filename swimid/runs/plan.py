@@ -25,7 +25,7 @@ from pydantic import BaseModel, Field, field_validator
 
 import swimid
 from swimid.cli.main import check_words
-from swimid.commands import COMMANDS, CommandSpec
+from swimid.commands import COMMAND_SPECS, CommandSpec
 from swimid.errors import InputError, SwimidError, UsageError, suggestion
 from swimid.files import atomic, yamlio
 from swimid.options import Declared
@@ -462,7 +462,7 @@ class _Chain:
         if command == TRIALS:
             self.add_trials(options)
             return
-        specs = {name: spec for name, spec in COMMANDS.items() if spec.section != "Many at once"}
+        specs = {name: spec for name, spec in COMMAND_SPECS.items() if spec.section != "Many at once"}
         if command not in specs:
             known = [TRIALS, *(name for name, spec in specs.items() if spec.usage.kind)]
             raise self.plan.error(f"there is no command '{command}'", *place, hint=suggestion(command, known))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
@@ -267,6 +267,33 @@ class SensitivityStudy:
         results[possible] = np.reshape(values, (-1, len(self.columns)))
         return results
 
+    def compute_indices(self, options: SensitivityOptions, keep: Checkpoint, progress: Progress) -> Sobol:
+        """Return the Sobol indices of the outputs."""
+        return sobol(
+            self.outputs,
+            np.array([r.low for r in self.ranges.values()]),
+            np.array([r.high for r in self.ranges.values()]),
+            samples=options.samples,
+            seed=options.seed,
+            groups=list(self.groups.values()),
+            jobs=options.jobs or os.cpu_count() or 1,
+            checkpoint=keep,
+            progress=progress,
+        )
+
+    def test_step(self, estimates: Sobol) -> tuple[Array, float]:
+        """Return the outputs at the given values, and their largest change when the step is halved.
+
+        The change is divided by the standard deviation of the output over the ranges.
+        """
+        given = np.array([[r.value for r in self.ranges.values()]])
+        (centre,), finer = self.outputs(given), self.model.refine()
+        if finer is None:
+            return centre, 0.0
+        vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
+        change = np.abs(replace(self, model=finer).outputs(given)[0] - centre)
+        return centre, float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
+
 
 @takes(SensitivityOptions)
 def sensitivity(
@@ -318,46 +345,30 @@ def sensitivity(
     >>> max(zip(one["total"].str["value"], one["coefficient"]))[1]
     'c_d4'
     """
-    count, params = options.samples, options.params
+    params = options.params
     with record_warnings(repeat=True) as notices:
         if params is None and options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
         experiment, applied = catalogue.load(trials, options)
-        model = applied.model
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         keep = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
-        model.prepare(progress)
+        applied.model.prepare(progress)
         runs = [(applied.values(trial), trial) for trial in experiment.trials]
         chosen = choose_step(applied.model, runs, [applied.noise()] * len(runs))
-        applied, model = applied.at_step(chosen.model), chosen.model
+        applied = applied.at_step(chosen.model)
         study = _study(experiment, applied, over)
-        estimates = sobol(
-            study.outputs,
-            np.array([r.low for r in over.values()]),
-            np.array([r.high for r in over.values()]),
-            samples=count,
-            seed=options.seed,
-            groups=list(study.groups.values()),
-            jobs=options.jobs or os.cpu_count() or 1,
-            checkpoint=keep,
-            progress=progress,
-        )
-        given = np.array([[r.value for r in over.values()]])
-        (centre,), step_change, finer = study.outputs(given), 0.0, model.refine()
-        if finer is not None:
-            vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
-            change = np.abs(replace(study, model=finer).outputs(given)[0] - centre)
-            step_change = float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
+        estimates = study.compute_indices(options, keep, progress)
+        centre, step_change = study.test_step(estimates)
         file = SensitivityFile(
             verdict="caution",
-            model=model.name,
+            model=applied.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.source_path(params).name if params is not None else None,
-            samples=count,
+            samples=options.samples,
             trials=[t.id for t in experiment.trials],
             ranges=over,
             outputs=_outputs(study, centre, estimates),
@@ -407,7 +418,7 @@ def _make_evidence(
         checks=checks,
         tables=[_totals(file), _range_table(file)],
         figures=[_map(file)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=[_method(file)],
         references=[*REFERENCES],
         provenance=file.provenance,
@@ -423,11 +434,7 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
     pairs = [text.partition("=") for text in texts if "=" in text]
     own = {name.strip(): _ends(name.strip(), ends) for name, _, ends in pairs}
     shared = {p.name: p for p in applied.model.parameters if not p.per_trial}
-    for name in (*own, *coefficients):
-        if name not in shared:
-            raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
-        if name in applied.chosen:
-            raise UsageError(f"{name} is held by --set and cannot be varied")
+    _refuse_names((*own, *coefficients), shared, applied.chosen)
     names, covariance = applied.uncertain()
     errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     ranges = {}
@@ -439,15 +446,23 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
         ends = max(value - half, shared[name].lower), min(value + half, shared[name].upper)
         if name in own:
             ends, source = own[name], "given"
-        elif math.isnan(half):
-            if coefficients:
-                raise UsageError(f"{name} has no standard error to make a range of")
-            continue
-        ranges[name] = _make_range(shared[name], value, *ends, source)
+        elif math.isnan(half) and coefficients:
+            raise UsageError(f"{name} has no standard error to make a range of")
+        if name in own or not math.isnan(half):
+            ranges[name] = _make_range(shared[name], value, *ends, source)
     if not ranges:
         hint = "name one, --range NAME=LOW,HIGH, or give a parameter file with standard errors: --params"
         raise UsageError("there is no coefficient to vary", hint=hint)
     return {name: ranges[name] for name in shared if name in ranges}
+
+
+def _refuse_names(names: Sequence[str], shared: Collection[str], held: Collection[str]) -> None:
+    """Refuse coefficients that the model does not have, or that ``--set`` holds."""
+    for name in names:
+        if name not in shared:
+            raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
+        if name in held:
+            raise UsageError(f"{name} is held by --set and cannot be varied")
 
 
 def _make_range(p: Parameter, value: float, low: float, high: float, source: str) -> Range:

@@ -157,7 +157,7 @@ def compare(
         checks=checks,
         tables=_tables(file),
         figures=_figures(experiment, done, profiles, file),
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(file),
         references=list(experiment.robot.sources),
         provenance=file.provenance,

@@ -257,11 +257,7 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         series = [pairs[name].measured for name in turning if name in pairs]
         frequency = beat_frequency(model.swimmer, trial, values, series)
         pairs |= _velocity_pairs(model, body, trial, pairs, frequency)
-    for name in channels:
-        if name not in pairs:
-            hint = suggestion(name, list(pairs))
-            raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
-    pairs = {name: p for name, p in pairs.items() if name in channels or not channels}
+    pairs = _select_pairs(pairs, channels, trial)
     speed = None
     if body is not None and frequency is not None:
         speed = compute_body_speed(trial, pairs, body, frequency)
@@ -279,6 +275,15 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         cruise=_cruise(applied, trial, values, pairs),
     )
     return Compared(trial, pairs, own, record, values)
+
+
+def _select_pairs(pairs: dict[str, Pair], channels: Sequence[str], trial: Trial) -> dict[str, Pair]:
+    """Return the pairs of the channels to compare; all without a choice."""
+    for name in channels:
+        if name not in pairs:
+            hint = suggestion(name, list(pairs))
+            raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
+    return {name: p for name, p in pairs.items() if name in channels or not channels}
 
 
 def _turn_pairs(pairs: Mapping[str, Pair]) -> dict[str, Pair]:

@@ -152,7 +152,7 @@ def fit_graybox(
         checks=checks,
         tables=_tables(experiment, result, search.ends),
         figures=[*_track(experiment, result), *fit_common.figures(result)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(experiment, result, search.ends, options.method),
         references=list(experiment.robot.sources),
         provenance=origin,

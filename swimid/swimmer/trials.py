@@ -19,9 +19,9 @@ from swimid.fitting.drives import Cycle
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.kinematics.course import compare_course, is_in_degrees
-from swimid.kinematics.frequency import find_beat, stated_against_found
+from swimid.kinematics.frequency import compare_frequencies, find_beat
 from swimid.logs.experiments import Drive, FreeSwimTrial, Params, StrokeDrive
-from swimid.logs.log import Log, unwrapped
+from swimid.logs.log import Log, unwrap_angle
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
@@ -187,7 +187,7 @@ def _recording(
     optional = tuple(dict.fromkeys((*known, *input_columns(model))))
     log = read_trial_log(entry, path.parent, required=tuple(channels), optional=optional)
     turning = {name: values for name, values in log.columns.items() if not name.startswith("joint")}
-    columns = log.columns | {name: unwrapped(name, values) for name, values in turning.items()}
+    columns = log.columns | {name: unwrap_angle(name, values) for name, values in turning.items()}
     log = replace(log, columns=columns)
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
@@ -630,7 +630,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
             highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
             found = find_beat(time, log[name][known], highest_hz=highest)
             used = "correct it if it is wrong: it is used"
-            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used)
+            return compare_frequencies(entry.id, entry.drive.frequency_hz, found, used)
     return None
 
 
@@ -656,7 +656,7 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[RobotTrial]) 
             f"{path.name}: the courses follow the headings mirrored: the y axis or the heading of these "
             "logs has the wrong sign (a picture's y axis points down); turn it with factor: -1 in a mapping",
         )
-    elif text := seen.turned("yaw_rad"):
+    elif text := seen.find_turn("yaw_rad"):
         warn("SWM063", f"{path.name}, 'yaw_rad': {text}")
 
 

@@ -470,7 +470,7 @@ def orient_plane(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
             ahead *= setup.places[0][0] - setup.places[1][0]
         turn = bool(ahead < 0)
     if turn:
-        return plane.turned()
+        return plane.flip_x()
     return plane
 
 

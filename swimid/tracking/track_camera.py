@@ -124,7 +124,7 @@ def track_camera(
         provenance=provenance.collect(files, settings=options.settings()),
     )
     evidence = _make_evidence(fit, seen, f"{len(seen)} of {len(files)}, {size[0]} x {size[1]} px", size)
-    update = {"notices": ev.notices(notices), "provenance": document.provenance}
+    update = {"notices": list(notices), "provenance": document.provenance}
     return Calibration.of(document, evidence.model_copy(update=update)).write_output(output)
 
 

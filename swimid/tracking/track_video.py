@@ -17,8 +17,8 @@ from swimid.files import atomic, provenance
 from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
 from swimid.kinematics import swimming
 from swimid.kinematics.logged import Logged
-from swimid.kinematics.speed import Estimate
-from swimid.kinematics.swimming import MIN_WINDOW_SAMPLES, Swimming, measure
+from swimid.kinematics.speed import TrackEstimate
+from swimid.kinematics.swimming import MIN_WINDOW_SAMPLES, Swimming, measure_swimming
 from swimid.logs import log
 from swimid.logs.log import Log, runs
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
@@ -38,7 +38,7 @@ from swimid.tracking.setup import Setup
 from swimid.tracking.tracker import FilmTrack, follow
 
 #: Type of a row in the table of results: key, name, value and unit of a quantity.
-Row = tuple[str, str, Estimate | None, str]
+Row = tuple[str, str, TrackEstimate | None, str]
 
 #: Columns of the log whose values are checked for a wrong scale.
 SCALED = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
@@ -221,7 +221,7 @@ def _evaluate(
         tables=[_table(rows, swum.steady)],
         figures=_figures(made, rules, swum),
         images=painter.images(),
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(rules, made),
         references=[*REFERENCES],
         provenance=provenance.collect([video.path, source], settings=settings),
@@ -242,7 +242,7 @@ def _add_joints(evidence: ev.Evidence, joints: Posed, swum: Swimming) -> None:
     evidence.facts["Joints"] = point_evidence.facts(joints)["Points"]
     evidence.tables += point_evidence.tables(joints, beat)
     evidence.figures += point_evidence.figures(joints, beat)
-    evidence.methods += point_evidence.METHODS
+    evidence.methods += point_evidence.POINT_METHODS
     evidence.references += point_evidence.REFERENCES
 
 
@@ -343,7 +343,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     if pose.angle is not None and pose.separation is not None:
         angle = pose.angle.position[0]
         angle_error = math.sqrt(2) * error / max(float(np.nanmedian(pose.separation)), 1e-12)
-    track = swimming.Track(
+    track = swimming.SwimTrack(
         time_s=pose.times,
         measured=pose.measured,
         raw=pose.raw,
@@ -354,7 +354,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         error=error,
         angle_error=angle_error,
     )
-    return measure(track, window_s)
+    return measure_swimming(track, window_s)
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:

@@ -1,4 +1,4 @@
-"""Readers of foreign file formats. A :class:`Format` reads a file into a :class:`Table`.
+"""Readers of foreign file formats. A :class:`Format` reads a file into a :class:`ForeignTable`.
 
 All formats in the modules of this package are found automatically. To add a format, add a module.
 
@@ -17,7 +17,7 @@ from typing import Any
 
 from swimid.errors import InputError, extra_needed, first_line, in_words_of_the_caller, suggestion
 from swimid.files import isolated, yamlio
-from swimid.imports.table import Format, Options, Peek, Table, convert_text
+from swimid.imports.table import ForeignTable, Format, Peek, ReaderOptions, convert_text
 from swimid.logs.log import Log
 
 
@@ -66,13 +66,13 @@ def find_format(path: Path, name: str | None) -> Format:
 
 def open_table(
     given: str | Path | Log,
-    options: Options | None = None,
+    options: ReaderOptions | None = None,
     select: str | None = None,
     kind: str | None = None,
-) -> Table:
+) -> ForeignTable:
     """Read a file as a table, or convert a log in memory to a table.
 
-    The table of a long Parquet file has its first rows. ``Table.batches`` yields the rows that follow.
+    The table of a long Parquet file has its first rows. ``ForeignTable.batches`` yields the rows that follow.
 
     ``select`` is the track, topic, struct or group to read, if the file holds several. ``kind`` is the name
     of a format, as in :func:`find_format`.
@@ -84,13 +84,13 @@ def open_table(
     """
     if isinstance(given, Log):
         comments = yamlio.dumps_flat(given.metadata).splitlines()
-        return convert_text(Table(dict(given.columns), comments=comments))
+        return convert_text(ForeignTable(dict(given.columns), comments=comments))
     path = Path(given)
     found = find_format(path, kind)
     hint = None
     if found.recognises is not None:
         hint = in_words_of_the_caller(f"the file is read as a {found.title}; --as names another format")
-    read, task = found.open, (path, options or Options(), select)
+    read, task = found.open, (path, options or ReaderOptions(), select)
     try:
         with extra_needed(f"reading this {found.title}", found.extra, file=path):
             if found.extra:

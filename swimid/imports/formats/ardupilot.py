@@ -20,23 +20,23 @@ from swimid.errors import InputError
 from swimid.imports.formats import open_table
 from swimid.imports.formats.gps import east_north
 from swimid.imports.table import (
+    ForeignTable,
     Format,
-    Options,
     Peek,
-    Table,
+    ReaderOptions,
     axes,
     choose,
     flat,
     is_text,
     of_records,
-    renamed,
+    rename_columns,
     rows,
 )
 from swimid.kinematics.attitude import AXES, from_frd, with_angles
 from swimid.logs.log import TIME
 
 #: Column of the log for each field of a message of ArduPilot.
-FIELDS: dict[str, str] = {
+ARDUPILOT_FIELDS: dict[str, str] = {
     **axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz"),
     **axes("Acc{}", "a{}_m_s2", "XYZ", "xyz"),
     **axes("Mag{}", "m{}_T", "XYZ", "xyz"),
@@ -80,7 +80,7 @@ def _is_binary(peek: Peek) -> bool:
     return is_mavlink or peek.head.startswith(MAGIC)
 
 
-def _open_binary(path: Path, options: Options, select: str | None) -> Table:
+def _open_binary(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     """Return a table of the messages of one type in a binary log, with the names and units of the log."""
     from pymavlink import DFReader, mavutil
 
@@ -99,13 +99,13 @@ def _open_binary(path: Path, options: Options, select: str | None) -> Table:
     kind = choose(select, [name for name in messages if select or name in known], "message type", path)
     records = [dict(flat(one.to_dict())) | {"recorded_s": one._timestamp} for one in messages[kind]]
     units = getattr(messages[kind][0], "fieldunits_by_name", {})
-    return Table(of_records(records), units=units, metadata={"type": kind}, notes=notes)
+    return ForeignTable(of_records(records), units=units, metadata={"type": kind}, notes=notes)
 
 
 def _has_quantity(fields: dict[str, Any]) -> bool:
     """Return whether a message has a time, and a field of a known quantity."""
     places = {name for names in _PLACES for name in names}
-    return bool({*_TIMES} & {*fields}) and bool({*FIELDS, *MAVLINK, *places} & {*fields})
+    return bool({*_TIMES} & {*fields}) and bool({*ARDUPILOT_FIELDS, *MAVLINK, *places} & {*fields})
 
 
 BINARY = Format("mavlink", _TITLE, _open_binary, None, (".bin", ".tlog"), (MAGIC,), "mavlink")
@@ -116,7 +116,7 @@ def _recognises(peek: Peek) -> bool:
     return "TimeUS" in peek.header or ("FMT" in types and b"TimeUS" in peek.head) or _is_binary(peek)
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     kind, _, instance = (select or "").rstrip("]").partition("[")
     peek = Peek.of(path)
     if _is_binary(peek):
@@ -136,12 +136,12 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
                 other = f"{table.metadata['type']}[{other}]"
             note = f"instance {taken} of {', '.join(there)} is taken (another one: --select {other})"
             table.notes.append(note)
-    columns = renamed(table, FIELDS)
+    columns = rename_columns(table, ARDUPILOT_FIELDS)
     for name in columns:
         columns[name] *= next((f for ending, f in FACTORS.items() if name.endswith(ending)), 1.0)
     # A field without a known unit is left out, such as the raw counts of a sensor. Quaternions have no unit.
     units = {MAVLINK[name]: STATED.get(unit) for name, unit in table.units.items() if name in MAVLINK}
-    for name, values in renamed(table, MAVLINK).items():
+    for name, values in rename_columns(table, MAVLINK).items():
         factor = 1.0 if name in AXES else units.get(name)
         if factor is not None:
             columns[name] = values * factor
@@ -154,20 +154,20 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
             table.metadata |= origin
     time = next((name for name in _TIMES if name in table.columns), None)
     if not columns or time is None:
-        hint = f"a mapping says what they are; known fields: {', '.join([*FIELDS, *MAVLINK])}"
+        hint = f"a mapping says what they are; known fields: {', '.join([*ARDUPILOT_FIELDS, *MAVLINK])}"
         raise InputError("has no time and field of a known quantity", file=path, hint=hint)
     time_s = table.columns[time].astype(float) * _TIMES[time]
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))}, units={})
 
 
-def _messages(path: Path, kind: str | None) -> Table:
+def _messages(path: Path, kind: str | None) -> ForeignTable:
     """Return a table of the messages of one type in a text log of ArduPilot."""
     import pandas as pd
 
     text = path.read_text(encoding="utf-8", errors="replace")
     messages = [[cell.strip() for cell in line.split(",")] for line in text.split("\n")]
     formats = {cells[3]: cells[5:] for cells in messages if cells[0] == "FMT" and len(cells) > 5}
-    known = {kind for kind, names in formats.items() if "TimeUS" in names and {*FIELDS} & {*names}}
+    known = {kind for kind, names in formats.items() if "TimeUS" in names and {*ARDUPILOT_FIELDS} & {*names}}
     present = dict.fromkeys(cells[0] for cells in messages)
     kind = choose(kind, [kind for kind in present if kind in known], "message type", path)
     found = {at: cells[1:] for at, cells in enumerate(messages, start=1) if cells[0] == kind}
@@ -179,7 +179,7 @@ def _messages(path: Path, kind: str | None) -> Table:
     if lost:
         notes.append(f"{lost} of {len(found)} rows of {kind} are cut off and left out")
     columns = dict(zip(frame, frame.to_numpy(dtype=float).T, strict=True))
-    return Table(columns, metadata={"type": kind}, notes=notes, lines=frame.index.to_numpy())
+    return ForeignTable(columns, metadata={"type": kind}, notes=notes, lines=frame.index.to_numpy())
 
 
 PROFILE = Format("ardupilot", "log of ArduPilot or MAVLink", _read, _recognises)

@@ -13,7 +13,17 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, complete, in_si, length
+from swimid.imports.table import (
+    Array,
+    ForeignTable,
+    Format,
+    Peek,
+    ReaderOptions,
+    choose,
+    complete,
+    in_si,
+    length,
+)
 from swimid.kinematics.attitude import from_y_up
 from swimid.logs.log import TIME
 from swimid.logs.units import unique
@@ -24,7 +34,7 @@ def _recognises(peek: Peek) -> bool:
     return peek.head[1:2] == b"P" and (peek.head[:1] == b"\x02" or peek.path.suffix.lower() == ".c3d")
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import c3d
 
     with path.open("rb") as stream, warnings.catch_warnings(action="ignore"):
@@ -48,7 +58,7 @@ def _texts(file: Any, name: str, size: int) -> list[str]:
     return [*found, *[""] * size][:size]
 
 
-def _points(file: Any, cells: Array, start: float, options: Options, path: Path) -> Table:
+def _points(file: Any, cells: Array, start: float, options: ReaderOptions, path: Path) -> ForeignTable:
     factor, unit = length(options.length_unit or _texts(file, "POINT:UNITS", 1)[0], path)
     if not file.point_rate > 0:
         raise InputError("states no rate of the points", file=path)
@@ -64,15 +74,15 @@ def _points(file: Any, cells: Array, start: float, options: Options, path: Path)
         if vertical == "+Y":
             place = np.array(from_y_up(*place))
         columns |= {f"{name}_{axis}_{unit}": v for axis, v in zip("xyz", place, strict=True)}
-    return Table(columns, notes=notes)
+    return ForeignTable(columns, notes=notes)
 
 
-def _analog(file: Any, cells: Array, start: float) -> Table:
+def _analog(file: Any, cells: Array, start: float) -> ForeignTable:
     time_s = start / file.point_rate + np.arange(cells.shape[1]) / file.analog_rate
     labels, units = (_texts(file, f"ANALOG:{name}", len(cells)) for name in ("LABELS", "UNITS"))
     names = unique(label or f"channel {k}" for k, label in enumerate(labels, start=1))
     converted = [in_si(*channel) for channel in zip(names, units, cells.astype(float), strict=True)]
-    return Table({TIME: time_s, **dict(converted)})
+    return ForeignTable({TIME: time_s, **dict(converted)})
 
 
 PROFILE = Format("c3d", "C3D file", _read, _recognises, extra="c3d")

@@ -17,7 +17,7 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.imports.formats.keypoints import points
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose
+from swimid.imports.table import Array, ForeignTable, Format, Peek, ReaderOptions, choose
 
 #: Keys under which annotation tools write the number of a tracked individual.
 _TRACK = ("track_id", "instance_id", "object_id")
@@ -43,7 +43,7 @@ def _annotations(content: Any) -> list[dict[str, Any]]:
     return [one for one in found if isinstance(one, dict) and "image_id" in one and one.get("keypoints")]
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     content = json.loads(path.read_text(encoding="utf-8-sig"))
     found = _annotations(content)
     if not found:
@@ -79,7 +79,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         columns[f"{name}.x"], columns[f"{name}.y"] = (np.where(visible > 0, v, np.nan) for v in (x, y))
         if isinstance(content, list):
             columns[f"{name}.score"] = visible
-    return Table({"frame": np.sort(at).astype(float), **points(columns)})
+    return ForeignTable({"frame": np.sort(at).astype(float), **points(columns)})
 
 
 def _track(annotation: dict[str, Any], categories: dict[Any, dict[str, Any]]) -> str:

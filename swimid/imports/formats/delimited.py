@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, parse, parse_number
 from swimid.imports.formats.serial import find_label, split_stamps, to_table
-from swimid.imports.table import GROUPED, Format, Options, Peek, Table, numbers_in
+from swimid.imports.table import GROUPED, ForeignTable, Format, Peek, ReaderOptions, numbers_in
 from swimid.logs.log import TIME
 from swimid.logs.units import KNOWN, canonical
 
@@ -80,7 +80,7 @@ class Layout:
     first_line: int
 
 
-def _open(path: Path, options: Options, select: str | None) -> Table:
+def _open(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     text, notes = _read_utf8(path, options)
     label = find_label(text[:SAMPLE])
     if label is None:
@@ -92,7 +92,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
     return replace(table, columns=columns, names=labels)
 
 
-def read_text(text: bytes, notes: list[str], options: Options, path: Path) -> Table:
+def read_text(text: bytes, notes: list[str], options: ReaderOptions, path: Path) -> ForeignTable:
     """Return a table of the columns in a text.
 
     ``text`` is UTF-8 with line feeds, ``notes`` are remarks to which others are appended, and ``path`` is the
@@ -137,7 +137,9 @@ def read_text(text: bytes, notes: list[str], options: Options, path: Path) -> Ta
     blank = [name for name in found.names if _UNNAMED.fullmatch(name) and not parsed[name].notna().any()]
     kept = [name for name in found.names if name not in blank] or found.names
     columns = {name: _convert(parsed[name], found.decimal, options) for name in kept}
-    return Table(columns, stated, notes=notes, comments=comments, lines=rows, names=found.names, asked=asked)
+    return ForeignTable(
+        columns, stated, notes=notes, comments=comments, lines=rows, names=found.names, asked=asked
+    )
 
 
 def _cut_below(text: bytes, found: Layout, notes: list[str]) -> bytes:
@@ -157,7 +159,7 @@ def _cut_below(text: bytes, found: Layout, notes: list[str]) -> bytes:
     return text
 
 
-def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
+def _read_utf8(path: Path, options: ReaderOptions) -> tuple[bytes, list[str]]:
     """Return the content of a file as UTF-8 with line feeds, and notes for the user."""
     raw, notes = path.read_bytes(), []
     encoding = options.encoding or _ENCODINGS.get(raw[:2], "utf-8-sig")
@@ -176,7 +178,7 @@ def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
     return text.encode().replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
 
-def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str]) -> Layout:
+def _find_layout(lines: list[str], options: ReaderOptions, path: Path, notes: list[str]) -> Layout:
     """Return the layout of a file, from the options or from its first lines; append remarks to ``notes``."""
     numbered = list(enumerate(lines, start=1))[options.skip_rows :]
     kept = [(at, line) for at, line in numbered if line.strip()]
@@ -252,7 +254,7 @@ def _value(cell: str, decimal: str) -> float | None:
     return parse_number(cell.translate(_POINTS[decimal]))
 
 
-def _first_sample(table: list[list[str]], width: int, decimal: str, options: Options) -> int | None:
+def _first_sample(table: list[list[str]], width: int, decimal: str, options: ReaderOptions) -> int | None:
     """Return the index of the first line of a file that holds samples; None if there is none.
 
     A line of text and numbers, such as a setting, holds no sample if the names of the columns and most of the
@@ -335,7 +337,7 @@ def _fill(cells: list[str]) -> list[str]:
     return filled[1:]
 
 
-def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
+def _parse(text: bytes, found: Layout, options: ReaderOptions) -> pd.DataFrame:
     """Parse the samples in the text of a file; return a table with cells of numbers or of text."""
     read = partial(
         parse,
@@ -363,7 +365,7 @@ def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
     return whole and not parsed.iloc[:, -1].hasnans
 
 
-def _convert(cells: pd.Series, decimal: str, options: Options) -> NDArray[Any]:
+def _convert(cells: pd.Series, decimal: str, options: ReaderOptions) -> NDArray[Any]:
     """Return a column as numbers if all its cells are numbers, otherwise as text.
 
     In the text of a column in which numbers prevail, the decimal mark is a point.
@@ -384,7 +386,7 @@ def _convert(cells: pd.Series, decimal: str, options: Options) -> NDArray[Any]:
 
 
 def _note_ragged(
-    broken: list[tuple[int, int]], width: int, rows: int, path: Path, options: Options, notes: list[str]
+    broken: list[tuple[int, int]], width: int, rows: int, path: Path, options: ReaderOptions, notes: list[str]
 ) -> dict[str, str]:
     """Append a remark on lines with a wrong number of cells; return the option of the reader that it needs.
 

@@ -20,8 +20,8 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.imports import mapping
 from swimid.imports.formats import open_table
-from swimid.imports.table import Array, Format, Options, Peek, Table, is_text
-from swimid.imports.table import signed as with_sign
+from swimid.imports.table import Array, ForeignTable, Format, Peek, ReaderOptions, is_text
+from swimid.imports.table import restore_sign as with_sign
 from swimid.logs.log import TIME
 from swimid.logs.units import UNITS, canonical
 
@@ -40,7 +40,7 @@ def _recognises(peek: Peek) -> bool:
     return any(hit["which"].lower() == "position" for hit in fields)
 
 
-def _read(path: Path, options: Options, select: str | None, device: str = "") -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None, device: str = "") -> ForeignTable:
     table = open_table(path)
     fields = {name: hit for name in table.columns if (hit := _FIELD.fullmatch(name.strip()))}
     if not fields:

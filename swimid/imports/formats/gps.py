@@ -15,7 +15,16 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, from_first, of_records
+from swimid.imports.table import (
+    Array,
+    ForeignTable,
+    Format,
+    Peek,
+    ReaderOptions,
+    choose,
+    from_first,
+    of_records,
+)
 from swimid.logs.log import TIME
 
 #: Semi-major axis, m, and flattening of the ellipsoid of WGS 84 (NIMA TR8350.2).
@@ -45,7 +54,7 @@ def east_north(latitude_deg: Array, longitude_deg: Array) -> tuple[dict[str, Arr
     return {"x_m": y, "y_m": north}, {name: float(value) for name, value in origin.items()}
 
 
-def _table(fixes: list[dict[str, Any]], path: Path, notes: list[str]) -> Table:
+def _table(fixes: list[dict[str, Any]], path: Path, notes: list[str]) -> ForeignTable:
     """Return the table of positions with ``latitude``, ``longitude``, ``altitude_m`` and ``time`` (UTC)."""
     found = of_records(fixes)
     if not fixes or found["time"].dtype.kind != "M":
@@ -55,10 +64,10 @@ def _table(fixes: list[dict[str, Any]], path: Path, notes: list[str]) -> Table:
     columns = {TIME: time_s, **place}
     if np.isfinite(found["altitude_m"].astype(float)).any():
         columns["altitude_m"] = found["altitude_m"].astype(float)
-    return Table(columns, metadata=origin | start, notes=notes)
+    return ForeignTable(columns, metadata=origin | start, notes=notes)
 
 
-def _read_gpx(path: Path, options: Options, select: str | None) -> Table:
+def _read_gpx(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import gpxpy
 
     tracks = gpxpy.parse(path.read_text(encoding="utf-8-sig")).tracks
@@ -70,7 +79,7 @@ def _read_gpx(path: Path, options: Options, select: str | None) -> Table:
     return _table([{name: getattr(p, of) for name, of in fields.items()} for p in track], path, [])
 
 
-def _read_nmea(path: Path, options: Options, select: str | None) -> Table:
+def _read_nmea(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     from pynmeagps import ERR_IGNORE, NMEAReader
 
     kinds = [hit.decode() for hit in _SENTENCE.findall(path.read_bytes())]

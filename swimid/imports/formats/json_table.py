@@ -15,18 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.imports.table import MAX_ODD, Format, Options, Table, choose, flat, of_records
+from swimid.imports.table import MAX_ODD, ForeignTable, Format, ReaderOptions, choose, flat, of_records
 
 _HINT = "a table in JSON is a list of records, an object of columns, or one record in each line"
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     text = path.read_bytes().decode(options.encoding or "utf-8-sig")
     lines, notes = None, []
     try:
         content = json.loads(text)
     except ValueError as error:
-        filled = [(at, _parsed(line)) for at, line in enumerate(text.split("\n"), start=1) if line.strip()]
+        filled = [
+            (at, _parse_line(line)) for at, line in enumerate(text.split("\n"), start=1) if line.strip()
+        ]
         broken = [at for at, value in filled if value is None]
         if len(broken) > max(1, MAX_ODD * len(filled)) or len(filled) - len(broken) < 2:
             raise InputError(f"is no JSON: {error}", file=path, hint=_HINT) from error
@@ -46,10 +48,10 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     usual = [name for name, values in columns.items() if len(values) == longest]
     if len({name.partition(".")[0] for name in usual}) == 1:
         columns |= {name.partition(".")[2] or name: columns.pop(name) for name in usual}
-    return Table(columns, notes=notes, lines=lines)
+    return ForeignTable(columns, notes=notes, lines=lines)
 
 
-def _parsed(line: str) -> Any:
+def _parse_line(line: str) -> Any:
     """Return the record in a line of JSON lines; None for other text, as of a line that is cut off."""
     try:
         value = json.loads(line)

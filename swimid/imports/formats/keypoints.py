@@ -21,7 +21,17 @@ import numpy as np
 
 from swimid.errors import InputError, extra_needed
 from swimid.imports.formats import open_table
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, is_text, length, rows
+from swimid.imports.table import (
+    Array,
+    ForeignTable,
+    Format,
+    Peek,
+    ReaderOptions,
+    choose,
+    is_text,
+    length,
+    rows,
+)
 from swimid.logs.units import safe
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
@@ -59,7 +69,7 @@ def _is_deeplabcut(peek: Peek) -> bool:
     return (levels[:1] == ["scorer"] and "bodyparts" in levels) or peek.holds("df_with_missing")
 
 
-def _read_deeplabcut(path: Path, options: Options, select: str | None) -> Table:
+def _read_deeplabcut(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import pandas as pd
 
     peek, lines = Peek.of(path), None
@@ -82,14 +92,14 @@ def _read_deeplabcut(path: Path, options: Options, select: str | None) -> Table:
     known = [key for key in frame.columns if key[-1] in ("x", "y", "likelihood")]
     found = {f"{key[-2]}.{key[-1]}": frame[key].to_numpy(dtype=float) for key in known}
     columns = {"frame": frame.index.to_numpy(dtype=float), **points(found)}
-    return Table(columns, metadata={"y_axis": "up, from the upper edge of the frame"}, lines=lines)
+    return ForeignTable(columns, metadata={"y_axis": "up, from the upper edge of the frame"}, lines=lines)
 
 
 def _is_anipose(peek: Peek) -> bool:
     return {"fnum", "M_00", "center_0"} <= set(peek.header)
 
 
-def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
+def _read_anipose(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     table = open_table(path)
     names = [name.removesuffix("_ncams") for name in table.columns if name.endswith("_ncams")]
     if not names or "fnum" not in table.columns:
@@ -103,7 +113,7 @@ def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
             found[f"{name}.score"] = table.columns[f"{name}_score"].astype(float)
     columns = {"frame": table.columns["fnum"].astype(float), **points(found, unit, "up")}
     notes = [*table.notes, "the axes are those of the calibration; z is taken as up"]
-    return Table(columns, notes=notes, lines=table.lines)
+    return ForeignTable(columns, notes=notes, lines=table.lines)
 
 
 def _is_sleap(peek: Peek) -> bool:
@@ -112,7 +122,7 @@ def _is_sleap(peek: Peek) -> bool:
     return is_table or peek.holds("tracks", "node_names") or peek.holds(*_PROJECT)
 
 
-def _read_sleap(path: Path, options: Options, select: str | None) -> Table:
+def _read_sleap(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     peek = Peek.of(path)
     if peek.lines:
         return _of_text(path, select)
@@ -123,7 +133,7 @@ def _read_sleap(path: Path, options: Options, select: str | None) -> Table:
 _PROJECT = ("metadata", "frames", "instances", "points", "pred_points")
 
 
-def _of_text(path: Path, select: str | None) -> Table:
+def _of_text(path: Path, select: str | None) -> ForeignTable:
     import pandas as pd
 
     table = open_table(path)
@@ -171,7 +181,7 @@ def _analysis(path: Path) -> tuple[Array, Array, list[str], list[str]]:
 
 def _of_arrays(
     path: Path, select: str | None, tracks: Array, scores: Array, nodes: list[str], names: list[str]
-) -> Table:
+) -> ForeignTable:
     if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != len(nodes):
         text = f"'tracks' has the shape {tracks.shape}; it must be (tracks, 2, {len(nodes)} nodes, frames)"
         raise InputError(text, file=path)
@@ -183,7 +193,7 @@ def _of_arrays(
         found[f"{node}.x"], found[f"{node}.y"] = tracks[at, :, k]
         if scores.shape == tracks[:, 0].shape:
             found[f"{node}.score"] = scores[at, k]
-    return Table({"frame": np.arange(tracks.shape[3], dtype=float), **points(found)})
+    return ForeignTable({"frame": np.arange(tracks.shape[3], dtype=float), **points(found)})
 
 
 DEEPLABCUT = Format("deeplabcut", "table of DeepLabCut", _read_deeplabcut, _is_deeplabcut, extra="deeplabcut")

@@ -18,14 +18,14 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.imports.formats import open_table
 from swimid.imports.formats.keypoints import points
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, length
+from swimid.imports.table import Array, ForeignTable, Format, Peek, ReaderOptions, choose, length
 from swimid.logs.log import TIME
 from swimid.logs.sampling import find_grid, quantum
 
 _TEXT = "#Kinovea Trajectory data export"
 #: Seconds in the parts of a time: hours, minutes, seconds and hundredths.
-_CLOCK = [3600.0, 60.0, 1.0, 0.01]
-_NAME = re.compile(r"(?P<track>.+)/(?P<point>[^/]+)/(?P<axis>[XY])")
+_KINOVEA_CLOCK = [3600.0, 60.0, 1.0, 0.01]
+_TRACK_NAME = re.compile(r"(?P<track>.+)/(?P<point>[^/]+)/(?P<axis>[XY])")
 
 
 def _header(peek: Peek) -> list[str]:
@@ -37,14 +37,14 @@ def _header(peek: Peek) -> list[str]:
 
 def _is_table(peek: Peek) -> bool:
     names = _header(peek)
-    return names[:1] == ["Time"] and len(names) > 2 and all(_NAME.fullmatch(name) for name in names[1:])
+    return names[:1] == ["Time"] and len(names) > 2 and all(_TRACK_NAME.fullmatch(name) for name in names[1:])
 
 
 def _recognises(peek: Peek) -> bool:
     return b"<KinoveaVideoAnalysis" in peek.head or peek.lines[:1] == [_TEXT] or _is_table(peek)
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     peek = Peek.of(path)
     if b"<KinoveaVideoAnalysis" in peek.head:
         return _of_kva(path, select)
@@ -61,7 +61,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     if frames is None:
         hint = "a mapping states the unit of the times: time: {source: Time, unit: ms}"
         raise InputError("its times are no multiples of a frame", file=path, hint=hint)
-    return Table({"frame": frames, "Time": time, **points(scaled, unit, "up")})
+    return ForeignTable({"frame": frames, "Time": time, **points(scaled, unit, "up")})
 
 
 def _frame_numbers(time: Array) -> Array | None:
@@ -81,7 +81,7 @@ def _frame_numbers(time: Array) -> Array | None:
 def _of_csv(path: Path) -> tuple[Array, dict[str, Array]]:
     """Return the times, and the coordinates of the points in a table by ``point.x``."""
     table = open_table(path)
-    hits = {name: hit for name in table.columns if (hit := _NAME.fullmatch(name))}
+    hits = {name: hit for name in table.columns if (hit := _TRACK_NAME.fullmatch(name))}
     inner: dict[str, set[str]] = {}
     for hit in hits.values():
         inner.setdefault(hit["track"], set()).add(hit["point"])
@@ -116,7 +116,7 @@ def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
         name = name or f"track {count}"
         # A time without a colon is a number in the unit that the user chose.
         clock = [float(part) for part in cells[0].split(":")]
-        time = clock[0] if len(clock) == 1 else np.dot(clock, _CLOCK[-len(clock) :])
+        time = clock[0] if len(clock) == 1 else np.dot(clock, _KINOVEA_CLOCK[-len(clock) :])
         rows.append((name, time, float(cells[1]), float(cells[2])))
     if not rows:
         raise InputError("holds no track", file=path)
@@ -125,7 +125,7 @@ def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
     return whole.index.to_numpy(), found
 
 
-def _of_kva(path: Path, select: str | None) -> Table:
+def _of_kva(path: Path, select: str | None) -> ForeignTable:
     root = ElementTree.parse(path).getroot()
     tracks: dict[str, Array] = {}
     for track in root.iter("Track"):
@@ -142,7 +142,7 @@ def _of_kva(path: Path, select: str | None) -> Table:
     clock = {"frame": frames}
     if rate > 0:
         clock = {TIME: (stamps - stamps[0]) / period / rate}
-    return Table({**clock, **points({"x": x, "y": y})})
+    return ForeignTable({**clock, **points({"x": x, "y": y})})
 
 
 PROFILE = Format("kinovea", "track file of Kinovea", _read, _recognises)

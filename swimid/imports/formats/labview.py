@@ -17,7 +17,17 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, from_first, in_si, numbers
+from swimid.imports.table import (
+    Array,
+    ForeignTable,
+    Format,
+    Peek,
+    ReaderOptions,
+    choose,
+    from_first,
+    in_si,
+    numbers,
+)
 from swimid.logs.log import TIME
 from swimid.logs.units import UNITS, canonical, unique
 
@@ -27,9 +37,9 @@ _SEPARATORS = {"Tab": "\t", "Comma": ","}
 _TIME_NAME = re.compile(r"(.*[ _])?(t|time)", re.I)
 
 
-def _timed(
+def _add_times(
     columns: dict[str, Array], clocks: dict[str, tuple[float, float]], metadata: dict[str, Any], path: Path
-) -> Table:
+) -> ForeignTable:
     """Return the table of channels at their common times; with row numbers if the file states no times.
 
     Parameters
@@ -46,7 +56,7 @@ def _timed(
     """
     if TIME in columns or not clocks:
         rows = np.arange(len(next(iter(columns.values()))), dtype=float)
-        return Table({**({} if TIME in columns else {"frame": rows}), **columns}, metadata=metadata)
+        return ForeignTable({**({} if TIME in columns else {"frame": rows}), **columns}, metadata=metadata)
     starts, steps = (np.array(values) for values in zip(*clocks.values(), strict=True))
     if np.ptp(steps) > 1e-9 * steps[0]:
         text = f"channels have different times: intervals {', '.join(f'{step:g} s' for step in {*steps})}"
@@ -69,7 +79,7 @@ def _timed(
         notes.append("channels start between the samples of others, and are interpolated")
     if np.ptp(counts):
         notes.append(f"channels have different numbers of samples; the {len(at)} in common are taken")
-    return Table({TIME: starts[0] + steps[0] * at, **columns}, metadata=metadata, notes=notes)
+    return ForeignTable({TIME: starts[0] + steps[0] * at, **columns}, metadata=metadata, notes=notes)
 
 
 # ---------------------------------------------------------------- LVM
@@ -79,7 +89,7 @@ def _is_lvm(peek: Peek) -> bool:
     return bool(peek.lines) and peek.lines[0].startswith("LabVIEW Measurement")
 
 
-def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
+def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     ends = [at for at, line in enumerate(lines) if line.strip().startswith(_END)]
     head: dict[str, list[str]] = {}
@@ -104,7 +114,7 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
     decimal = "".join(head.get("Decimal_Separator", ["."])).strip() or "."
     values, rows = numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
 
-    def stated(key: str, at: int) -> str:
+    def read_value(key: str, at: int) -> str:
         cells = segment.get(key, [])
         return cells[at].strip() if at < len(cells) else ""
 
@@ -114,17 +124,17 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
         raise InputError("has a column of x values for each channel", file=path, hint=hint)
     columns: dict[str, Array] = {}
     clocks: dict[str, tuple[float, float]] = {}
-    in_time, channels = stated("X_Dimension", 0) in ("Time", ""), range(len(names) - 1)
-    stamps = np.array([_date(stated("Date", k), stated("Time", k), decimal) for k in channels])
+    in_time, channels = read_value("X_Dimension", 0) in ("Time", ""), range(len(names) - 1)
+    stamps = np.array([_date(read_value("Date", k), read_value("Time", k), decimal) for k in channels])
     leads, metadata = from_first(stamps)
     for at, name in enumerate(unique(names[1:])):
-        column, columns[column] = in_si(name, stated("Y_Unit_Label", at), values[:, at + 1])
-        start, step = (float(stated(key, at).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
+        column, columns[column] = in_si(name, read_value("Y_Unit_Label", at), values[:, at + 1])
+        start, step = (float(read_value(key, at).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
         if in_time and step > 0:
             clocks[column] = start + leads[at], step
     if in_time and form == "One" and len(set(clocks.values())) < 2:
         columns = {TIME: values[:, 0], **columns}
-    table = _timed(columns, clocks, metadata, path)
+    table = _add_times(columns, clocks, metadata, path)
     return replace(table, lines=rows[: len(next(iter(table.columns.values())))])
 
 
@@ -141,7 +151,7 @@ LVM = Format("lvm", "LabVIEW measurement file", _read_lvm, _is_lvm)
 # ---------------------------------------------------------------- TDMS
 
 
-def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
+def _read_tdms(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     from nptdms import TdmsFile
     from nptdms.log import log_manager
 
@@ -171,7 +181,7 @@ def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
             step, start = (float(channels[at].properties.get(key, 0.0)) for key in keys)
             if step > 0:
                 clocks[column] = start + leads[at], step
-    return _timed(columns, clocks, metadata | origin, path)
+    return _add_times(columns, clocks, metadata | origin, path)
 
 
 TDMS = Format("tdms", "TDMS file", _read_tdms, lambda peek: peek.head.startswith(b"TDSm"), extra="tdms")

@@ -16,7 +16,7 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.imports.formats.keypoints import points
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, length
+from swimid.imports.table import Array, ForeignTable, Format, Peek, ReaderOptions, choose, length
 from swimid.logs.log import TIME
 
 #: Names of the dimensions before version 0.17 of ``movement``, with their present names.
@@ -29,7 +29,7 @@ def _recognises(peek: Peek) -> bool:
     return peek.holds("position", "time", "space")
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import xarray
 
     # Do not decode the times: numbers with the unit "seconds" would become time differences.
@@ -68,7 +68,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     about = {name: data.attrs.get(name) for name in ("source_software", "source_file", "fps")}
     metadata = {name: value for name, value in about.items() if isinstance(value, str | float | int)}
     columns = {clock: data["time"].to_numpy().astype(float), **points(found, unit, y_axis)}
-    return Table(columns, metadata=metadata)
+    return ForeignTable(columns, metadata=metadata)
 
 
 PROFILE = Format("movement", "dataset of movement", _read, _recognises, extra="netcdf")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.imports.table import Format, Options, Peek, Table, length, numbers
+from swimid.imports.table import ForeignTable, Format, Peek, ReaderOptions, length, numbers
 from swimid.logs.log import TIME
 from swimid.logs.sampling import usual_step
 from swimid.logs.units import safe
@@ -26,7 +26,7 @@ _UNITS = {r".*(force.*_p|_t)[xyz]": "m", r".*(torque|moment).*": "Nm", r".*force
 _VECTOR = re.compile(r".*_[tvp]?[xyz]_(m|px|N|Nm)")
 #: Pattern of the name of a column of a motion file that holds the value or the speed of a coordinate
 #: (``/jointset/hip/hip_flexion/value``).
-_COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
+_OPENSIM_COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
 
 
 def _recognises(peek: Peek) -> bool:
@@ -34,7 +34,7 @@ def _recognises(peek: Peek) -> bool:
     return bool(starts) and (starts[0].startswith("pathfiletype") or "endheader" in starts)
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     if lines and lines[0].strip().lower().startswith("pathfiletype"):
         table = _markers(lines, options.length_unit, path)
@@ -46,7 +46,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     return table
 
 
-def _markers(lines: list[str], length_unit: str | None, path: Path) -> Table:
+def _markers(lines: list[str], length_unit: str | None, path: Path) -> ForeignTable:
     if len(lines) < 6:
         raise InputError("ends within its header", file=path, line=len(lines))
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
@@ -60,10 +60,10 @@ def _markers(lines: list[str], length_unit: str | None, path: Path) -> Table:
     step = usual_step(time_s)
     if abs(step * rate - 1.0) > 0.01:
         notes.append(f"its header states {rate:g} Hz, its times are {1 / step:g} Hz apart")
-    return Table(columns, notes=notes, lines=at)
+    return ForeignTable(columns, notes=notes, lines=at)
 
 
-def _motion(lines: list[str], path: Path) -> Table:
+def _motion(lines: list[str], path: Path) -> ForeignTable:
     head = [line.lower().replace(" ", "").strip() for line in lines]
     if "endheader" not in head[:-2]:
         raise InputError("has no line 'endheader' with samples below it", file=path)
@@ -81,7 +81,7 @@ def _motion(lines: list[str], path: Path) -> Table:
     columns, left_out = {TIME: values[:, 0]}, []
     has_coordinates = path.suffix.lower() == ".mot" or "coordinates" in head[0]
     for name, cells in zip(names[1:], values.T[1:], strict=True):
-        hit = _COORDINATE.fullmatch(name)
+        hit = _OPENSIM_COORDINATE.fullmatch(name)
         word, rate = safe(name), ""
         if hit:
             word, rate = safe(hit["name"]), {"value": "", "speed": "_s"}[hit["kind"]]
@@ -95,7 +95,7 @@ def _motion(lines: list[str], path: Path) -> Table:
     if left_out:
         text = f"columns that are no coordinates are left out: {', '.join(left_out[:20])}"
         warn("SWM004", f"{path.name}: {text}")
-    return Table(columns, lines=at)
+    return ForeignTable(columns, lines=at)
 
 
 PROFILE = Format("opensim", "TRC, MOT or STO file of OpenSim", _read, _recognises)

@@ -16,7 +16,17 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, complete, length, numbers
+from swimid.imports.table import (
+    Array,
+    ForeignTable,
+    Format,
+    Peek,
+    ReaderOptions,
+    choose,
+    complete,
+    length,
+    numbers,
+)
 from swimid.kinematics.attitude import AXES, from_y_up, with_angles
 from swimid.logs.log import TIME
 from swimid.logs.units import safe
@@ -32,7 +42,7 @@ def _recognises(peek: Peek) -> bool:
     return peek.header[:1] == ["Format Version"] and "Take Name" in peek.header
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     with path.open(encoding="utf-8-sig", newline="") as stream:
         lines = list(islice(csv.reader(stream), _HEADER_LINES))
     at = next((k for k, cells in enumerate(lines) if cells[:1] == ["Frame"]), None)
@@ -61,7 +71,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         columns |= _place(body, "", unit, factor) | _turn(body, head.get("Rotation Type", ""), path)
     for name, marker in found[_MARKER].items():
         columns |= _place(marker, f"{safe(name)}_", unit, factor)
-    return Table({TIME: values[:, 1], **with_angles(columns)}, lines=rows)
+    return ForeignTable({TIME: values[:, 1], **with_angles(columns)}, lines=rows)
 
 
 def _place(cells: dict[str, Array], prefix: str, unit: str, factor: float) -> dict[str, Array]:

@@ -19,7 +19,7 @@ import numpy as np
 from swimid.errors import InputError, file_errors
 from swimid.imports.formats import open_table
 from swimid.imports.formats.keypoints import points
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, rows
+from swimid.imports.table import Array, ForeignTable, Format, Peek, ReaderOptions, choose, rows
 from swimid.logs.log import TIME
 
 _NUMPY = b"\x93NUMPY"
@@ -37,7 +37,7 @@ def _is_trackpy(peek: Peek) -> bool:
     return names >= _TRACK and bool(names & _FEATURES)
 
 
-def _read_trackpy(path: Path, options: Options, select: str | None) -> Table:
+def _read_trackpy(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     table = open_table(path).whole()
     if not set(table.columns) >= _TRACK:
         hint = f"a table of trackpy has the columns {', '.join(sorted(_TRACK))}"
@@ -55,7 +55,7 @@ def _read_trackpy(path: Path, options: Options, select: str | None) -> Table:
     if ep is not None:
         columns |= dict.fromkeys(("x_sd_px", "y_sd_px"), np.where(ep >= 0, ep, np.nan))
     lines = None if table.lines is None else table.lines[order]
-    return Table(columns, notes=table.notes, lines=lines)
+    return ForeignTable(columns, notes=table.notes, lines=lines)
 
 
 TRACKPY = Format("trackpy", "table of trackpy", _read_trackpy, _is_trackpy)
@@ -79,7 +79,7 @@ def _is_idtracker(peek: Peek) -> bool:
     return peek.holds("trajectories", "areas", "setup_points")
 
 
-def _read_idtracker(path: Path, options: Options, select: str | None) -> Table:
+def _read_idtracker(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     peek = Peek.of(path)
     lines, time_s, attributes = None, None, {}
     if peek.head.startswith(_NUMPY):
@@ -113,7 +113,7 @@ def _read_idtracker(path: Path, options: Options, select: str | None) -> Table:
         clock = {TIME: time_s}
     kept = {name: attributes[name] for name in ("body_length", "version") if name in attributes}
     metadata = {f"idtrackerai_{name}": np.asarray(value).item() for name, value in kept.items()}
-    return Table({**clock, **points({"x": x, "y": y})}, metadata=metadata, lines=lines)
+    return ForeignTable({**clock, **points({"x": x, "y": y})}, metadata=metadata, lines=lines)
 
 
 def _of_numpy(path: Path) -> Array:

@@ -14,7 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.imports.table import Array, Format, Options, Peek, Table, choose, complete, length, numbers
+from swimid.imports.table import (
+    Array,
+    ForeignTable,
+    Format,
+    Peek,
+    ReaderOptions,
+    choose,
+    complete,
+    length,
+    numbers,
+)
 from swimid.kinematics.attitude import AXES, with_angles
 from swimid.logs.log import TIME
 from swimid.logs.units import unique
@@ -29,7 +39,7 @@ def _recognises(peek: Peek) -> bool:
     return "NO_OF_FRAMES" in keys and "DATA_INCLUDED" in keys
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     # The header ends before the names of the columns, or before the first row of numbers.
     start = next((at for at, line in enumerate(lines) if not _KEY.match(line)), len(lines))
@@ -64,7 +74,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         for name, part in zip(unique(names), parts, strict=True):
             part = np.where((part == 0).all(axis=1)[:, None], np.nan, part * factor)
             columns |= {f"{name}_{axis}_{unit}": v for axis, v in zip("xyz", part.T, strict=True)}
-    return Table({**clock, **columns}, lines=rows)
+    return ForeignTable({**clock, **columns}, lines=rows)
 
 
 def _body(cells: Array, unit: str, factor: float) -> dict[str, Array]:

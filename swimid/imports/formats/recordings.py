@@ -18,16 +18,16 @@ import numpy as np
 from swimid.imports.formats import open_table
 from swimid.imports.formats.gps import east_north
 from swimid.imports.table import (
+    ForeignTable,
     Format,
-    Options,
     Peek,
-    Table,
+    ReaderOptions,
     axes,
     choose,
     flat,
     from_first,
     of_records,
-    renamed,
+    rename_columns,
 )
 from swimid.kinematics.attitude import with_angles
 from swimid.logs.log import TIME
@@ -58,7 +58,7 @@ def topics(path: Path) -> dict[str, str]:
     return {topic: getattr(schema, "name", "") for topic, schema in sorted(found.items())}
 
 
-def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
+def _open_mcap(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     """Return a table of the messages of one topic, with times as ``datetime64[ns]``.
 
     The messages stay in the order of the file. They are not sorted by ``log_time``, because the clock of the
@@ -77,7 +77,7 @@ def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
             times = {"log_time": message.log_time, "publish_time": message.publish_time}
             record = {name: np.datetime64(time_ns, "ns") for name, time_ns in times.items()}
             records.append(record | dict(flat(decode(message.data), _parts)))
-    return Table(of_records(records), metadata={"topic": topic, "type": known[topic]})
+    return ForeignTable(of_records(records), metadata={"topic": topic, "type": known[topic]})
 
 
 def _parts(value: Any) -> Any:
@@ -105,7 +105,7 @@ def _bag(path: Path) -> Any:
     return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
 
 
-def _open_db3(path: Path, options: Options, select: str | None) -> Table:
+def _open_db3(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     """Return a table of the messages of one topic, with times as ``datetime64[ns]``."""
     with _bag(path) as bag:
         kinds = {one.topic: one.msgtype for one in bag.connections if one.msgcount}
@@ -114,7 +114,7 @@ def _open_db3(path: Path, options: Options, select: str | None) -> Table:
         for connection, time_ns, data in bag.messages([one for one in bag.connections if one.topic == topic]):
             message = bag.deserialize(data, connection.msgtype)
             records.append({"log_time": np.datetime64(time_ns, "ns")} | dict(flat(message, _parts)))
-    return Table(of_records(records), metadata={"topic": topic, "type": kinds[topic]})
+    return ForeignTable(of_records(records), metadata={"topic": topic, "type": kinds[topic]})
 
 
 DB3 = Format("db3", "bag of ROS", _open_db3, endings=(".db3", ".bag"), magic=BAG_MAGIC, extra="rosbags")
@@ -129,7 +129,7 @@ def _pose(at: str) -> dict[str, str]:
 
 
 #: Column of the log for each field of a ROS 2 message, by message type. Types are written without ``/msg``.
-FIELDS: dict[str, dict[str, str]] = {
+ROS_FIELDS: dict[str, dict[str, str]] = {
     "nav_msgs/Odometry": _pose("pose.pose.")
     | axes("twist.twist.linear.{}", "{}_m_s", "xyz", "uvw")
     | axes("twist.twist.angular.{}", "w{}_rad_s"),
@@ -146,14 +146,14 @@ FIELDS: dict[str, dict[str, str]] = {
 def _topics(path: Path) -> dict[str, str]:
     """Return the topics of a ROS 2 recording with a known message type, each with its type."""
     kinds = {topic: kind.replace("/msg/", "/") for topic, kind in topics(path).items()}
-    return {topic: kind for topic, kind in kinds.items() if kind in FIELDS}
+    return {topic: kind for topic, kind in kinds.items() if kind in ROS_FIELDS}
 
 
 def _recognises(peek: Peek) -> bool:
     return bool(_topics(peek.path))
 
 
-def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
+def _read_ros2(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     topics = _topics(path)
     topic = choose(select, list(topics), "topic", path)
     table = open_table(path, select=topic)
@@ -166,14 +166,14 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
     if kind == "sensor_msgs/NavSatFix":
         place, origin = east_north(*(table.columns[name] for name in ("latitude", "longitude")))
         table.metadata |= origin
-        columns = place | renamed(table, FIELDS[kind])
+        columns = place | rename_columns(table, ROS_FIELDS[kind])
     else:
-        columns = renamed(table, FIELDS[kind] or _joints(table))
+        columns = rename_columns(table, ROS_FIELDS[kind] or _joints(table))
     keys = {name: table.columns[name] for name in ("header.frame_id",) if name in table.columns}
     return replace(table, columns={TIME: time_s, **with_angles(columns)}, keys=keys)
 
 
-def _joints(table: Table) -> dict[str, str]:
+def _joints(table: ForeignTable) -> dict[str, str]:
     """Return the log column for each field of ROS 2 joint states. All joints are taken to be revolute."""
     fields = {}
     for name, words in table.columns.items():

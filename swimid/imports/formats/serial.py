@@ -13,9 +13,9 @@ from itertools import chain
 
 _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|[-+]?inf)"
 _PAIR = re.compile(rb"([A-Za-z][\w./\[\]()-]*?)[ ]*[:=][ ]*(" + _NUMBER + rb")", re.I)
-_CLOCK = rb"(?:\[?(?P<clock>[\d:.]+)(?:\]| ->) ?)?"
+_SERIAL_CLOCK = rb"(?:\[?(?P<clock>[\d:.]+)(?:\]| ->) ?)?"
 _PAIRS = rb"(?P<pairs>%b(?:[ ,;\t]+%b)*)" % ((_PAIR.pattern,) * 2)
-_LINE = re.compile(rb"\s*" + _CLOCK + _PAIRS + rb"[ ,;\t]*", re.I)
+_LINE = re.compile(rb"\s*" + _SERIAL_CLOCK + _PAIRS + rb"[ ,;\t]*", re.I)
 #: Time of day that the serial monitor of Arduino puts before a line of any content.
 _STAMP = re.compile(rb"(?m)^\[?(\d\d?:\d\d:\d\d[\d.]*)\]? -> ?")
 #: Minimum number of lines by which a file of labelled values is recognised, and their minimum fraction after

@@ -15,10 +15,10 @@ from typing import Any
 
 from swimid.files import isolated
 from swimid.imports.formats.delimited import read_text
-from swimid.imports.table import Format, Options, Table, choose
+from swimid.imports.table import ForeignTable, Format, ReaderOptions, choose
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import openpyxl
 
     isolated.check_zip(path)

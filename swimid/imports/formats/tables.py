@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.files import isolated, tabular
-from swimid.imports.table import Format, Options, Table, of_tree
+from swimid.imports.table import ForeignTable, Format, ReaderOptions, of_tree
 from swimid.logs import log
 
 
-def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
+def _open_hdf5(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import h5py
 
     def parts(item: Any) -> Any:
@@ -41,7 +41,7 @@ def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
         return of_tree(file, select, path, parts)
 
 
-def _open_netcdf(path: Path, options: Options, select: str | None) -> Table:
+def _open_netcdf(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import xarray
 
     with xarray.open_dataset(path, group=select, decode_times=False) as file:
@@ -54,7 +54,7 @@ def _open_netcdf(path: Path, options: Options, select: str | None) -> Table:
     return table
 
 
-def _open_npz(path: Path, options: Options, select: str | None) -> Table:
+def _open_npz(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     isolated.check_zip(path)
     with np.load(path, allow_pickle=False) as archive:
         # Leave out Python pickles, which can run any program when they are loaded.
@@ -67,7 +67,7 @@ def _open_npz(path: Path, options: Options, select: str | None) -> Table:
     return table
 
 
-def _open_matlab(path: Path, options: Options, select: str | None) -> Table:
+def _open_matlab(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     from h5py import is_hdf5
     from pymatreader import read_mat
 
@@ -105,7 +105,7 @@ MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MAT
 BUFFERED = {"buffer_size": 1 << 20, "pre_buffer": False}
 
 
-def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
+def _open_parquet(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import pyarrow.parquet
 
     types, notes = pyarrow.types, []
@@ -118,14 +118,14 @@ def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
     if nested:
         notes.append(f"columns that hold no plain values left out: {', '.join(nested)}")
     stored = (schema.metadata or {}).get(b"swimid", b"")
-    table = Table(columns, notes=notes, comments=stored.decode("utf-8", "replace").splitlines())
+    table = ForeignTable(columns, notes=notes, comments=stored.decode("utf-8", "replace").splitlines())
     if len(first) < count:
         table.names, table.after = list(columns), count - len(first)
         table.rest = partial(_rest, path, table.names, len(first))
     return table
 
 
-def _rest(path: Path, known: list[str], start: int, names: list[str]) -> Iterator[Table]:
+def _rest(path: Path, known: list[str], start: int, names: list[str]) -> Iterator[ForeignTable]:
     """Yield the rows of a Parquet file from row ``start`` on, with only the columns ``names``."""
     import pyarrow.parquet
 
@@ -133,7 +133,7 @@ def _rest(path: Path, known: list[str], start: int, names: list[str]) -> Iterato
         row = 0
         for batch in _batches(file, names):
             if row >= start:
-                yield Table(_arrays(batch, path), names=known, before=row)
+                yield ForeignTable(_arrays(batch, path), names=known, before=row)
             row += len(batch)
 
 

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from swimid.errors import InputError
-from swimid.imports.table import Format, Options, Table, choose, length, numbers
+from swimid.imports.table import ForeignTable, Format, ReaderOptions, choose, length, numbers
 from swimid.logs.log import TIME
 from swimid.logs.units import safe
 
@@ -38,7 +38,7 @@ def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
     return None
 
 
-def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
+def _read_tracker(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import pandas as pd
 
     lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -69,7 +69,7 @@ def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
     if options.length_unit is None and not any(hit["unit"] for hit in hits.values()):
         default = "metres are Tracker's default (else add --length-unit cm)"
         notes.append(f"the file states no unit of length; {default}")
-    return Table(columns, notes=notes, lines=rows)
+    return ForeignTable(columns, notes=notes, lines=rows)
 
 
 TRACKER = Format("tracker", "export of Tracker", _read_tracker, lambda peek: _layout(peek.lines) is not None)

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from swimid.imports.table import Format, Options, Peek, Table, axes, choose, renamed
+from swimid.imports.table import ForeignTable, Format, Peek, ReaderOptions, axes, choose, rename_columns
 from swimid.kinematics.attitude import from_frd, with_angles
 from swimid.logs.log import TIME
 
 MAGIC = (b"ULog\x01\x12\x35",)
 
 #: Column of the log for each field of a topic of PX4.
-FIELDS: dict[str, dict[str, str]] = {
+PX4_FIELDS: dict[str, dict[str, str]] = {
     "vehicle_local_position": axes("{}", "{}_m") | axes("v{}", "v{}_m_s") | {"heading": "yaw_rad"},
     "vehicle_attitude": axes("q[{}]", "q{}", "1234", "wxyz"),
     "vehicle_angular_velocity": axes("xyz[{}]", "w{}_rad_s", "123", "xyz"),
@@ -45,7 +45,7 @@ def _load(path: Path) -> tuple[Any, dict[str, Any]]:
     return log, {data.name + f"[{data.multi_id}]" * (data.name in several): data for data in log.data_list}
 
 
-def _open(path: Path, options: Options, select: str | None) -> Table:
+def _open(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     log, topics = _load(path)
     topic = choose(select, list(topics), "topic", path)
     # Count the elements of a vector from 1 (rename ``q[0]`` to ``q[1]``), as in the tables of all formats.
@@ -58,22 +58,22 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
         notes.append(f"{len(log.dropouts)} dropouts while it was recorded")
     if log.file_corruption:
         notes.append("the file is damaged; its readable part was read")
-    return Table(columns, metadata={"topic": topic}, notes=notes)
+    return ForeignTable(columns, metadata={"topic": topic}, notes=notes)
 
 
 def _topics(path: Path) -> dict[str, str]:
     """Return the known topics of PX4 in a recording, each with its name without the instance number."""
-    return {topic: data.name for topic, data in _load(path)[1].items() if data.name in FIELDS}
+    return {topic: data.name for topic, data in _load(path)[1].items() if data.name in PX4_FIELDS}
 
 
 def _recognises(peek: Peek) -> bool:
     return bool(_topics(peek.path))
 
 
-def _read_px4(path: Path, options: Options, select: str | None) -> Table:
+def _read_px4(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     topics = _topics(path)
     table = _open(path, options, choose(select, list(topics), "topic", path))
-    columns = renamed(table, FIELDS[topics[table.metadata["topic"]]])
+    columns = rename_columns(table, PX4_FIELDS[topics[table.metadata["topic"]]])
     time_s = table.columns[table.column("timestamp", path)].astype(np.int64) * 1e-6
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))})
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swimid.errors import InputError
-from swimid.imports.table import Array, Format, Options, Table, choose, in_si, numbers
+from swimid.imports.table import Array, ForeignTable, Format, ReaderOptions, choose, in_si, numbers
 from swimid.logs.log import TIME
 from swimid.logs.units import unique
 
@@ -50,7 +50,7 @@ def _sections(lines: list[str], mark: str) -> dict[str, _Section]:
     return found
 
 
-def _read(path: Path, options: Options, select: str | None) -> Table:
+def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     mark = _mark(lines)
     sections = _sections(lines, mark) if mark else {}
@@ -77,7 +77,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     for k, name in enumerate(unique(names), start=2):
         target, cells = in_si(name, units[k].strip(), values[:, k])
         columns[target] = cells
-    return Table(columns, lines=rows)
+    return ForeignTable(columns, lines=rows)
 
 
 PROFILE = Format("vicon", "text export of Vicon", _read, lambda peek: bool(_mark(peek.lines)))
