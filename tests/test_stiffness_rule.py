@@ -134,7 +134,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
     [
         ({"over": {"K_s": (0.1, 1.0, 3)}}, "frequency_hz"),
         ({"over": {"frequency_hz": (1.0, 2.0, 2)}}, "three frequencies"),
-        ({"coefficient": "K"}, "K stands in no passive joint's law"),
+        ({"coefficient": "K"}, "no law of a passive joint contains K"),
         ({"robot": "sealion", "stroke": "characteristic"}, "tail beat"),
         ({"between": (-1.0, 2.0)}, "lies between"),
         ({"amplitude_deg": None}, "needs amplitude_deg"),

@@ -462,7 +462,7 @@ def _advice(
     if file.verdict == "unexplained" and file.held_out == "validation":
         off = [name for name, t in file.facts.held_out.items() if t.after > t.limit]
         if off:
-            text = f"fit {', '.join(off)}, too (role: fit): what acts there alone shows nowhere else"
+            text = f"fit {', '.join(off)}, too (role: fit): no other trial shows effects that act only there"
             return [Advice(text=text)]
     rivals, has_equivalents = _select_rivals(file.facts, shown)
     if len(rivals) < 2:

@@ -387,8 +387,8 @@ def compute_covariance(study: GapStudy, fit: Hypothesis) -> Array:
     """Return the covariance matrix of the parameters of a fit, shape (p, p).
 
     The standard errors of shared parameters are at least those of the jackknife over folds, with Student's
-    distribution [1]_. What the form of an effect leaves in the residuals, and what differs between the folds,
-    is therefore part of them. The same holds for the sum of a parameter and its change. The data determine
+    distribution [1]_. Errors of the form of an effect, and differences between the folds, are therefore part
+    of them. The same holds for the sum of a parameter and its change. The data determine
     the sum well, although its two parts are uncertain.
 
     References

@@ -74,8 +74,8 @@ REPAIRED = "repaired.yaml"
 MIN_REFIT_SHARE = 0.005
 #: Definition of the squared error of a held-out part.
 SQUARED = (
-    "The squared error is the squared Mahalanobis distance from the prediction, whose covariance has the "
-    "noise, what differs by chance between trials, and the uncertainty of the parameters."
+    "The squared error is the squared Mahalanobis distance from the prediction, whose covariance includes "
+    "the noise, the between-trial variation, and the uncertainty of the parameters."
 )
 
 
@@ -161,7 +161,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         )
     if file.moved:
         said = format_changes(file.moved)
-        reason = f"the parameters as given are others than those refitted: {said}"
+        reason = f"the given parameters differ from the refitted ones: {said}"
         yield ev.make_check("parameters as given", said, False, "within their errors", reason=reason)
     if file.at_bound:
         said = join_names([f"{name} at {format_number(bound, 3)}" for name, bound in file.at_bound.items()])
@@ -181,7 +181,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         yield from _of_causes(file)
         passed = passed or None
     said = format_remaining(file)
-    text = "whether a description without any physics still gains on held-out trials"
+    text = "whether a generic description without physics reduces the held-out residuals"
     otherwise = grades[file.verdict == "unexplained"]
     yield ev.make_check(
         "structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said
@@ -209,7 +209,7 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         share = file.closed.share or 0.0
         said = f"{percent(share, 2)} {format_interval(file.closed)}".strip()
         name = "squared gap closed with the failed samples"
-        reason = f"{said} of the squared gap closes with the failed samples"
+        reason = f"if the failed samples are included, {said} of the squared gap closes"
         yield ev.make_check(
             name,
             said,
@@ -243,7 +243,7 @@ def _waterfall(file: GapFile) -> ev.Table:
     caption = (
         f"Errors {HELD_OUT[file.held_out]}: squared error over its expectation for a correct model, and "
         "root-mean-square error of each channel, with the initial state fitted to each trial and "
-        f"without what differs by chance between trials. {SQUARED}"
+        f"without the between-trial variation. {SQUARED}"
     )
     return _table("waterfall", "The gap on held-out data", columns, rows, caption, folded=False)
 
@@ -467,7 +467,7 @@ def format_answer(file: GapFile) -> str:
     elif file.causes:
         text = _name_causes(file)
     elif file.verdict == "ambiguous":
-        text = "These trials do not tell whether the model has a gap."
+        text = "These trials do not determine whether the model has a gap."
     return f"{text} {_format_closed(file)}".rstrip()
 
 
@@ -503,7 +503,7 @@ def _format_closed(file: GapFile) -> str:
     if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= MIN_REFIT_SHARE:
         by_refit, rest = percent(closed.by_refit, 2), percent(max(closed.by_causes, 0.0), 2)
         causes = plural("the cause closes", "the causes close", file.causes)
-        said = f"A refit alone closes {by_refit}, and {causes} {rest} of what it leaves"
+        said = f"A refit alone closes {by_refit}, and {causes} {rest} of the remainder"
         if all(c.effect.startswith(PREFIX) for c in file.causes):
             said = f"A refit of all coefficients closes {by_refit}"
         parts += f". {said}"

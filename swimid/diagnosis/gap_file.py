@@ -114,7 +114,7 @@ class Closed(yamlio.Document):
     The squared errors are those of the held-out parts (:class:`HeldOutTrial`) over their expectation: with
     the parameters as given (``before``), refitted without causes (``refitted``), and with the causes
     (``after``). The gap of a model is its squared difference from the true motion, without noise and without
-    what differs by chance between trials.
+    between-trial variation.
     """
 
     before: Number
@@ -142,7 +142,7 @@ class WaterfallStep(yamlio.Document):
 class HeldOutTrial(yamlio.Document):
     """Squared error of one held-out part: its squared Mahalanobis distance from the prediction.
 
-    The covariance of the prediction has the noise, what differs by chance between trials, and the uncertainty
+    The covariance of the prediction includes the noise, the between-trial variation, and the uncertainty
     of the parameters. For a correct model the squared distance has a chi-squared distribution.
     """
 

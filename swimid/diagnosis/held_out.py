@@ -285,10 +285,10 @@ def compute_closed(
 ) -> Closed:
     """Return the errors of three models on held-out data, and the shares of the gap that close.
 
-    The gap of a model is its squared difference from the true motion without noise and without what differs
-    by chance between trials. The model with the causes is the best estimate of this motion. Its own gap has
-    the uncertainty of its parameters, and what it leaves unexplained on held-out data. The shares are medians
-    over random errors of the parameters, with the interval of 95 %.
+    The gap of a model is its squared difference from the true motion without noise and without
+    between-trial variation. The model with the causes is the best estimate of this motion. Its own gap has
+    the uncertainty of its parameters, and the part that it does not explain on held-out data. The shares are
+    medians over random errors of the parameters, with the interval of 95 %.
 
     Parameters
     ----------

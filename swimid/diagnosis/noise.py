@@ -567,8 +567,8 @@ def with_random_effects(
     differing : sequence of RandomCandidate
         Possible random effects.
     largest : float
-        Maximum standard deviation of a random effect, in typical scales. It does not limit what differs
-        between repeats.
+        Maximum standard deviation of a random effect, in typical scales. It does not limit
+        differences between repeats.
     """
     if not differing or not study.folds.whole or len(study.trials) < MIN_RANDOM_TRIALS:
         return noise

@@ -180,7 +180,7 @@ def list_readings(
                 reread=reread,
             )
             if any(word in place for word in COMMANDS for place in places):
-                left_out[other.name] = "the trials tell the robot what it changes: choose it by --reading"
+                left_out[other.name] = "the trials contain its effect on the robot: choose it by --reading"
             elif not reread.stand({key: option}):
                 left_out[other.name] = "its coefficients or channels are not those of the reading chosen"
             elif _is_same(other.in_place_of(nominal), values, trials, seen):

@@ -184,7 +184,7 @@ def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
     passed = share >= MIN_SURE_PROBABILITY
     yield VerdictRow("cause in the catalogue", found, sure, passed, otherwise, is_named, reason)
     rivals = join_names(first.equivalent, "or") or "other effects"
-    reason = f"these trials cannot tell {name} from {rivals}"
+    reason = f"these trials cannot distinguish {name} from {rivals}"
     passed = first.alone >= MIN_SURE_PROBABILITY and not first.crowded
     found = f"{probability_text(first.alone)} of the probability of cause and rivals"
     yield VerdictRow("cause against its rivals", found, sure, passed, "ambiguous", True, reason)

@@ -129,7 +129,7 @@ def _check_output(
     if output is not None and str(output) != "-":
         return atomic.check_writable(Path(output), inputs=[parameters.origin(params)])
     if options.draws:
-        text = "--draws writes a file beside the output, and there is none"
+        text = "--draws writes a file beside the output, but no output is given: name one"
         raise UsageError(text, hint="name it: -o FILE")
     return None
 

@@ -412,7 +412,7 @@ def _take_out(
         out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
         if out.any():
             if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
-                text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
+                text = f"{name}: only {good} of {len(out)} samples are valid (no repeats, no jumps)"
                 hint = "--raw keeps them all; is this a track of positions in metres?"
                 raise NoTrustworthyResult(text, hint=hint)
             lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"

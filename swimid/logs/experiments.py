@@ -373,6 +373,6 @@ def check_used(trials: Trials, path: Path, uses: Collection[str]) -> None:
             break
     else:
         where, line = "sets", yamlio.line_of(data, [key])
-    hint = "leave it out if it does not matter, else this is not the fit for these trials"
+    hint = "omit it; if it matters, these trials need another experiment"
     text = f"{where} '{key}', which has no effect here"
     raise InputError(text, file=path, line=line, column=key, hint=hint)

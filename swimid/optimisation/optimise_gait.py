@@ -342,7 +342,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     checks.append(studies.draws_check(file.inside))
     if file.kept_in_draws is not None:
         passed, value = file.kept_in_draws >= MIN_KEPT, numbers.percent(file.kept_in_draws, 2)
-        text = "leave more room to the limits, or fit better" * (not passed)
+        text = "leave a larger margin to the limits, or reduce the standard errors by trials" * (not passed)
         name, limit = "draws in which the limits are kept", f"≥ {numbers.percent(MIN_KEPT)}"
         checks.append(ev.make_check(name, value, passed, limit, text))
     return checks

@@ -315,9 +315,9 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
     found = performance.model.list_joint_coefficients()
     name = options.coefficient or "".join(found[: len(found) == 1])
     if name not in found:
-        text = f"{name} stands in no passive joint's law; " * bool(name)
+        text = f"no law of a passive joint contains {name}; " * bool(name)
         raise UsageError(
-            f"--coefficient: {text}the passive joints' laws contain {', '.join(found) or 'no coefficient'}",
+            f"--coefficient: {text}the laws of passive joints contain {', '.join(found) or 'no coefficient'}",
             hint="name the stiffness: --coefficient NAME",
         )
     return name

@@ -438,7 +438,7 @@ def region_check(
         return ev.make_check(name, "not known", None, text="give the parameter file of a fit: --params")
     outside = [find_outside(region, at) for at in points]
     names = ", ".join(name for name in region if any(name in one for one in outside))
-    text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"
+    text = f"the other gaits are extrapolations in {names}: the coefficients were not identified there"
     inside = sum(not one for one in outside)
     reason = "gaits lie inside the range of the identification trials"
     return count_check(name, inside, len(points), text, reason)

@@ -154,7 +154,8 @@ class Spheroid(InSpace):
     @model_validator(mode="after")
     def _prolate(self) -> Spheroid:
         if self.semi_minor_m >= self.semi_major_m:
-            raise ValueError("semi_minor_m must be smaller than semi_major_m")
+            text = f"semi_minor_m {self.semi_minor_m:g} must be below semi_major_m {self.semi_major_m:g}"
+            raise ValueError(text)
         return self
 
 
@@ -247,8 +248,9 @@ class SpatialFoil(InSpace, elements.Foil):
 
     @model_validator(mode="after")
     def _directions(self) -> SpatialFoil:
-        if abs(sum(a * b for a, b in zip(self.chord, self.normal, strict=True))) > 1e-6:
-            raise ValueError("chord and normal must be perpendicular")
+        product = sum(a * b for a, b in zip(self.chord, self.normal, strict=True))
+        if abs(product) > 1e-6:
+            raise ValueError(f"chord and normal must be perpendicular; their scalar product is {product:g}")
         return self
 
     @property

@@ -539,7 +539,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
     agree, count = count_agreeing(ends), len(ends)
     passed, text = None, ""
     if agree < count:
-        text = "the other starts end higher; the lowest is reported"
+        text = "the other starts end at higher costs; the fit with the lowest cost is reported"
     if asked:
         passed = agree == count
     reason = f"only {agree} of {count} starts end in the reported minimum"

@@ -110,7 +110,7 @@ def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> Foreign
         names = names[: names.index("Comment")]
     last = next((at for at in range(end + 2, len(lines)) if not lines[at].strip()), len(lines))
     if not names or last == end + 2:
-        raise InputError("ends before its samples", file=path, line=len(lines))
+        raise InputError("ends before its first sample", file=path, line=len(lines))
     decimal = "".join(head.get("Decimal_Separator", ["."])).strip() or "."
     values, rows = numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
 
