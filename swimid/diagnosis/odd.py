@@ -16,9 +16,8 @@ from swimid.diagnosis.crossval import NormalEquations, solve_normal
 from swimid.diagnosis.noise import BETWEEN, RandomCandidate, RandomEffect, Scatter
 from swimid.diagnosis.nominal import MIN_RANDOM_TRIALS, OWN_PRIOR
 from swimid.diagnosis.posterior import CALIBRATED, Candidate, DataSize
-from swimid.diagnosis.priors import EFFECT_PRIOR
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import MAX_FOLD_ITERATIONS, GapStudy, Hypothesis
+from swimid.diagnosis.study import EFFECT_PRIOR, MAX_FOLD_ITERATIONS, GapStudy, Hypothesis
 from swimid.fitting import mistakes
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem

@@ -145,20 +145,14 @@ def _estimate(
         Status of the parameters of the causes.
     """
     entry = Estimate(value=p.start, unit=p.unit, bounds=p.bounds, status="fixed", meaning=p.meaning)
-    label = p.name
-    if change is not None:
-        label = change
+    label = change or p.name
     if label not in fit.labels:
         return entry
-    entry.value, stderr = (
-        fit.value(p.name),
-        errors[label if change is None else change.removesuffix("/change")],
-    )
-    inside = bool(fit.inside[fit.labels.index(label)])
+    entry.value, stderr = fit.value(p.name), errors[label.removesuffix("/change") if change else label]
     if change is not None:
         entry.value += fit.value(change)
     entry.status = "at-bound"
-    if status.get(p.name, "estimated") == "estimated" and (inside or p.name in status):
+    if status.get(p.name, "estimated") == "estimated" and (fit.is_inside(label) or p.name in status):
         entry.status, entry.stderr = "estimated", float(stderr)
     return entry
 

@@ -350,13 +350,9 @@ def find_carrying_part(facts: Facts) -> str:
 
 def _sums(trials: Mapping[str, HeldOutTrial]) -> tuple[float, float, float, float]:
     """Return the sums of the squared errors as given, refitted, with causes, and expected."""
-    each = trials.values()
-    return (
-        sum(t.as_given for t in each),
-        sum(t.before for t in each),
-        sum(t.after for t in each),
-        sum(t.expected for t in each),
-    )
+    rows = [(t.as_given, t.before, t.after, t.expected) for t in trials.values()] or [(0.0,) * 4]
+    given, before, after, expected = (sum(column) for column in zip(*rows, strict=True))
+    return given, before, after, expected
 
 
 def _share_left(before: float, after: float, expected: float) -> float | None:
