@@ -144,22 +144,18 @@ def prepare_diagnosis(loaded: Loaded) -> Preparation:
     mine = [i for i, name in enumerate(names) if name in known]
     sd = np.sqrt(np.diag(covariance))[mine]
     correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
+    trials = experiment.trials
+    if model.timed_runs:
+        # Each row of a table of timed runs is a trial.
+        trials = [run for trial in trials for run in trial.split_rows()]
     return Preparation(
-        _list_runs(experiment),
+        [add_channels(t, model.channels) for t in trials],
         given,
         {} if own_data else {n: e for n, e in given.items() if n not in known},
         select_priors(model.parameters, given, own_data=own_data, exact=known),
         _list_changes(model, given, known),
         ([names[i] for i in mine], correlation),
     )
-
-
-def _list_runs(experiment: Experiment) -> list[Trial]:
-    """Return the trials with all channels, each row of a table of timed runs as a trial."""
-    trials, model = experiment.trials, experiment.model
-    if model.timed_runs:
-        trials = [run for trial in trials for run in trial.split_rows()]
-    return [add_channels(t, model.channels) for t in trials]
 
 
 def _select_known(model: Model, given: Mapping[str, Estimate]) -> set[str]:
@@ -265,11 +261,9 @@ def add_channels(trial: Trial, channels: Sequence[Channel]) -> Trial:
         values = trial.inputs.get(name)
         if name in measured or values is None or np.isfinite(values).sum() < 10:
             continue
-        if name.startswith("joint") and joints_drive:
-            continue
-        if not name.startswith("joint") and _is_computed(name, values, trial):
-            continue
-        measured[name] = values
+        is_input = joints_drive if name.startswith("joint") else _is_computed(name, values, trial)
+        if not is_input:
+            measured[name] = values
     return replace(trial, measured=measured)
 
 

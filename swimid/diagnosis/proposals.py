@@ -212,12 +212,6 @@ def _start_from_rest(swim: SwimInput) -> SwimInput:
     return replace(swim, beat=replace(swim.beat, steady=False, ramp_s=ramp_s))
 
 
-def _find_beat_hz(trial: Trial) -> float:
-    """Return the frequency of a beat in recorded commands, Hz; NaN if unknown."""
-    frequency = settings.list_settings(trial).get("frequency")
-    return frequency.value if isinstance(frequency, settings.SettingValue) else math.nan
-
-
 class Swim:
     """Protocol of a robot with links that starts from rest under a beat, a stroke or joint commands.
 
@@ -245,7 +239,10 @@ class Swim:
         if self.beat is not None:
             self.unit = math.radians(1.0)
         #: Unit of the frequencies: 1 Hz, or the frequency of a beat in recorded commands (NaN if unknown).
-        self.beat_hz = 1.0 if drives else _find_beat_hz(self.template)
+        frequency = settings.list_settings(self.template).get("frequency")
+        self.beat_hz = frequency.value if isinstance(frequency, settings.SettingValue) else math.nan
+        if drives:
+            self.beat_hz = 1.0
 
     def __call__(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
         """Return a trial of these segments; its amplitude is lowered to the limits of the joints."""
@@ -293,9 +290,7 @@ class Swim:
         columns = {"t_s": time, **dict(zip(names, angles, strict=True))}
         return Proposal(text, trial, _trial_entry(trial), columns), self._excess(angles)
 
-    def _choose_levels(
-        self, segments: Sequence[Segment], factor: float
-    ) -> tuple[list[float], list[float], list[float]]:
+    def _choose_levels(self, segments: Sequence[Segment], factor: float) -> tuple[list[float], ...]:
         """Return frequency, size and bias of each segment, with all sizes multiplied by ``factor``."""
         limits, usual = self.limits, self.swim.drive
         hz, size = 1.0, 1.0
@@ -350,9 +345,8 @@ class Swim:
             law = actuator.law
             rest, moved = (self.swimmer.command(k, one, played_s, 0.0) for one in (idle, full))
             turn = driven.use_default(law.bias_gain, law.gain) * bias
-            motions.append(
-                driven.spline_motion(driven.fit_spline(time_s, rest + size * (moved - rest) + turn))
-            )
+            angle = rest + size * (moved - rest) + turn
+            motions.append(driven.spline_motion(driven.fit_spline(time_s, angle)))
         commanded = self.swim.commanded or drive is not None
         return replace(self.swim, beat=None, stroke=None, joints=motions, commanded=commanded)
 
@@ -523,23 +517,13 @@ def release(
     return Proposal(text, trial, {}, columns)
 
 
-def _swim_protocol(swimmer: Swimmer, trials: Sequence[Trial], limits: TrialLimits) -> Swim | None:
-    """Return the protocol of a robot with links; None if nothing drives it."""
-    moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
-    return Swim(swimmer, moved, limits) if moved and swimmer.driven else None
-
-
-def _is_steady(trial: Trial) -> bool:
-    """Return whether a trial is one steady beat of known frequency and amplitude."""
-    return len(trial.steady[0]) == 1 and bool(np.isfinite(trial.steady).all())
-
-
 def protocol_of(model: Model, trials: Sequence[Trial], limits: TrialLimits) -> Protocol | None:
     """Return the protocol of an experiment; None if nothing in it can be commanded."""
     swimmer, rig = model.swimmer, model.rig
     if swimmer is not None:
-        return _swim_protocol(swimmer, trials, limits)
-    if all(_is_steady(t) for t in trials):
+        moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
+        return Swim(swimmer, moved, limits) if moved and swimmer.driven else None
+    if all(len(t.steady[0]) == 1 and np.isfinite(t.steady).all() for t in trials):
         return partial(cruise, model, trials, limits)
     if rig is not None and rig.swings:
         return partial(release, rig, trials)

@@ -205,10 +205,8 @@ class Description(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Return the parameters of the description: one factor for each smooth term."""
-        return tuple(
-            Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
-            for term in self.terms
-        )
+        ends = -math.inf, math.inf
+        return tuple(Parameter(f"{self.prefix}{t}", self.unit, *ends, 0.0, self.size) for t in self.terms)
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Return the parameter vectors to simulate: one factor at its typical scale, all others zero.

@@ -87,13 +87,9 @@ def build_repaired(
 
 def _divide_effects(fit: Hypothesis) -> tuple[list[Effect], list[Effect]]:
     """Return the effects of the model with the causes, and those that differ from trial to trial."""
-    acting: list[Effect] = []
-    apart: list[Effect] = []
-    for e in fit.effects:
-        if e.adds_to is None and not isinstance(e, OtherReading):
-            differs = any(p.per_trial for p in _parameters_of(fit, e))
-            (apart if differs else acting).append(e)
-    return acting, apart
+    effects = [e for e in fit.effects if e.adds_to is None and not isinstance(e, OtherReading)]
+    apart = [e for e in effects if any(p.per_trial for p in _parameters_of(fit, e))]
+    return [e for e in effects if e not in apart], apart
 
 
 def _list_answers(effects: Sequence[Effect]) -> dict[str, str]:

@@ -283,13 +283,10 @@ def _is_worse(t: HeldOutTrial, as_given: bool) -> bool:
 def is_imitated(facts: Facts) -> bool:
     """Return whether a refit without causes predicts held-out data as well as the causes do."""
     left = compute_refit_share(facts)
-    if (
-        left is None
-        or left > CALIBRATED.form
-        or compute_decrease_probability(facts) >= MIN_DECREASE_PROBABILITY
-    ):
+    if left is None or left > CALIBRATED.form:
         return False
-    return compute_decrease_probability(facts, as_given=True) >= MIN_DECREASE_PROBABILITY
+    falls, as_given = (compute_decrease_probability(facts, as_given=one) for one in (False, True))
+    return falls < MIN_DECREASE_PROBABILITY <= as_given
 
 
 def compute_decrease_probability(facts: Facts, *, as_given: bool = False) -> float:
