@@ -143,7 +143,7 @@ def answer(
         remaining=_remaining(search, facts, named=bool(shown)),
         facts=facts,
         setting_count=settings.count_settings([*study.trials, *validation]),
-        at_bound={n: null.value(n) for n in null.labels if "[" not in n and not null.is_inside(n)},
+        at_bound=_list_bounds(null),
         moved=_list_moved(search, base, sd, begun.unweighed),
         hypotheses=_hypotheses(search),
         samples=sum(len(r) for r in null.residuals) or None,
@@ -378,6 +378,11 @@ def _list_moved(
         if (change.standard_errors or 0.0) > limit:
             found[p.name] = change
     return found
+
+
+def _list_bounds(fit: Hypothesis) -> dict[str, float]:
+    """Return the shared coefficients of the model that are at a bound, with the value of the bound."""
+    return {label: fit.value(label) for label in fit.labels if "[" not in label and not fit.is_inside(label)}
 
 
 def _list_absorbed(

@@ -27,6 +27,7 @@ from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
 from swimid.fitting.fit_common import TRIALS_FILE
+from swimid.fitting.model import Model
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
@@ -64,6 +65,22 @@ def _compute_errors(loaded: Loaded) -> dict[str, ChannelScore]:
         # The simulation diverges with the given parameters, so they have no errors. A refit may still work.
         return {}
     return compare_series.pool(done, experiment.model)
+
+
+def _check_requested(effects: Sequence[str], names: list[str], model: Model) -> None:
+    """Check that the effects that the user requests are hypotheses.
+
+    Raises
+    ------
+    UsageError
+        If an effect does not exist, or acts in the model already.
+    """
+    acting = [e.name for e in model.effects]
+    for name in effects:
+        if name in acting:
+            raise UsageError(f"the effect '{name}' is part of the model in the parameter file")
+        if name not in names:
+            raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
 
 
 def _check_outputs(
@@ -184,11 +201,7 @@ def _prepare(loaded: Loaded, options: DiagnoseOptions, inputs: Sequence[Input]) 
     asked = None
     if options.effects:
         names = [*(e.name for e in (*effects, *begun.changes)), *readings.list_names(experiment)]
-        for name in options.effects:
-            if any(name == e.name for e in model.effects):
-                raise UsageError(f"the effect '{name}' is part of the model in the parameter file")
-            if name not in names:
-                raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
+        _check_requested(options.effects, names, model)
         asked = {*options.effects, *(e.name for e in own)}
     trials = [t for t in begun.trials if t.role == "fit"]
     if not trials:
@@ -218,6 +231,13 @@ def _find_power(task: _Task, notices: Sequence[Notice]) -> DetectionPower:
     return DetectionPower.of(file, power.build_power_evidence(file, list(notices)))
 
 
+def _check_command(path: Path, file: GapFile) -> None:
+    """Warn if there is no proposed trial, so that its command file is not written."""
+    if all(a.command is None for a in file.advice):
+        why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
+        warn("SWM075", f"{path.name} is not written: {why[0]}")
+
+
 def _find_causes(
     task: _Task, folder: Path, checkpoint: Checkpoint, progress: Progress
 ) -> tuple[GapFile, list[HeldOutSeries], ParameterFile | None]:
@@ -243,9 +263,8 @@ def _find_causes(
         file, worst = answer.answer(result, validation, begun, study.trials, limits=limits, progress=progress)
     about = {"readings": dict(options.readings), "provenance": task.about["provenance"]}
     repaired_file = repaired.build_repaired(result, file, task.loaded, folder, **about)
-    if options.next is not None and all(a.command is None for a in file.advice):
-        why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
-        warn("SWM075", f"{options.next.name} is not written: {why[0]}")
+    if options.next is not None:
+        _check_command(options.next, file)
     if experiment.values_from == TRIALS_FILE:
         forms = {e.name for e in task.applicable}
         left_out |= {e.name: CANNOT_ACT for e in task.effects if e.stage != "rig" and e.name not in forms}

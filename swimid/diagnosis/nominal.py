@@ -144,18 +144,22 @@ def prepare_diagnosis(loaded: Loaded) -> Preparation:
     mine = [i for i, name in enumerate(names) if name in known]
     sd = np.sqrt(np.diag(covariance))[mine]
     correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
-    trials = experiment.trials
-    if model.timed_runs:
-        # Each row of a table of timed runs is a trial.
-        trials = [run for trial in trials for run in trial.split_rows()]
     return Preparation(
-        [add_channels(t, model.channels) for t in trials],
+        _list_runs(experiment),
         given,
         {} if own_data else {n: e for n, e in given.items() if n not in known},
         select_priors(model.parameters, given, own_data=own_data, exact=known),
         _list_changes(model, given, known),
         ([names[i] for i in mine], correlation),
     )
+
+
+def _list_runs(experiment: Experiment) -> list[Trial]:
+    """Return the trials with all channels, each row of a table of timed runs as a trial."""
+    trials, model = experiment.trials, experiment.model
+    if model.timed_runs:
+        trials = [run for trial in trials for run in trial.split_rows()]
+    return [add_channels(t, model.channels) for t in trials]
 
 
 def _select_known(model: Model, given: Mapping[str, Estimate]) -> set[str]:

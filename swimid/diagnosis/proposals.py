@@ -517,13 +517,23 @@ def release(
     return Proposal(text, trial, {}, columns)
 
 
+def _swim_protocol(swimmer: Swimmer, trials: Sequence[Trial], limits: TrialLimits) -> Swim | None:
+    """Return the protocol of a robot with links; None if nothing drives it."""
+    moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
+    return Swim(swimmer, moved, limits) if moved and swimmer.driven else None
+
+
+def _is_steady(trial: Trial) -> bool:
+    """Return whether a trial is one steady beat of known frequency and amplitude."""
+    return len(trial.steady[0]) == 1 and bool(np.isfinite(trial.steady).all())
+
+
 def protocol_of(model: Model, trials: Sequence[Trial], limits: TrialLimits) -> Protocol | None:
     """Return the protocol of an experiment; None if nothing in it can be commanded."""
     swimmer, rig = model.swimmer, model.rig
     if swimmer is not None:
-        moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
-        return Swim(swimmer, moved, limits) if moved and swimmer.driven else None
-    if all(len(t.steady[0]) == 1 and np.isfinite(t.steady).all() for t in trials):
+        return _swim_protocol(swimmer, trials, limits)
+    if all(_is_steady(t) for t in trials):
         return partial(cruise, model, trials, limits)
     if rig is not None and rig.swings:
         return partial(release, rig, trials)
