@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swimid.diagnosis import held_out, noise
+from swimid.diagnosis import held_out, noise, places
 from swimid.diagnosis.held_out import Prediction
 from swimid.diagnosis.posterior import CALIBRATED
 from swimid.diagnosis.study import GapStudy
@@ -400,5 +400,5 @@ def test_the_noise_floor_of_a_channel_is_in_its_unit(rng: np.random.Generator) -
     fit = study.at((), np.empty(0))
     study = study.with_noise(replace(study.noise, variance={"y": 4.0}))
     study = study.with_noise(noise.with_floors(study, fit))
-    assert held_out.compute_floors(study, fit) == {"y": pytest.approx(0.6)}
+    assert places.compute_floors(study, fit) == {"y": pytest.approx(0.6)}
     assert study.noise.floor("y") == pytest.approx(2.0)

@@ -261,8 +261,8 @@ def _find_causes(
     validation = [t for t in begun.trials if t.role == "validate"]
     with threadpool_limits(limits=1, user_api="blas"):
         file, worst = answer.answer(result, validation, begun, study.trials, limits=limits, progress=progress)
-    about = {"readings": dict(options.readings), "provenance": task.about["provenance"]}
-    repaired_file = repaired.build_repaired(result, file, task.loaded, folder, **about)
+    origin = {"readings": dict(options.readings), "provenance": task.about["provenance"]}
+    repaired_file = repaired.build_repaired(result, file, task.loaded, folder, **origin)
     if options.next is not None:
         _check_command(options.next, file)
     if experiment.values_from == TRIALS_FILE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import chain, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,11 @@ def locate_gap(
     channels = []
     for channel, left in fit.by_channel().items():
         rmse, size = compute_rms(left), ranges[channel]
-        about = {"rmse": rmse, "unit": units.get(channel, "1"), "share": beyond[channel] / total}
+        about: dict[str, Any] = {
+            "rmse": rmse,
+            "unit": units.get(channel, "1"),
+            "share": beyond[channel] / total,
+        }
         channels.append(ChannelGap(channel=channel, nrmse=rmse / size, floor=floors[channel] / size, **about))
     cells = Map(study, fit, floors)
     found = Where(channels=channels, stage={})
