@@ -211,7 +211,7 @@ def class_text(path: Sequence[str], kind: type[BaseModel]) -> Iterator[str]:
             continue
         about = schema["properties"][shown]
         row = [f"`{shown}`", name_type(about), show_default(about, field.is_required()), marked(texts[name])]
-        rows.append([cell.replace("|", "&#124;") for cell in row])
+        rows.append([cell.replace("|", "\\|") for cell in row])
     yield table(["key", "value", "default", "meaning"], rows) + "\n"
 
 

@@ -429,7 +429,9 @@ def test_hair_dryer_free_run_on_the_second_half():
     found = fit_arx(identified.subtract_levels([first], point), orders)
     moved, _ = identified.about_own_level(identified.subtract_levels([second], point), orders, found.theta)
     assert (
-        identified.score(moved[0].output, difference.simulate(moved[0], orders, found.theta)).fit_percent
+        identified.compute_score(
+            moved[0].output, difference.simulate(moved[0], orders, found.theta)
+        ).fit_percent
         >= 89.0
     )
 

@@ -93,7 +93,7 @@ def test_the_rule_interpolates_linearly_between_amplitudes(two: RuleFile) -> Non
     assert two.stiffness_for(1.0, 30.0) == pytest.approx(0.0195)
     assert two.stiffness_for(2.0, 35.0) == 0.05
     for frequency, amplitude in ((0.5, 20.0), (1.0, 36.0), (float("nan"), 20.0)):
-        with pytest.raises(UsageError, match="outside the rule"):
+        with pytest.raises(UsageError, match="outside the range of the rule"):
             two.stiffness_for(frequency, amplitude)
     assert two.stiffness_for(5.0, 50.0, outside="hold") == two.stiffness_for(2.0, 35.0)
     with pytest.raises(UsageError, match="amplitude"):

@@ -171,8 +171,8 @@ def _compute_ranges(null: Hypothesis) -> dict[str, float]:
     ranges = {c: float(np.ptp(values)) or 1.0 for c, values in null.collect_measured().items()}
     if all(compute_rms(left) > MAX_RELATIVE_ERROR * ranges[c] for c, left in null.by_channel().items()):
         raise NoTrustworthyResult(
-            f"the refitted model is off by more than {MAX_RELATIVE_ERROR:g} times the range of every channel",
-            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
+            f"the refitted model has residuals above {MAX_RELATIVE_ERROR:g} times the range in all channels",
+            hint="check the units of the logs, the drive, and the start values of the coefficients",
         )
     return ranges
 

@@ -100,9 +100,9 @@ def _check_outputs(
         If an output cannot be written, is an input or another output, or is given beside ``--power``.
     """
     if options.next is not None and options.power:
-        raise UsageError("--next has no place beside --power, which compares no rival causes")
+        raise UsageError("--next cannot be combined with --power, which compares no rival causes: omit one")
     if options.repaired is not None and options.power:
-        raise UsageError("--repaired has no place beside --power, which names no causes")
+        raise UsageError("--repaired cannot be combined with --power, which names no causes: omit one")
     repaired_path = options.repaired
     if repaired_path is None and output is not None and not (options.power or atomic.is_device(output)):
         repaired_path = output.with_name(evidence.REPAIRED)

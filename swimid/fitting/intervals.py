@@ -585,7 +585,7 @@ def _visibility(information: Array, pooled: Array, forward: Array) -> tuple[Arra
 
 
 def _cluster_half_widths(scores: _Scores, directions: Array) -> Array:
-    """Return half-widths of 95 % intervals from the scores of the trials, without a form of the noise.
+    """Return half-widths of 95 % intervals from the scores of the trials. No noise model is assumed.
 
     The covariance is the bias-reduced cluster estimate of Bell and McCaffrey, with its degrees of freedom
     [2]_.

@@ -59,7 +59,9 @@ class Drive(yamlio.Document):
     @model_validator(mode="after")
     def _asymmetric(self) -> Drive:
         if self.asymmetry != 0 and self.waveform != "a-cpg":
-            raise ValueError(f"'asymmetry' belongs to the waveform a-cpg; a {self.waveform} has none")
+            raise ValueError(
+                f"'asymmetry' is valid only with the waveform a-cpg: omit it for {self.waveform}"
+            )
         return self
 
 

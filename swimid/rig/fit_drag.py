@@ -137,7 +137,7 @@ def fit_drag(
         coordinate = options.coordinate
         experiment = fit_common.load_experiment(trials, command="fit-drag", coordinate=coordinate)
         if coordinate is not None and experiment.name != "free-decay":
-            warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
+            warn("SWM004", "--coordinate has no effect: it is used only in a free-decay experiment")
         choices = fit_common.prepare_fit(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
@@ -619,8 +619,8 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
     for label in (result.labels[j] for j in np.flatnonzero(gradient)):
         parameter, held = result.parameter(label), result.status[label] == "at-bound"
         bound |= held
-        # Compute the standard error of the derived quantity without that of a parameter at its lower bound 0.
-        # The standard errors of the other parameters include the effect of its uncertainty.
+        # Ignore a parameter at its lower bound 0, which has no standard error. The standard errors of the
+        # other parameters include the effect of its uncertainty.
         vanishes = held and parameter.lower == 0.0 >= values[result.model.index(parameter.name)]
         unknown |= result.stderr(label) is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)

@@ -37,7 +37,7 @@ ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
 def _check_length(direction: Direction) -> Direction:
     if not math.hypot(*direction) > 1e-6:
-        raise ValueError("the direction has no length")
+        raise ValueError("the direction is the zero vector: give at least one component that is not 0")
     return direction
 
 
@@ -64,7 +64,10 @@ class SpatialLink(yamlio.Document):
     @model_validator(mode="after")
     def _three_or_six(self) -> SpatialLink:
         if len(self.inertia_kg_m2) not in (3, 6):
-            raise ValueError("inertia_kg_m2 has 3 members (xx, yy, zz) or 6 (and xy, xz, yz)")
+            raise ValueError(
+                f"inertia_kg_m2 has {len(self.inertia_kg_m2)} values: "
+                "give xx, yy, zz, or all of xx, yy, zz, xy, xz, yz"
+            )
         return self
 
     @property
@@ -193,7 +196,9 @@ class SpatialDrag(InSpace, elements.Drag):
     @model_validator(mode="after")
     def _strips_between(self) -> SpatialDrag:
         if self.strips > 1 and self.to_m is None:
-            raise ValueError("strips lie between at_m and to_m: give to_m")
+            raise ValueError(
+                f"'strips' is {self.strips}, but 'to_m' is missing: give 'to_m', or set 'strips: 1'"
+            )
         return self
 
     def quadratic(self, half_density: float) -> Components:

@@ -147,7 +147,7 @@ class TableRows:
 
     def add_torque(self, joint: Any) -> None:
         """Add the torque of an actuator on a joint: moments on its child link and on its parent link."""
-        moment = Polynomial.of(joint.torque.gain_N_m) * _polynomials(unit_vector(joint.axis))
+        moment = _polynomials(unit_vector(joint.axis)) * Polynomial.of(joint.torque.gain_N_m)
         # the rotation about the axis does not change the axis, so that the mounting rotation is enough
         reaction = -(mount_of(joint).as_matrix().astype(object) @ moment)
         for link, own in ((joint.child, moment), (joint.parent, reaction)):

@@ -454,7 +454,9 @@ def _start_from(source: parameters_format.Source, parameters: tuple[Parameter, .
         found.append(parameter)
     if not any(p.name in file.parameters for p in parameters):
         raise InputError(
-            "holds none of this robot's coefficients", file=parameters_format.source_path(source)
+            "has none of the parameters of this robot",
+            file=parameters_format.source_path(source),
+            hint=f"the robot has: {', '.join(p.name for p in parameters)}",
         )
     return tuple(found)
 

@@ -308,7 +308,7 @@ def _demand_markers(run: FilmTrack) -> None:
         if cut:
             text += f" (in {cut} the edge of the picture cuts it)"
         raise NoTrustworthyResult(
-            f"marker '{name}' was found {text}; that is no track. "
+            f"marker '{name}' was found {text}, which is too few for a track. "
             f"{frames.describe_colours(list(run.kept.values()))}",
             hint="'swimid track setup VIDEO -o setup.yaml' proposes markers from the video itself and draws "
             "them; or correct hsv and area_px in the setup",
@@ -418,7 +418,7 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
 def _judge(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> ev.Check:
-    """Return a check that passes, or else warns or (with ``fails``) fails.
+    """Return a check. If it does not pass, its level is a warning, or a failure with ``fails``.
 
     If the check does not pass and has a code, a warning with this code is recorded, too.
     """

@@ -68,7 +68,7 @@ def _add_times(
     if len(at) < 2:
         begins = ", ".join(f"{start:g} s" for start in starts)
         text = f"channels have no time in common: they start at {begins}"
-        raise InputError(text, file=path, hint="record them at the same time")
+        raise InputError(text, file=path, hint="record the channels at the same time")
     for name, lead, count in zip(clocks, first, counts, strict=True):
         if lead or count != len(at):
             columns[name] = np.interp(at, lead + np.arange(count), columns[name])
