@@ -70,6 +70,11 @@ class Where(yamlio.Document):
     regime: list[Cell] = []
     time: list[Cell] = []
 
+    @property
+    def cells(self) -> list[Cell]:
+        """Return the gap at each setting, in each phase of the stroke, and in each interval of time."""
+        return [*self.regime, *self.phase, *self.time]
+
 
 class Value(yamlio.Document):
     """Estimate of a parameter with its standard error, unit and status."""
@@ -378,11 +383,6 @@ class GapFile(yamlio.ResultFile):
             cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
         self.scores.sort(key=lambda s: -_size(s.gain))
         return self
-
-    @property
-    def channel_errors(self) -> list[Shrinkage]:
-        """Return the held-out errors of each channel without and with all causes, largest gap first."""
-        return self.causes[0].shrinkage if self.causes else []
 
     def write(self, path: str | Path) -> None:
         """Write the gap file completely or not at all. Unknown values are written as null."""

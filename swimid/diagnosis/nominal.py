@@ -265,11 +265,9 @@ def add_channels(trial: Trial, channels: Sequence[Channel]) -> Trial:
         values = trial.inputs.get(name)
         if name in measured or values is None or np.isfinite(values).sum() < 10:
             continue
-        if name.startswith("joint") and joints_drive:
-            continue
-        if not name.startswith("joint") and _is_computed(name, values, trial):
-            continue
-        measured[name] = values
+        is_input = joints_drive if name.startswith("joint") else _is_computed(name, values, trial)
+        if not is_input:
+            measured[name] = values
     return replace(trial, measured=measured)
 
 
