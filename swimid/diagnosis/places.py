@@ -54,9 +54,9 @@ def locate_gap(
     channels = []
     for channel, left in fit.by_channel().items():
         rmse, size = compute_rms(left), ranges[channel]
-        row = ChannelGap(channel=channel, nrmse=rmse / size, floor=floors[channel] / size, share=None)
-        row.share, row.rmse, row.unit = beyond[channel] / total, rmse, units.get(channel, "1")
-        channels.append(row)
+        errors = {"rmse": rmse, "nrmse": rmse / size, "floor": floors[channel] / size}
+        share, unit = beyond[channel] / total, units.get(channel, "1")
+        channels.append(ChannelGap(channel=channel, share=share, unit=unit, **errors))
     cells = Map(study, fit, floors)
     found = Where(channels=channels, stage={})
     found.regime, found.phase, found.time = regimes(cells), phases(cells), times(cells)
