@@ -411,11 +411,9 @@ def compute_shrinkages(
         size = ranges.get(channel) or 1.0
         shipped, refitted, last = (float(e[channel] or 0.0) / size for e in errors)
         floor = floors.get(channel, math.nan) / size
-        row = Shrinkage(
-            channel=channel, shipped=shipped, before=refitted, after=last, floor=floor, closed=None
-        )
-        row.closed = compute_closed_share(shipped**2, last**2, floor**2)
-        found.append(row)
+        closed = compute_closed_share(shipped**2, last**2, floor**2)
+        sizes = {"shipped": shipped, "before": refitted, "after": last, "floor": floor}
+        found.append(Shrinkage(channel=channel, closed=closed, **sizes))
     return found
 
 

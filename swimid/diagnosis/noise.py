@@ -169,11 +169,6 @@ class NoiseModel:
     #: Channels of each trial, in the order of ``sd``.
     channels: list[list[str]] = field(default_factory=list, repr=False)
 
-    @property
-    def plain(self) -> NoiseModel:
-        """Noise model without random effects."""
-        return replace(self, random_effects=())
-
     def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
         """Return the whitened residuals, or columns of derivatives, of trial ``k``.
 
@@ -564,7 +559,7 @@ def with_random_effects(
     """
     if not differing or not study.folds.whole or len(study.trials) < MIN_RANDOM_TRIALS:
         return noise
-    noise = noise.plain
+    noise = replace(noise, random_effects=())
     series = []
     for k in range(len(study.trials)):
         random = [d.changes[k] for d in differing]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import chain, pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +54,9 @@ def locate_gap(
     channels = []
     for channel, left in fit.by_channel().items():
         rmse, size = compute_rms(left), ranges[channel]
-        about: dict[str, Any] = {
-            "rmse": rmse,
-            "unit": units.get(channel, "1"),
-            "share": beyond[channel] / total,
-        }
-        channels.append(ChannelGap(channel=channel, nrmse=rmse / size, floor=floors[channel] / size, **about))
+        errors = {"rmse": rmse, "nrmse": rmse / size, "floor": floors[channel] / size}
+        share, unit = beyond[channel] / total, units.get(channel, "1")
+        channels.append(ChannelGap(channel=channel, share=share, unit=unit, **errors))
     cells = Map(study, fit, floors)
     found = Where(channels=channels, stage={})
     found.regime, found.phase, found.time = regimes(cells), phases(cells), times(cells)

@@ -589,12 +589,14 @@ def compare_with_alternatives(search: HypothesisSearch, effect: Effect) -> Cause
     ranked = [*search.rank(base, [best]), *search.rank(base, rivals)]
     probabilities = odds.probabilities
     least = PROBABLE * probabilities.get(best.names, 0.0)
+    candidates = {c.names: c for c in odds.candidates}
     same = []
     for h in ranked[1:]:
         other = h.last_screening
         is_same = effect.adds_to is not None and probabilities.get(h.names, 0.0) > least
         is_same = is_same and _is_same_change(search, base, ranked[0].last_screening, other)
-        if is_same or _are_twins(odds, best.names, base.names | {other.effect.name}):
+        first, second = (candidates.get(n) for n in (best.names, base.names | {other.effect.name}))
+        if is_same or (first is not None and second is not None and posterior.are_twins(first, second)):
             same.append(other.effect.name)
     return CauseComparison(ranked, tuple(same))
 
@@ -619,12 +621,6 @@ def prefer_parameters(search: HypothesisSearch) -> Hypothesis:
                 best = h
                 break
     return best
-
-
-def _are_twins(found: Posterior, *sets: frozenset[str]) -> bool:
-    """Return whether two sets of effects leave the same residuals."""
-    known = {c.names: c for c in found.candidates}
-    return all(names in known for names in sets) and posterior.are_twins(*(known[names] for names in sets))
 
 
 def _is_same_change(search: HypothesisSearch, base: Hypothesis, first: Screening, second: Screening) -> bool:
