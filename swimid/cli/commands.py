@@ -160,13 +160,16 @@ def doctor(
         text = f"removed compiled kernels of {freed / 1e6:.1f} MB"
         return Installation("doctor --clean", text, {"freed_bytes": freed})
     known = _dependencies()
+    import cv2
+
+    backends, build = cv2.videoio_registry.getStreamBackends(), cv2.getBuildInformation()
     findings: dict[str, Any] = {
         "swimid": swimid.__version__,
         "python": sys.version.split()[0],
         "platform": platform.platform(),
         "packages": _versions(name for name, extra in known.items() if not extra),
         "optional": _versions(name for name, extra in known.items() if extra),
-        "video_decoding": _decodes_video(),
+        "video_decoding": (bool(backends) and "FFMPEG:                      YES" in build),
     }
     if options.warm_up:
         findings["kernels_s"] = _warm_up(progress)
@@ -237,10 +240,3 @@ def _versions(names: Iterable[str]) -> dict[str, str | None]:
         with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
     return versions
-
-
-def _decodes_video() -> bool:
-    import cv2
-
-    backends, build = cv2.videoio_registry.getStreamBackends(), cv2.getBuildInformation()
-    return bool(backends) and "FFMPEG:                      YES" in build

@@ -361,7 +361,13 @@ class Command(click.Command):
             for place in written:
                 allow(place)
         if output is not None and not output.is_dir():
-            _protect_beside(output, self.spec, run)
+            # A foreign file is a file of another program, or the evidence of another result.
+            from swimid.results import evidence
+
+            for ending in self.spec.usage.beside:
+                run.protect(output.with_name(output.stem + ending))
+            if EVIDENCE in self.spec.usage.beside and not run.force:
+                evidence.check_beside(output)
         return given
 
 
@@ -431,19 +437,6 @@ def _insist_distinct(places: list[Path]) -> None:
             raise UsageError(f"two outputs would be written to {place}", hint="name another file for one")
 
 
-def _protect_beside(output: Path, spec: CommandSpec, run: CommandRun) -> None:
-    """Raise an error if a command would replace a foreign file next to its output.
-
-    A foreign file is a file of another program, or the evidence of another result.
-    """
-    from swimid.results import evidence
-
-    for ending in spec.usage.beside:
-        run.protect(output.with_name(output.stem + ending))
-    if EVIDENCE in spec.usage.beside and not run.force:
-        evidence.check_beside(output)
-
-
 # ---------------------------------------------------------------- values of options
 
 
@@ -453,7 +446,7 @@ def word_of(entry: Declared) -> dict[str, Any]:
     word: dict[str, Any] = {}
     if kind is bool:
         return {"is_flag": True}
-    if _is_mapping(kind) or get_args(kind)[-1:] == (Ellipsis,):
+    if get_origin(kind) is Mapping or get_args(kind)[-1:] == (Ellipsis,):
         kind, word = get_args(kind)[0], {"multiple": True}
     if entry.separated or _by_commas(entry):
         kind = str
@@ -473,7 +466,7 @@ def value_of(entry: Declared, typed: Any) -> Any:
     if typed is None or typed == ():
         return None
     kind = entry.kind
-    if _is_mapping(kind):
+    if get_origin(kind) is Mapping:
         return _parse_named(typed, entry)
     if reads := getattr(next(iter(get_args(kind)), None), "of_text", None):
         return tuple(reads(text, entry.flag) for text in typed)
@@ -497,11 +490,6 @@ def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
         number_range: Any = click.IntRange if kind is int else click.FloatRange
         return number_range(low, high, min_open="gt" in limits, max_open="lt" in limits)
     return str
-
-
-def _is_mapping(kind: Any) -> bool:
-    origin = get_origin(kind)
-    return isinstance(origin, type) and issubclass(origin, Mapping)
 
 
 def _by_commas(entry: Declared) -> bool:

@@ -658,7 +658,7 @@ class Diagnosis(FileResult[GapFile]):
         said = f"The model with {names} is in {Path(path).name}: give it as --params to any command."
         outputs = [*self.outputs, *fitted.outputs]
         if self.simulator is not None:
-            ending, (text, left_out) = self.simulator
+            ending, (text, _, left_out) = self.simulator
             outputs.append(Path(path).with_suffix(ending))
             atomic.write_text(outputs[-1], text)
             said += f" The file of the simulator with it is {outputs[-1].name}"

@@ -145,47 +145,32 @@ def limits_of(
 # ---------------------------------------------------------------- filters of the commands
 
 
-#: Type of a function that computes the arguments of a command filter from an effect, an actuator and the
-#: model of the robot.
-Arguments = Callable[[ExportedCause, Actuated, MultilinkModel], Mapping[str, float]]
-
-
-def _own_values(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    return cause.values
-
-
-def _offset(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    if actuator.law.gain == 0.0:
-        return {}
-    return cause.values
-
-
-def _lock(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    name = f"locked_{actuator.column.removesuffix('_rad')}"
-    if name not in cause.values:
-        return {}
-    return {"lock": cause.values[name]}
-
-
-def _load(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    inertia, drag = model.body.loads[model.actuators.index(actuator)]
-    return {**cause.values, "inertia_kg_m2": inertia, "drag_N_m_s2": drag}
-
-
-#: Class of the command filter for each effect of the actuators, with the function that computes its
-#: arguments. An actuator for which this function returns no arguments has no filter.
-FILTERS: dict[str, tuple[type[Filter], Arguments]] = {
-    "amplitude-loss": (filters.AmplitudeLossFilter, _own_values),
-    "amplitude-offset": (filters.AmplitudeOffsetFilter, _offset),
-    "joint-locked": (filters.JointLockedFilter, _lock),
-    "load-friction": (filters.LoadFrictionFilter, _load),
-    "rate-limit": (filters.RateLimitFilter, _own_values),
-    "servo-backlash": (filters.ServoBacklashFilter, _own_values),
-    "servo-delay": (filters.ServoDelayFilter, _own_values),
-    "servo-lag": (filters.ServoLagFilter, _own_values),
-    "slip": (filters.SlipFilter, _own_values),
-    "stribeck": (filters.StribeckFilter, _own_values),
+#: Class of the command filter for each effect of the actuators.
+FILTERS: dict[str, type[Filter]] = {
+    "amplitude-loss": filters.AmplitudeLossFilter,
+    "amplitude-offset": filters.AmplitudeOffsetFilter,
+    "joint-locked": filters.JointLockedFilter,
+    "load-friction": filters.LoadFrictionFilter,
+    "rate-limit": filters.RateLimitFilter,
+    "servo-backlash": filters.ServoBacklashFilter,
+    "servo-delay": filters.ServoDelayFilter,
+    "servo-lag": filters.ServoLagFilter,
+    "slip": filters.SlipFilter,
+    "stribeck": filters.StribeckFilter,
 }
+
+
+def filter_arguments(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+    """Return the arguments of the command filter of an effect for an actuator; empty if it has no filter."""
+    lock = f"locked_{actuator.column.removesuffix('_rad')}"
+    if cause.name == "load-friction":
+        inertia, drag = model.body.loads[model.actuators.index(actuator)]
+        return {**cause.values, "inertia_kg_m2": inertia, "drag_N_m_s2": drag}
+    if cause.name == "joint-locked":
+        return {"lock": cause.values[lock]} if lock in cause.values else {}
+    if cause.name == "amplitude-offset" and actuator.law.gain == 0.0:
+        return {}
+    return cause.values
 
 
 def filters_text(filtered: Sequence[ExportedCause], model: MultilinkModel, origin: Mapping[str, str]) -> str:
@@ -197,13 +182,11 @@ def filters_text(filtered: Sequence[ExportedCause], model: MultilinkModel, origi
     for actuator in model.actuators:
         calls = []
         for cause in filtered:
-            kind, arguments = FILTERS[cause.name]
-            values = arguments(cause, actuator, model)
-            if values:
+            if values := filter_arguments(cause, actuator, model):
                 words = ", ".join(f"{name}={value!r}" for name, value in values.items())
-                calls.append(f"{kind.__name__}({words})")
+                calls.append(f"{FILTERS[cause.name].__name__}({words})")
         joints[actuator.name] = calls
-    kinds: list[type[Filter]] = [Filter, *dict.fromkeys(FILTERS[cause.name][0] for cause in filtered)]
+    kinds: list[type[Filter]] = [Filter, *dict.fromkeys(FILTERS[cause.name] for cause in filtered)]
     sources = [inspect.getsource(kind) for kind in kinds]
     templates = environment("swimid.exporters", autoescape=False, keep_trailing_newline=True)
     template = templates.get_template("causes.jinja")

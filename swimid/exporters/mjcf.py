@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from swimid.effects.catalogue import list_effects
-from swimid.exporters.causes import FILTERS, ExportedCause
+from swimid.exporters.causes import ExportedCause, filter_arguments
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
 from swimid.fitting.model import TRACEABLE, ExternalForce
@@ -148,7 +148,7 @@ def _settings_of(source: ExportSource, cause: ExportedCause) -> list[Mapping[str
     """Return the settings of each actuator that represent an effect; empty if MuJoCo has none for it."""
     if cause.name not in SERVO_SETTINGS or source.transmissions:
         return []
-    given = [FILTERS[cause.name][1](cause, actuator, source.model) for actuator in source.assembly.actuators]
+    given = [filter_arguments(cause, actuator, source.model) for actuator in source.assembly.actuators]
     return [values and SERVO_SETTINGS[cause.name](values) for values in given]
 
 

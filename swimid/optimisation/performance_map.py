@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -164,7 +163,8 @@ def performance_map(
         uncertain = bool(performance.applied.uncertain()[0])
         performance.model.prepare(progress)
         performance = performance.at_step({name: (axis[0], axis[-1]) for name, axis in axes.items()})
-        table = _simulate(Cells(performance, uncertain), points_of(axes), options, study.checkpoint, progress)
+        given = performance, points_of(axes), options, study.checkpoint, progress
+        table = _simulate(*given, uncertain=uncertain)
         performance.insist(table[..., 0])
         if uncertain:
             performance.applied.warn_without_error("the deviations of the map")
@@ -222,47 +222,33 @@ def _map_file(
     )
 
 
-@dataclass(frozen=True)
-class Cells:
-    """Simulation of the gaits at grid points of a map, with standard errors if ``uncertain``."""
-
-    performance: Performance
-    uncertain: bool
-
-    @classmethod
-    def of_options(cls, options: MapOptions) -> Cells:
-        """Build the cells of a map."""
-        performance = Performance.of_options(options)
-        return cls(performance, bool(performance.applied.uncertain()[0]))
-
-    def compute(self, part: Sequence[Point]) -> Array:
-        """Simulate some gaits, and return a flat array of the shape (n, quantities, 2).
-
-        It has values and standard errors. Unknown standard errors are NaN.
-        """
-        if self.uncertain:
-            return np.array([self.performance.with_errors(point) for point in part]).ravel()
-        table = self.performance.table(part)
-        return np.stack([table, np.full_like(table, np.nan)], axis=-1).ravel()
-
-
 def _simulate(
-    cells: Cells, points: Sequence[Point], options: MapOptions, checkpoint: Checkpoint, progress: Progress
+    performance: Performance,
+    points: Sequence[Point],
+    options: MapOptions,
+    checkpoint: Checkpoint,
+    progress: Progress,
+    *,
+    uncertain: bool,
 ) -> Array:
     """Simulate the gaits at grid points, and return their quantities with standard errors.
 
     The result has the shape (n, quantities, 2): values and standard errors. Unknown standard errors are NaN.
     """
-    size = BATCH_GAITS
-    if cells.uncertain:
-        size = 1
+    size = 1 if uncertain else BATCH_GAITS
     parts = [points[k : k + size] for k in range(0, len(points), size)]
 
-    def one(k: int) -> Array:
-        return checkpoint.get_or_compute(f"points {k}", lambda: cells.compute(parts[k]))
+    def compute(part: Sequence[Point]) -> Array:
+        if uncertain:
+            return np.array([performance.with_errors(point) for point in part]).ravel()
+        table = performance.table(part)
+        return np.stack([table, np.full_like(table, np.nan)], axis=-1).ravel()
 
-    found = studies.in_parallel(one, len(parts), options.jobs, "gaits", progress)
-    return np.concatenate([rows.reshape(-1, len(cells.performance.units), 2) for rows in found])
+    def load(k: int) -> Array:
+        return checkpoint.get_or_compute(f"points {k}", lambda: compute(parts[k]))
+
+    found = studies.in_parallel(load, len(parts), options.jobs, "gaits", progress)
+    return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
 
 
 # ------------------------------------------------------------ evidence

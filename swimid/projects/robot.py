@@ -60,11 +60,10 @@ WATER = {
 
 
 class DraftedRobot(Result):
-    """Result of ``robot``. Its ``data`` has the questions, what the draft leaves out, and the differences."""
+    """Result of ``robot``. Its ``data`` has the questions, what the draft leaves out, and the differences.
 
-    def next_command(self, file: str | Path, folder: Path = Path()) -> str:
-        """Return no command: a fit needs trials, which the draft does not know."""
-        return ""
+    No command follows: a fit needs trials, which the draft does not know.
+    """
 
 
 @dataclass

@@ -184,7 +184,11 @@ def _main(run: str, ident: str) -> int:
     os.chdir(folder)
     try:
         with atomic.hold_lock(folder / STATUS_FILE), reading.record():
-            _clear(folder)
+            for path in folder.iterdir():
+                if path.is_dir() and not path.is_symlink() and path.suffix not in KEPT_ENDINGS:
+                    shutil.rmtree(path)
+                elif path.suffix not in KEPT_ENDINGS:
+                    path.unlink()
             _read(item, folder)
             status = _run_steps(item, folder)
             if status is None:
@@ -198,15 +202,6 @@ def _main(run: str, ident: str) -> int:
         print(error, file=sys.stderr)
         return BUSY
     return 0
-
-
-def _clear(folder: Path) -> None:
-    """Remove everything from the folder of an item except its lock and the checkpoints of its commands."""
-    for path in folder.iterdir():
-        if path.is_dir() and not path.is_symlink() and path.suffix not in KEPT_ENDINGS:
-            shutil.rmtree(path)
-        elif path.suffix not in KEPT_ENDINGS:
-            path.unlink()
 
 
 def _run_steps(item: Item, folder: Path) -> Status | None:

@@ -201,12 +201,8 @@ def mujoco() -> Any:
     except ImportError as error:
         raise UsageError("models of MuJoCo need mujoco", hint="pip install 'swimid[mujoco]'") from error
     # a simulation that breaks down is stated in the result, and not by MuJoCo on the terminal
-    module.set_mju_user_warning(_ignore)
+    module.set_mju_user_warning(lambda text: None)
     return module
-
-
-def _ignore(text: str) -> None:
-    """Take a warning of MuJoCo."""
 
 
 def read_spec(path: Path) -> Any:
@@ -464,7 +460,11 @@ class MjcfModel(SimulatorModel):
             return replace(trial, held=tuple(names))
         target, rates, errors = np.array(list(shown.values())).T
         pose = _StartPose(self, [self.outputs[channel] for channel in shown])
-        chosen = _independent(pose.slopes(np.zeros(len(self.dofs))))
+        from scipy.linalg import qr
+
+        _, triangle, order = qr(pose.slopes(np.zeros(len(self.dofs))), mode="economic", pivoting=True)
+        sizes = np.abs(np.diag(triangle))
+        chosen = np.sort(order[: len(sizes)][sizes > NO_EFFECT * max(float(sizes[0]), 1e-12)])
         offset = pose.solve(target, chosen)
         starts = {f"start_{self.dofs[k]}": float(offset[k]) for k in chosen}
         moves = bool(np.any(np.abs(rates) > MOVES * errors))
@@ -541,15 +541,6 @@ def _first(time_s: Array, values: Array) -> tuple[float, float, float] | None:
     variance = float(left @ left) / max(int(there.sum()) - 3, 1)
     error = math.sqrt(max(variance * np.linalg.pinv(design.T @ design)[1, 1], 0.0))
     return float(values[there][0]), float(solution[1]), error
-
-
-def _independent(slopes: Array) -> NDArray[np.intp]:
-    """Return the indices of columns that are independent of each other, the largest first."""
-    from scipy.linalg import qr
-
-    _, triangle, order = qr(slopes, mode="economic", pivoting=True)
-    sizes = np.abs(np.diag(triangle))
-    return np.sort(order[: len(sizes)][sizes > NO_EFFECT * max(float(sizes[0]), 1e-12)])
 
 
 # ---------------------------------------------------------------- elements of a file

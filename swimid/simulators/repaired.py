@@ -26,24 +26,10 @@ class SimulatorFile(NamedTuple):
     Attributes
     ----------
     text : str
-    left_out : list of str
-        Changes that the file cannot express.
-    """
-
-    text: str
-    left_out: list[str]
-
-
-class Edited(NamedTuple):
-    """Text of a changed file, and what it cannot express.
-
-    Attributes
-    ----------
-    text : str
     changed : list of str
         Changed attributes, with old and new value.
     left_out : list of str
-        Changes that the file does not express.
+        Changes that the file cannot express.
     """
 
     text: str
@@ -112,7 +98,7 @@ WRITTEN: tuple[tuple[str, str, str, slice | None], ...] = (
 )
 
 
-def edit(model: MjcfModel, values: Array, hooks: Hooks) -> Edited:
+def edit(model: MjcfModel, values: Array, hooks: Hooks) -> SimulatorFile:
     """Return the file of a model with the values of its parameters and with effects.
 
     Parameters
@@ -140,7 +126,7 @@ def edit(model: MjcfModel, values: Array, hooks: Hooks) -> Edited:
     text, more = _with_masses(model, text, wanted)
     said += more
     left_out += _differences(model, text, wanted)
-    return Edited(text, said, left_out)
+    return SimulatorFile(text, said, left_out)
 
 
 def _changes(model: MjcfModel, wanted: dict[str, Any]) -> tuple[list[Change], list[str]]:
@@ -318,7 +304,7 @@ def _differences(model: MjcfModel, text: str, wanted: dict[str, Any]) -> list[st
     return found
 
 
-def with_comment(edited: Edited, said: Sequence[str]) -> str:
+def with_comment(edited: SimulatorFile, said: Sequence[str]) -> str:
     """Return the text of a changed file with a comment on its changes before its first element."""
     lines = [
         *said,
@@ -354,4 +340,5 @@ def make_repaired_file(model: MjcfModel, values: Array, trial: Trial, path: Path
     ]
     left_out = [*edited.left_out, *(f"{name}, which acts outside the file" for name in outside)]
     said = [f"{model.path.name} with the values and effects of {path.name}"]
-    return SimulatorFile(with_comment(edited._replace(left_out=left_out), said), left_out)
+    edited = edited._replace(left_out=left_out)
+    return edited._replace(text=with_comment(edited, said))

@@ -250,18 +250,13 @@ def reduce_frame(frame: Frame, width: int) -> Frame:
     return np.asarray(small, np.uint8)
 
 
-def largest_channel(picture: Frame) -> Frame:
-    """Return the value of the largest colour channel of each pixel, shape (rows, columns)."""
-    blue, green, red = cv2.split(picture)
-    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
-
-
 def find_difference(frame: Frame, scene: Frame) -> tuple[Frame, float, NDArray[np.bool_]]:
     """Return the difference of a frame from the empty scene, its noise, and the flags of all moving pixels.
 
     The scene was smoothed by a filter of 3 x 3 pixels, as the frame is here.
     """
-    difference = largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), scene))
+    blue, green, red = cv2.split(cv2.absdiff(cv2.blur(frame, (3, 3)), scene))
+    difference = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     noise = float(np.median(difference))
     return difference, noise, difference > max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
 
