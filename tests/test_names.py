@@ -18,17 +18,20 @@ HOOK_CONSTANTS = {
 #: Verbs that end like a participle.
 VERBS = {"bleed", "embed", "exceed", "feed", "need", "proceed", "seed", "shed", "speed", "succeed", "weed"}
 #: Irregular participles, present participles that are no noun of the field, and adverbs.
-NO_VERBS = set(
-    """
-    beaten begun bent bound broken built caught chosen done drawn driven eaten felt forgotten fought found
-    frozen given gone heard held hidden kept known led left lent lost made meant met paid risen seen sent shown
-    sold spent spoken stolen stood struck sunk swept sworn taken taught thought thrown told torn undetermined
-    understood unfinished unknown unmeasured unused woken won worked wound written
-    acting agreeing carrying describing facing following having integrating leading matching missing moving
-    naming replacing running telling widening yielding
-    afterwards against ahead alike amid among anew apart around away beside besides beyond mostly nearly often
-    seldom together within without own shared
-    """.split()
+NO_VERBS = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        beaten begun bent bound broken built caught chosen done drawn driven eaten felt forgotten fought
+        found frozen given gone heard held hidden kept known led left lent lost made meant met paid risen
+        seen sent shown sold spent spoken stolen stood struck sunk swept sworn taken taught thought thrown
+        told torn undetermined understood unfinished unknown unmeasured unused woken won worked wound
+        written acting agreeing carrying describing facing following having integrating leading matching
+        missing moving naming replacing running telling widening yielding afterwards against ahead alike
+        amid among anew apart around away beside besides beyond mostly nearly often seldom together within
+        without own shared
+        """,
+    )
 )
 
 
