@@ -82,7 +82,7 @@ mutants: $(VENV)/.ready-dev
 
 # Prints all measured evidence from docs/measured, and writes its tables into the pages.
 evidence: $(VENV)/.ready-dev
-	$(BIN)/python docs/evidence.py
+	$(BIN)/python -m docs.evidence
 
 # Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
 samples: $(VENV)/.ready-dev

@@ -38,7 +38,7 @@ import numpy as np
 from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.remainder import ResidualForce
 from swimid.effects import catalogue
-from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.drives import Cycle, TailBeat
 from swimid.fitting.model import NONE, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes import Kernel
@@ -69,7 +69,7 @@ def model_of(name: str) -> tuple[Swimmer, Trial]:
     known = robot.read(name)
     clock = np.arange(0.0, DURATION_S + 1e-9, 0.02)
     if known.multibody is None:
-        swim = SwimInput(Beat("sine", 1.4, math.radians(30.0)))
+        swim = SwimInput(TailBeat("sine", 1.4, math.radians(30.0)))
         return MultilinkModel(known), Trial(name, "fit", clock, {}, swim=swim)
     stroke = next(iter(known.multibody.strokes.values()))
     return MultibodyModel(known), Trial(
@@ -79,7 +79,7 @@ def model_of(name: str) -> tuple[Swimmer, Trial]:
 
 def kernels_of(name: str) -> Swimmer:
     """A built-in robot with its kernels, not compiled."""
-    catalogue.catalogue()
+    catalogue.list_effects()
     return model_of(name)[0]
 
 
@@ -90,7 +90,7 @@ def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
 
 def operations_in(kernel: Kernel, run: Any) -> float:
     """Traced operations that a run takes: four evaluations a step."""
-    return 4.0 * (len(run.drive.table) // 2) * len(kernel.traced.operations)
+    return 4.0 * (len(run.drive.table) // 2) * len(kernel.equations.operations)
 
 
 def bench_engine() -> None:
@@ -101,10 +101,10 @@ def bench_engine() -> None:
     )
     for name in ("tfish", "dolphin", "sealion"):
         model, trial = model_of(name)
-        given = np.array([model.stated().get(p.name, p.start) for p in model.parameters])
+        given = np.array([model.get_file_values().get(p.name, p.start) for p in model.parameters])
         runs = [model.request(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
         kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-        kernel.compiled()
+        kernel.compile_module()
         model.integrate(runs[0])
 
         scalar, one, eight = best(
@@ -114,7 +114,7 @@ def bench_engine() -> None:
         print(
             f"  {name:<38}{1e3 * scalar:>11.2f}{1e3 * one:>10.2f}{scalar / one:>7.1f}"
             f"{1e3 * eight / LANES:>10.2f}{LANES * scalar / eight:>7.1f}"
-            f"{len(kernel.traced.operations):>12}{1e9 * scalar / operations_in(kernel, runs[0]):>17.2f}"
+            f"{len(kernel.equations.operations):>12}{1e9 * scalar / operations_in(kernel, runs[0]):>17.2f}"
         )
 
 
@@ -123,9 +123,9 @@ def bench_effects() -> None:
     lanes, trial = model_of("tfish")
     scalar, _ = model_of("tfish")
     assert isinstance(lanes, MultilinkModel)
-    given = np.array([lanes.stated().get(p.name, p.start) for p in lanes.parameters])
+    given = np.array([lanes.get_file_values().get(p.name, p.start) for p in lanes.parameters])
     swims = [replace(trial, id=f"swim {k}", measured=scalar.simulate(given, trial)) for k in range(2)]
-    effects = [*catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3)]
+    effects = [*catalogue.list_effects(), ResidualForce("surge", 0.05, 0.3)]
     scalar.kernels.used = False
     lanes.prepare(effects=True)
     print(
@@ -178,7 +178,7 @@ def bench_compile() -> None:
         with tempfile.TemporaryDirectory() as cache:
             code = (
                 f"from benchmarks.bench_lanes import kernels_of\nk = kernels_of({name!r})\n"
-                f"{{}}k.kernels.{kind}.compiled()"
+                f"{{}}k.kernels.{kind}.compile_module()"
             )
             # the second of them: importing has compiled what it needs
             _, alone = (
@@ -189,7 +189,7 @@ def bench_compile() -> None:
                 child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
                 for _ in range(2)
             )
-        operations = len(getattr(kernels_of(name).kernels, kind).traced.operations)
+        operations = len(getattr(kernels_of(name).kernels, kind).equations.operations)
         words = f"{name}, with effects" if kind == "wide" else name
         print(f"  {words:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / operations:>12.1f}")
 
@@ -218,7 +218,7 @@ def bench_commands(count: int = 6) -> None:
         }  # fmt: skip
         print(f"{count} trials of {DURATION_S:g} s, s CPU (wall){'scalar':>22}{'lanes':>16}{'ratio':>8}")
         model, _ = model_of("tfish")
-        Kernel(model.engine, model.tree.tables, len(model.coefficients)).compiled()
+        Kernel(model.engine, model.tree.tables, len(model.coefficients)).compile_module()
         for what, words in commands.items():
             command = [*start, *words]
             scalar, lanes = (child(command, folder, SWIMID_LANES=mode) for mode in ("never", ""))

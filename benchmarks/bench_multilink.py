@@ -53,9 +53,10 @@ from swimid.fitting.model import Parameter, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer_trials
+from swimid.swimmer.engine import tendon_torque
 from swimid.swimmer.fit_graybox import fit_graybox
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as engine
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.generators import swimmer
 
@@ -67,7 +68,7 @@ except ImportError:
 
 DURATION_S = 20.0
 TIME = np.linspace(0.0, DURATION_S, 1001)
-BEAT = drives.Beat("sine", 1.4, math.radians(30.0))
+BEAT = drives.TailBeat("sine", 1.4, math.radians(30.0))
 #: Errors, relative to each channel's range, at which engines are compared; and that of the default step.
 LEVELS = (1e-3, 1e-4, 1e-5)
 #: Runs are compared ten times a second.
@@ -133,7 +134,7 @@ class Engine:
         half = 0.5 * step * np.arange(2 * cut * COMPARED + 1)
         gains = [a.joint.driven.gain for a in self.assembly.driven]
         motions = [BEAT.motion(half, gain=gain) for gain in gains]
-        return step, drive.table(len(half), motions, [0.0] * len(motions))
+        return step, drive.drive_table(len(half), motions, [0.0] * len(motions))
 
     def runner(self, cut: int) -> Callable[[], Pair]:
         """Tables of the coefficients, and the run."""
@@ -164,7 +165,7 @@ def mujoco_xml(plant: Engine, *, prescribed: bool, integrator: str, step_s: floa
     areas = {
         e.link: (float(e.axial_area_m2), float(e.normal_area_m2)) for e in body.elements if e.kind == "drag"
     }
-    stiffness = -engine.tendon_torque(1e-6, *passive[0, 5:9]) / 1e-6
+    stiffness = -tendon_torque(1e-6, *passive[0, 5:9]) / 1e-6
     driven = {axis.link: k for k, axis in enumerate(plant.assembly.driven)}
     opened, actuators = [], []
     for i, link in enumerate(plant.assembly.links):
@@ -210,7 +211,9 @@ def mujoco_model(xml: str) -> Any:
     return model
 
 
-def mujoco_control(plant: Engine, beat: drives.Beat, step_s: float, steps: int, *, prescribed: bool) -> Pair:
+def mujoco_control(
+    plant: Engine, beat: drives.TailBeat, step_s: float, steps: int, *, prescribed: bool
+) -> Pair:
     """State (time, positions, velocities, activations) at the start, and the controls of every step."""
     gains = np.array([a.joint.driven.gain for a in plant.assembly.driven])
     n = 3 + len(plant.assembly.topology) - 1
@@ -284,7 +287,7 @@ class Peer:
     of J are the points' velocities per unknown rate (x, y, heading, passive angles).
     """
 
-    def __init__(self, plant: Engine, values: np.ndarray, beat: drives.Beat) -> None:
+    def __init__(self, plant: Engine, values: np.ndarray, beat: drives.TailBeat) -> None:
         tables = list(plant.assembly.tables(values[: len(plant.assembly.names)]).values())
         topology, joint, inertia, passive, drag_link, drag = tables[:6]
         links = len(topology)
@@ -341,7 +344,7 @@ class Peer:
         drift = self.lever[:links] @ ((omega**2 - 1j * known) * e)
         weighed = self.mass[:, None] * bodies.conj()
         right = (points.conj().T @ force - weighed.T @ drift).real - known @ self.weigh
-        right[3] += engine.tendon_torque.py_func(float(state[3]), *self.tendon)
+        right[3] += tendon_torque.py_func(float(state[3]), *self.tendon)
         matrix = (weighed.T @ bodies).real + self.spin.T @ self.weigh
         return np.concatenate([state[4:], np.linalg.solve(matrix, right)])
 
@@ -544,7 +547,8 @@ def section_fit(plant: Engine, full: bool) -> None:
         verb_wall, verb, outcome = clocked(lambda: fit_graybox(file, channels=tuple(NOISE)))
     fits = {
         jobs: [
-            clocked(lambda jobs=jobs: output_error.fit(Engine().model, trials, jobs=jobs)) for _ in range(3)
+            clocked(lambda jobs=jobs: output_error.fit_output_error(Engine().model, trials, jobs=jobs))
+            for _ in range(3)
         ]
         for jobs in (1, None)
     }
@@ -669,7 +673,7 @@ def sysid_fit(plant: Engine, own: float) -> None:
 
     starts, controls, measured = [], [], []
     for frequency, amplitude in BEATS:
-        beat = drives.Beat("sine", frequency, math.radians(amplitude))
+        beat = drives.TailBeat("sine", frequency, math.radians(amplitude))
         start_state, control = mujoco_control(plant, beat, step, steps, prescribed=True)
         states, _ = rollout.rollout(true, mujoco.MjData(true), start_state, control)
         starts.append(start_state)

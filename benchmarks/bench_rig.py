@@ -62,7 +62,7 @@ def swimid_fit(trials: list[Trial], *, integrated: bool = False) -> np.ndarray:
     if integrated:
         # a linear drag too small to matter takes the closed form away
         parameters = tuple(replace(p, start=1e-12) if p.name == "linear_drag" else p for p in parameters)
-    return output_error.fit(model, trials, parameters=parameters).estimate
+    return output_error.fit_output_error(model, trials, parameters=parameters).estimate
 
 
 def measured(function: Callable[[], np.ndarray], repeats: int) -> tuple[float, float, np.ndarray]:

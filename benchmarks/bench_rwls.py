@@ -15,8 +15,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-from swimid.blackbox.arx import Recursion, estimate, recursive_least_squares, regression
-from swimid.blackbox.model import Orders, Record
+from swimid.blackbox.arx import Recursion, fit_arx, recursive_least_squares, regression
+from swimid.blackbox.model import ArxRecord, Orders
 
 SAMPLES = 100_000
 ORDERS = Orders(3, 4)
@@ -24,12 +24,12 @@ A, B = [-1.6, 0.9, -0.15], [0.4, 0.3, -0.2, 0.1]
 FORGETTING = 0.9999
 
 
-def record() -> Record:
+def record() -> ArxRecord:
     rng = np.random.default_rng(1)
     u = rng.normal(size=SAMPLES + ORDERS.lag)
     noise = lfilter([1.0], [1.0, *A], 0.1 * rng.normal(size=len(u)))
     y = lfilter([0.0, *B], [1.0, *A], u) + noise
-    return Record("bench", np.arange(len(u)) * 0.01, u, y)
+    return ArxRecord("bench", np.arange(len(u)) * 0.01, u, y)
 
 
 def best(function: Callable[[], object], repeats: int) -> float:
@@ -59,8 +59,8 @@ def measure(repeats: int = 15) -> list[tuple[str, float, np.ndarray]]:
         ),
         (
             "swimid estimate(): regression, tests, errors",
-            best(lambda: estimate([record()], ORDERS, forgetting=FORGETTING), 2),
-            estimate([record()], ORDERS, forgetting=FORGETTING).theta,
+            best(lambda: fit_arx([record()], ORDERS, forgetting=FORGETTING), 2),
+            fit_arx([record()], ORDERS, forgetting=FORGETTING).theta,
         ),
     ]
     try:

@@ -30,7 +30,7 @@ from swimid.fitting.global_search import BROKEN_OBJECTIVE, GENERATIONS, POPULATI
 from swimid.fitting.model import NONE, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer.front import Profiles
-from swimid.swimmer.spatial import engine
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as engine
 from swimid.swimmer.spatial.model import MultibodyModel
 
 try:

@@ -109,7 +109,7 @@ def main() -> None:
         found = problem.solve(problem.start, secant=True).x
         rows.append(("swimid, search", time.process_time() - begun, found))
         begun = time.process_time()
-        result = output_error.fit(model, experiment.trials, parameters=model.parameters)
+        result = output_error.fit_output_error(model, experiment.trials, parameters=model.parameters)
         found = result.values(experiment.trials[0].id)[: len(PARAMETERS)]
         rows.append(("swimid, whole fit", time.process_time() - begun, found))
         for name in ("mujoco", "scipy", "scipy_parallel_fd"):

@@ -26,7 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from swimid.logs.plane import plane_of
+from swimid.points.plane import plane_of
 from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Video
@@ -94,7 +94,7 @@ def smoothing(follower: Follower) -> float:
     raw = follower.track()
     rows = np.array([np.where(raw.found[0], values, np.nan) for values in (raw.x[0], raw.y[0], raw.x[-1])])
     begin = time.perf_counter()
-    pose.smooth(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
+    pose.smooth_path(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
     return (time.perf_counter() - begin) / len(raw.times)
 
 

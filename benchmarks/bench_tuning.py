@@ -11,6 +11,7 @@ that they have not used. The script prints a section of docs/reproduction.md.
 
 from __future__ import annotations
 
+import csv
 import math
 import tempfile
 import warnings
@@ -21,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.notices import SwimidWarning
 from swimid.swimmer.fit_graybox import fit_graybox
@@ -67,7 +68,7 @@ def simulated(coefficients: Mapping[str, float], f: float, stiffness: float) -> 
     model = dolphin()
     known = {p.name: p.start for p in model.parameters} | dict(coefficients) | {"K_s": stiffness}
     time = np.arange(round(DURATION_S * RATE_HZ) + 1) / RATE_HZ
-    beat = Beat("sine", f, math.radians(WAIST_DEG))
+    beat = TailBeat("sine", f, math.radians(WAIST_DEG))
     trial = Trial(f"{f:g} Hz", "fit", time, {}, swim=SwimInput(beat))
     return model.simulate(np.array([known[p.name] for p in model.parameters]), trial)
 
@@ -201,11 +202,6 @@ def _cells(label: str, s: Score) -> list[str]:
     return [label, *numbers, f"{100 * s.pitch_rate:.1f} %", f"{math.degrees(s.joint):.2f}"]
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def run() -> tuple[list[Estimate], list[Score], list[Score], Score]:
     """Return the estimates, the scores of the hands and of the estimates, and the score of the start."""
     true_runs = held_out()
@@ -225,59 +221,51 @@ def run() -> tuple[list[Estimate], list[Score], list[Score], Score]:
     )
 
 
-def section() -> str:
+def section() -> tuple[str, list[list[str]]]:
+    """Return the section of the page, and the rows of its table with their head."""
     estimates, by_hand, by_fit, start = run()
     order = sorted(by_hand, key=lambda s: s.mean)
     rows = [
+        ["method", "mean speed, cm/s", "worst beat, cm/s", "surge, cm/s", "pitch rate", "fluke, deg"],
         _cells("start (published coefficients)", start),
         _cells(f"by hand, best of {HANDS}", order[0]),
         _cells(f"by hand, median of {HANDS}", order[HANDS // 2]),
         _cells(f"by hand, worst of {HANDS}", order[-1]),
         *(_cells(f"fit-graybox, {m.name}", s) for m, s in zip(METHODS, by_fit, strict=True)),
     ]
-    scores = _table(
-        ["method", "mean speed, cm/s", "worst beat, cm/s", "surge, cm/s", "pitch rate", "fluke, deg"], rows
-    )
     status = estimates[-1].status
     unknown = [f"`{n}`" for n in NAMES if status[n] != "estimated"]
-    return TEXT.format(
-        scores=scores,
+    text = TEXT.format(
+        table=TABLE.name,
         unknown=" and ".join(unknown),
         spread=100 * SPREAD,
-        rate=RATE_HZ,
-        duration=DURATION_S,
         tries=TRIES,
         hands=HANDS,
         held=len(HELD_OUT),
-        beats=", ".join(f"{f:g}/{k:g}" for f, k in HELD_OUT),
     )
+    return text, rows
 
 
+#: File of the table of the section.
+TABLE = Path(__file__).parents[1] / "docs" / "measured" / "reproduction-tuning.csv"
 TEXT = """## What estimation gains over tuning by hand
 
-The dolphin's authors tuned nine coefficients by hand on one speed curve. `benchmarks/bench_tuning.py`
-repeats this with a synthetic dolphin, whose coefficients differ from the published ones by random factors
-(spread {spread:.0f} %). It is simulated by other code than swimid's and logged at {rate:g} Hz
-for {duration:g} s with a noise of 2 cm/s, 3 deg/s and 0.5°. The hand starts from the published values. It
-changes one coefficient at a time in steps of 30, 15 and 7 %, {tries} tries in all, and keeps a change that
-brings the speed curve nearer by 3 % or more. {hands} hands differ in the noise and in the order of the
-coefficients. `fit-graybox` starts from the same values. All are compared with {held} noise-free runs at other
-beats and stiffnesses (Hz and N m/rad: {beats}).
-The table has the error of the mean speed, its maximum, and root mean squares over all samples.
+The dolphin's authors tuned nine coefficients by hand on one speed curve. `benchmarks/bench_tuning.py` repeats
+this with a **synthetic** dolphin, whose coefficients differ from the published ones by random factors (spread
+{spread:.0f} %). Other code than swimid's simulates it, with the same elements as the model, unlike a real
+robot. A programmed hand changes one coefficient at a time in {tries} tries, and {hands} hands differ in
+noise and order. All are compared at {held} other beats and stiffnesses.
 
-{scores}
+[All rows](measured/{table})
 
-- Several sets of coefficients reproduce the speed curve, and nothing in it distinguishes the better set from
-  the worse.
-- One speed curve does not determine nine coefficients. `fit-graybox` reports all of them as not identifiable,
-  and its pitch is worse than at the start. It is better to free three coefficients of the trunk only. Whether
-  hand or estimator is nearer on one speed curve depends on the random coefficients (`SEED`).
-- More data help. Other beats improve the mean speed. The pitch and the angle of the fluke improve
-  everything: with all channels of four records every mean speed is within 0.1 cm/s. Not identifiable are
-  then {unknown}: the frictions of head and trunk act as one sum.
-- Model and simulated dolphin have the same elements, unlike a model and a real robot."""
+One speed curve does not determine nine coefficients, and `fit-graybox` says so. Whether hand or estimator is
+nearer then depends on the random coefficients. With all channels of four records every mean speed is within
+0.1 cm/s. Not identifiable are then {unknown}: the frictions of head and trunk act as one sum."""
 
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", SwimidWarning)
-    print(section())
+    words, table = section()
+    print(words)
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(table)

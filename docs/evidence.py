@@ -1,7 +1,7 @@
 """Print all measured evidence as tables, and write them into the pages that show them.
 
-python docs/evidence.py
-python docs/evidence.py --take coverage printed.txt
+python -m docs.evidence
+python -m docs.evidence --take coverage printed.txt
 
 The tables are computed from the files in docs/measured. Each of these is the table that a command of
 docs/measured/sources.yaml printed. ``--take`` replaces one of them by a new output of its command. Two
@@ -13,12 +13,15 @@ from __future__ import annotations
 import argparse
 import datetime
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 from ruamel.yaml import YAML
 
+from docs import reference
+from docs.reference import table
 from swimid.results import numbers
 
 DOCS = Path(__file__).parent
@@ -57,12 +60,6 @@ def take(name: str, printed: str, folder: Path = MEASURED) -> None:
     content = yaml.load(path.read_text())
     content[name]["date"] = datetime.date.today().isoformat()
     yaml.dump(content, path)
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table in Markdown."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(map(str, row))} |" for row in lines)
 
 
 def share(part: float, whole: float) -> str:
@@ -177,13 +174,45 @@ def real_gaps() -> str:
         size = known = closed = ""
         unit = row["unit"].removeprefix("1")
         if row["size"]:
-            size = numbers.measured(float(row["size"]), float(row["stderr"] or "nan"))
+            size = numbers.format_estimate(float(row["size"]), float(row["stderr"] or "nan"))
         if row["known"]:
-            known = f"{numbers.number(float(row['known']), 3)} {unit}".strip()
+            known = f"{numbers.format_number(float(row['known']), 3)} {unit}".strip()
         if row["closed"]:
             closed = numbers.percent(float(row["closed"]), 2)
         rows.append([name, row["lacks"], row["verdict"], row["causes"], row["right"], size, known, closed])
     return table(["recording", "lacks", "verdict", "causes", "right", "size", "known", "closed"], rows)
+
+
+def unlike() -> str:
+    """Return the coverage of intervals for trials that differ and for slow noise, one row for each kind."""
+    texts = {"drag_coefficient": "drag", "added_mass": "added mass", "pulley_friction": "friction"}
+    rows: dict[str, dict[str, str]] = {}
+    for quantity, row in read("coverage").iterrows():
+        trials, _, name = str(quantity).removeprefix("unlike, ").partition(": ")
+        word = "width" if name.startswith("width") else texts.get(name.partition(" ")[0])
+        if str(quantity).startswith("unlike, ") and word:
+            rows.setdefault(trials, {})[word] = row["share"]
+    head = [*texts.values(), "width"]
+    return table(
+        ["trials", *head], [[name, *(row.get(word, "") for word in head)] for name, row in rows.items()]
+    )
+
+
+def coverage_not_ok() -> str:
+    """Return the rows of the coverage that lie outside of their wanted ranges."""
+    data = read("coverage")
+    data = data[data["verdict"] == "not"]
+    return table([data.index.name, *data.columns[:-1]], data.reset_index().to_numpy()[:, :-1])
+
+
+def attacks() -> str:
+    """Return the counts of damaged and hostile inputs by kind of attack."""
+    data = read("faults").astype(int)
+    kinds = (
+        data.index.str.replace(r"^(SIG\w+) in .*", "\\1", regex=True).str.partition(": ").get_level_values(0)
+    )
+    data = data.groupby(kinds.rename("attack"), sort=False).sum()
+    return table([data.index.name, *data.columns], data.reset_index().to_numpy())
 
 
 def first_screen() -> str:
@@ -202,10 +231,23 @@ def first_screen() -> str:
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "summary": ("trust.md", summary),
     "mutants": ("trust.md", whole("mutants")),
+    "trials that differ": ("trust.md", unlike),
+    "coverage outside its range": ("trust.md", coverage_not_ok),
+    "attacks": ("trust.md", attacks),
     "blind": ("diagnose-method.md", whole("blind")),
+    "gapbench": ("gapbench.md", whole("gapbench")),
     "simulators": ("your-simulator.md", whole("simulators")),
     "first-screen": ("../README.md", first_screen),
     "real": ("real-gaps.md", real_gaps),
+    "files that people write": ("formats.md", partial(reference.formats_text, reference.WRITTEN_BY_HAND)),
+    "files that commands write": (
+        "formats.md",
+        partial(reference.formats_text, reference.WRITTEN_BY_COMMANDS),
+    ),
+    "experiments": ("formats.md", reference.experiments_text),
+    "public names": ("api.md", reference.names_text),
+    "warnings": ("warnings.md", reference.warnings_text),
+    "effects": ("effects.md", reference.effects_text),
 }
 
 

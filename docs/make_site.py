@@ -25,10 +25,11 @@ import click
 import griffe
 import ziamath
 from pictures import draw_quick
+from reference import PYTHON
 
 from swimid.api import NAMES
-from swimid.cli.main import SECTIONS, SHARED, Command, main
-from swimid.commands import found
+from swimid.cli.main import SHARED, Command, main
+from swimid.commands import COMMAND_SPECS, TABLE
 
 ROOT = Path(__file__).parents[1]
 PAGES, SITE = ROOT / "build" / "docs", ROOT / "site"
@@ -38,31 +39,6 @@ FOREIGN_SCRIPT = "https://unpkg.com/iframe-worker/shim"
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\s*\\(?P<open>[\[(])(?P<tex>.*?)\\[\])]\s*</\1>', re.S)
 #: Font size of equations, px.
 EQUATION_PX = 17
-
-#: Title of each page of the Python reference, and the public names on it.
-PYTHON = {
-    "Start": ("init", "sample", "robot"),
-    "Trials, logs and robots": (
-        "load", "read_log", "read_robot", "built_in_robots", "TrialSet", "Log", "Robot",
-    ),
-    "Make logs": (
-        "track_video", "track_setup", "track_camera", "Calibration", "track_imu", "import_log",
-        "guess_mapping", "plot", "Logged",
-    ),
-    "Identify": ("fit_drag", "fit_propulsion", "fit_graybox", "rwls", "fit", "Fitted"),
-    "Simulate and compare": ("simulate", "Simulation", "compare", "Comparison"),
-    "Diagnose": ("diagnose", "Diagnosis", "DetectionPower", "sensitivity", "Sensitivity"),
-    "Put to work": (
-        "performance_map", "PerformanceMap", "optimise_stiffness", "StiffnessRule", "optimise_gait",
-        "BestGait",
-    ),
-    "Many at once": ("batch", "Batch", "compare_runs", "ComparedRuns"),
-    "Results": ("load_result", "Result", "report", "export"),
-    "Models and effects": ("Model", "Parameter", "Channel", "Trial", "Trials", "fit_model", "Effect"),
-    "Errors and warnings": (
-        "SwimidError", "InputError", "UsageError", "NoTrustworthyResult", "SwimidWarning",
-    ),
-}  # fmt: skip
 
 
 def slug(title: str) -> str:
@@ -80,7 +56,7 @@ def copy_pages() -> None:
     for name in ("CONTRIBUTING.md", "CHANGELOG.md"):
         text = (ROOT / name).read_text(encoding="utf-8")
         (PAGES / name).write_text(text.replace("](docs/", "]("), encoding="utf-8")
-    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in found().items()}
+    places = {name: f"reference/{slug(spec.section)}.md" for name, spec in COMMAND_SPECS.items()}
     for path in PAGES.rglob("*.md"):
         up = "../" * (len(path.relative_to(PAGES).parts) - 1)
         text = path.read_text(encoding="utf-8").replace("](../CONTRIBUTING.md", f"]({up}CONTRIBUTING.md")
@@ -105,8 +81,8 @@ def with_table(folder: Path, link: re.Match[str]) -> str:
 def command_pages() -> None:
     """Write a page for each section of the list of commands, with the help of its commands."""
     folder = PAGES / "reference"
-    for section in SECTIONS:
-        specs = [spec for spec in found().values() if spec.section == section]
+    for section in TABLE:
+        specs = [spec for spec in COMMAND_SPECS.values() if spec.section == section]
         text = [f"# {section}\n"]
         for spec in sorted(specs, key=lambda one: one.command):
             text += command_text(spec.command)
@@ -127,7 +103,7 @@ def command_text(name: str) -> Iterator[str]:
         group = group.commands[word]
     command: Command = group
     context = click.Context(command, info_name=f"swimid {name}")
-    about, _, examples = inspect.cleandoc(command.spec.help).partition("\n\nExample")
+    about, _, examples = inspect.cleandoc(command.spec.model().__doc__).partition("\n\nExample")
     usage = [command.get_usage(context).removeprefix("Usage: ")]
     usage += [line.strip() for line in examples.splitlines() if line.strip().startswith("swimid ")]
     yield f"## swimid {name} {{ #{slug(name)} }}\n"

@@ -3,7 +3,7 @@
 The results are those of ``make demo`` in ``demo_out``, and of short runs on the sample logs. The quick ones
 are drawn anew for each site (``docs/make_site.py``). The drawings ``home``, ``rig``, ``markers`` and ``imu``
 are written by hand. ``python docs/pictures.py FOLDER`` draws ``real-fish`` from the files that the commands
-of ``docs/learn/11-real-fish.md`` have written to a folder.
+of ``docs/real-fish.md`` have written to a folder.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def draw_falls(folder: Path) -> None:
         run = swimid.simulate(params=drag, pulling_mass_kg=weight / 1000, duration_s=12).frame
         run = run[run["x_m"] <= 1.15]
         axes.plot(run["t_s"], run["u_m_s"], label=f"{weight} g")
-        axes.axhline(drag.derived.loc[f"terminal_speed[w{weight}]", "value"], color="0.7", lw=0.8, ls="--")
+        axes.axhline(drag.quantities.loc[f"terminal_speed[w{weight}]", "value"], color="0.7", lw=0.8, ls="--")
     axes.set(xlabel="time (s)", ylabel="speed (m/s)", xlim=(0, None), ylim=(0, None))
     axes.legend(title="pulling mass", frameon=False, loc="upper right")
     write("falls", canvas, folder)

@@ -8,6 +8,7 @@ the text of the papers. The pictures are written to docs/figures.
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 import textwrap
@@ -22,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance_map import performance_map
@@ -85,7 +86,7 @@ def doubled(name: str, *coefficients: str) -> dict[str, float]:
     return {c: 2.0 * body.coefficients[c].value for c in coefficients}
 
 
-def simulate(body: Robot, beat: Beat, seconds: float, **coefficients: float) -> dict[str, np.ndarray]:
+def simulate(body: Robot, beat: TailBeat, seconds: float, **coefficients: float) -> dict[str, np.ndarray]:
     """Return the channels of a run from rest, with the coefficients of the robot file or the given ones."""
     model = MultilinkModel(body)
     assert body.multilink is not None
@@ -111,8 +112,8 @@ def figures(run: Mapping[str, np.ndarray], frequency_hz: float, at_s: float, cyc
 
 def beat(
     frequency_hz: float, amplitude_deg: float, bias_deg: float = 0.0, h: float = 0.0, waveform: str = "sine"
-) -> Beat:
-    return Beat(waveform, frequency_hz, math.radians(amplitude_deg), math.radians(bias_deg), h)
+) -> TailBeat:
+    return TailBeat(waveform, frequency_hz, math.radians(amplitude_deg), math.radians(bias_deg), h)
 
 
 # ------------------------------------------------------------------ printing
@@ -126,9 +127,14 @@ def deviation(value: float, published: float) -> str:
     return f"{100.0 * (value / published - 1.0):+.1f} %".replace("-", "−")
 
 
-def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+#: Rows of each table that :func:`page` has computed, with the head as first row, by the name of its file.
+sheets: dict[str, list[list[str]]] = {}
+
+
+def table(name: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Keep the rows of a table, and return the link to its file."""
+    sheets[f"reproduction-{name}.csv"] = [list(columns), *map(list, rows)]
+    return f"[All rows](measured/reproduction-{name}.csv)"
 
 
 def wrapped(parts: Iterable[str]) -> str:
@@ -227,6 +233,7 @@ def tfish_straight() -> str:
             cells += [f"{peak:.1f}", deviation(peak, known)]
         yaw.append(cells)
     speeds = table(
+        "tfish-speeds",
         [
             "beat",
             "published, m/s",
@@ -238,6 +245,7 @@ def tfish_straight() -> str:
         speed,
     )
     peaks = table(
+        "tfish-yaw-peaks",
         [
             "beat",
             "published",
@@ -248,21 +256,16 @@ def tfish_straight() -> str:
         ],
         yaw,
     )
-    return f"""### Straight swimming: Table IV and the top speed
+    return f"""Table IV gives errors and normalised errors, whose quotient is a speed or a yaw rate. Three
+  of its rows contradict others, and are marked as doubtful. Speeds are those before {TANK_S:g} s, about
+  the time that the tank allows, and before {STEADY_S:g} s. With the published friction the model needs
+{min(rises):.0f} to {max(rises):.0f} s to reach 63 % of its speed.
 
-Table IV gives errors and normalised errors. Their quotient is the range of the measured speed, which is the
-speed reached from rest, or the measured peak of the yaw rate. Three rows are doubtful. The third row carries
-the label of the fourth (its amplitude can only be 20°). The fourth row repeats the errors of the second with
-another normalised yaw error. The sixth row needs 0.667 m/s of a fish whose top speed is given as 0.47 m/s.
-
-The speed is the mean surge of the nose over the last {TFISH_CYCLES} beats before {TANK_S:g} s, about the time
-that the 5 m tank allows, and before {STEADY_S:g} s, when it is steady. The paper does not say how long its
-runs were. The published friction is small: the model needs {min(rises):.0f} to
-{max(rises):.0f} s to reach 63 % of its last speed.
+Speeds:
 
 {speeds}
 
-Yaw peak, deg/s, over the last beat and over the last {TFISH_CYCLES} beats before {TANK_S:g} s:
+Peaks of the yaw rate, deg/s:
 
 {peaks}"""
 
@@ -323,23 +326,15 @@ def tfish_turning() -> str:
     columns = ["bias, mode"]
     for name in ("R, m", "ξ, deg", "ω max, deg/s", "ω mean, deg/s"):
         columns += [name, "model", "deviation"]
-    return f"""### Turning: Table V
+    return f"""In turns (Table V, amplitude {TURN_AMPLITUDE_DEG:g}° chosen), the path tightens with the
+  bias and with asymmetry, as in the paper, the latter by {min(tighter):.0f} to {max(tighter):.0f} %
+  (published: 36 %). Unlike in the paper, the largest yaw rate is {min(slower):.0f} to {max(slower):.0f} %
+  below the published one, and the radius does not fall below {smallest:.2f} m. The published rows give
+  path speeds of {paths} m/s, which do not agree.
 
-The beat is 1 Hz with asymmetry {TURN_ASYMMETRY:g}. The paper does not state the amplitude;
-{TURN_AMPLITUDE_DEG:g}° is used. The table holds for the last {TURN_CYCLES} beats of {TURN_S:g} s. R is the
-radius of the path averaged over a beat, ξ the range of the yaw within one beat.
-
-{table(columns, rows)}
+{table("tfish-turning", columns, rows)}
 
 ![Published and modelled turns](figures/steering.svg)
-
-As in the paper, the turn tightens and quickens with the bias. Asymmetry tightens it further, by
-{min(tighter):.0f} to {max(tighter):.0f} % at amplitudes of 30° and 35° (published: 36 % at a bias of 35°).
-
-Unlike in the paper, the largest yaw rate is {min(slower):.0f} to {max(slower):.0f} % below the published one,
-the radius does not fall below {smallest:.2f} m, and ξ rises with the asymmetry. The published rows do not
-agree among themselves: radius times mean yaw rate is the speed along the path, and gives {paths} m/s for the
-three biases of the CPG.
 """
 
 
@@ -376,21 +371,13 @@ def tfish_rule() -> str:
         for a in RULE_DEG[:2]
     ]
     ranges = ", ".join(f"{mm[0]} to {mm[-1]} mm at {a:g}°" for mm, a in zip(ends, RULE_DEG, strict=False))
-    return f"""### The stiffness of the caudal joint: Algorithm 1 and Figs 9 and 11
-
-`swimid optimise stiffness` over the paper's grid finds the pretension with the highest mean speed from rest
-({file.duration_s:g} s) for each amplitude: from {RULE_HZ[0]:g} to {RULE_HZ[1]:g} Hz, {ranges}.
+    return f"""`swimid optimise stiffness` finds a pretension that rises with frequency and amplitude, as
+  in Fig 9: {ranges}, from {RULE_HZ[0]:g} to {RULE_HZ[1]:g} Hz. The highest speed rises from {fixed:.2f} to
+  {ruled:.2f} m/s ({100 * (ruled / fixed - 1):.0f} %); the paper has {low:g} and {high:g} m/s
+  ({100 * (high / low - 1):.0f} %). Unlike in Fig 10, the yaw rate has a larger range with the best spring,
+  at {wider} of {stiffer} points.
 
 ![The rule for each amplitude](figures/stiffness-rule.svg)
-
-As in Fig 9, the rule rises with frequency and amplitude. The figure has no values to compare with. The
-highest speed of the grid rises from {fixed:.2f} m/s with the fixed {1e3 * file.reference:.0f} mm to
-{ruled:.2f} m/s with the rule. That is {100 * (ruled / fixed - 1):.0f} % of the smaller and
-{100 * (1 - fixed / ruled):.0f} % of the larger speed. The paper has {low:g} and {high:g} m/s:
-{100 * (high / low - 1):.0f} % and {100 * (1 - low / high):.0f} %, of which it prints the latter.
-
-Unlike in Fig 10, where the yaw rate has a smaller range with the best spring, its range is larger at {wider}
-of the {stiffer} points where the best spring is stiffer than the fixed one.
 """
 
 
@@ -428,7 +415,7 @@ def tfish_readings() -> str:
 
     twice = doubled("tfish", "c_ma", "c_Ia")
     speeds, peaks = [f"{v:.3f}" for v in targets[0]], [f"{v:.1f}" for v in targets[1]]
-    rows = [["**published**", *speeds, "", *peaks, ""], row("**as chosen**", robot("tfish"))]
+    rows = [["published", *speeds, "", *peaks, ""], row("as chosen", robot("tfish"))]
     rows += [
         row(f"`{key}={option}`", robot("tfish", ((key, option),)))
         for key, option, chosen in readings_of("tfish")
@@ -441,13 +428,10 @@ def tfish_readings() -> str:
     ]
     columns = ["reading", *(f"V {f:g}/{a:g}" for f, a in CLEAN_SPEED), "rms"]
     columns += [*(f"yaw {f:g}/{a:g}" for f, a in CLEAN_YAW), "rms"]
-    return f"""### Other readings of the paper
+    return f"""Other readings of the paper (`--reading NAME=OPTION`), one at a time, and other lengths of
+  the crank, which the paper does not give (20 mm is chosen):
 
-One reading at a time is replaced (`--reading NAME=OPTION`). Speeds are in m/s and yaw peaks in deg/s, over
-the last {TFISH_CYCLES} beats before {TANK_S:g} s, with the root mean square of their relative deviations.
-The paper does not give the length of the crank; 20 mm is chosen.
-
-{table(columns, rows)}
+{table("tfish-readings", columns, rows)}
 """
 
 
@@ -510,21 +494,12 @@ def dolphin_speeds() -> str:
     off = 100 * float(np.sqrt(np.mean(np.square(misses))))
     top_hz, known = PUBLISHED_RIGID
     rigid, faster = (dolphin(f, STEADY_S, rigid_dolphin()).surge for f in (top_hz, MAP_HZ[-1]))
-    return f"""### Top speeds: Figs 8 and 11b, by their values in the text
+    return f"""Top speeds of Figs 8 and 11b, waist ±{WAIST_DEG:g}°, have a root-mean-square error of
+  {off:.1f} cm/s. In the paper the stiffer joint is faster; in the model the best stiffness at 2.88 Hz is
+  {best_stiffness(2.88):.2f} N m/rad. With a locked joint the model swims {rigid:.2f} m/s at {top_hz:g} Hz
+  (published {known:g}). It reaches {faster:.2f} m/s at 5 Hz, where the published speed falls.
 
-Mean surge of the nose over the last {DOLPHIN_CYCLES} beats of {SHORT_S:g} s, waist ±{WAIST_DEG:g}°.
-
-{table(["joint", "published, m/s", "model", "deviation", "fluke swings ±"], rows)}
-
-The root mean square over the three is {off:.1f} cm/s (the paper's own, over whole curves: 4.04, 3.88 and 3.97
-cm/s). In the paper the stiffer joint is faster. In the model the best stiffness at 2.88 Hz is
-{best_stiffness(2.88):.2f} N m/rad.
-
-With a locked caudal joint the model swims {rigid:.2f} m/s at {top_hz:g} Hz, where the paper has its maximum
-of {known:g} m/s ({deviation(rigid, known)}). With 0.31 N m/rad it swims {steady_speed(top_hz, 0.31):.2f} m/s:
-as in the paper, a compliant joint is faster. In the paper the speed with a locked joint falls above
-{top_hz:g} Hz. In the model it reaches {faster:.2f} m/s at 5 Hz. The authors call their model unsuitable for
-a locked joint.
+{table("dolphin-speeds", ["joint", "published, m/s", "model", "deviation", "fluke swings ±"], rows)}
 """
 
 
@@ -537,7 +512,7 @@ def dolphin_readings() -> str:
 
     usual = robot("dolphin")
     twice = doubled("dolphin", "c_m0", "c_m1", "c_m2")
-    rows = [["**published**", *(f"{v:.2f}" for v in targets[0]), ""], row("**as chosen**", usual)]
+    rows = [["published", *(f"{v:.2f}" for v in targets[0]), ""], row("as chosen", usual)]
     rows += [
         row(f"`{key}={option}`", robot("dolphin", ((key, option),)))
         for key, option, chosen in readings_of("dolphin")
@@ -555,11 +530,9 @@ def dolphin_readings() -> str:
         row("polar of a thin aerofoil: lift π sin 2a", usual, fluke_lift=math.pi),
     ]
     columns = ["reading", *(f"{name}, {k:g} N m/rad" for name, k, *_ in DOLPHIN_SPEEDS), "rms"]
-    return f"""### Other readings of the paper
+    return f"""Other readings of the paper:
 
-Speeds in m/s at the frequencies of the first table.
-
-{table(columns, rows)}
+{table("dolphin-readings", columns, rows)}
 """
 
 
@@ -580,17 +553,11 @@ def dolphin_costs() -> str:
         rows.append([f"{f:g}", *cells])
     largest = float(made["cost_of_transport_J_m"].max())
     columns = ["f, Hz", "W at 0.31 N m/rad", "W at 0.62", "J/m at 0.31", "J/m at 0.62"]
-    return f"""### Power and cost of transport: Fig 10
+    return f"""The published cost of transport, {PUBLISHED_COST:g} J/m or more, is electrical. The joints
+  of the model need {100 * largest / PUBLISHED_COST:.0f} % of it or less. As in the paper, the power rises
+  with the frequency, and the softer joint has the lower cost.
 
-Steady mechanical power of the joints and cost of transport by `swimid map`:
-
-{table(columns, rows)}
-
-The paper measures electrical power: the least cost of transport with a compliant joint is {PUBLISHED_COST:g}
-J/m. The joints of the model need {100 * largest / PUBLISHED_COST:.0f} % of it or less. The losses of
-electronics, motors and gears, and the power of the motor that imitates the spring, are not in the paper, so
-that the values cannot be reproduced. As in the paper, the power rises with the frequency, and the softer
-joint has the lower cost.
+{table("dolphin-costs", columns, rows)}
 """
 
 
@@ -627,48 +594,27 @@ def checks() -> list[tuple[str, bool]]:
     ]
 
 
-FIG_11A = """### Speed against frequency and stiffness: Fig 11a
+FIG_11A = """As in Fig 11a, the best stiffness rises with the frequency. The figure has no values.
 
 ![Speed over frequency and stiffness](figures/speed-map.svg)
-
-As in the paper, the best stiffness rises with the frequency. With a stiff joint the speed rises with the
-frequency, with a soft joint it rises and falls. The paper prints the map as colours without values.
 """
 
 
 NOT_REPRODUCED = """## What cannot be reproduced, and why
 
-Tendon fish, besides the doubtful rows and the differences named above:
-
-- *Curves over time* (Figs 6 to 8 and 10) are printed as pictures without data. Therefore neither the errors
-  of Table IV themselves nor the NRMSE of 6.8 and 3.4 % can be recomputed.
-- *The speed at 1.0 Hz, 20°* is reached only after a minute. With the published friction the model gathers
-  speed too slowly for the tank, and faster beats are too fast once steady.
-- *Eq 10* is corrected. As printed, the bias drops out of the output; here it is added to the output. The
-  amplitude would be the square root of A, reached at a rate that depends on the unit of A. Here the
-  oscillator has radius one and the amplitude is a gain.
-- *The inertias of links 1 to 4* (Table II) need the mass farther out than the links reach. Only I_0, taken
+- *Curves over time and maps* are printed as pictures without data.
+- *Eq 10 of the tendon fish* is corrected. As printed, the bias drops out of the output.
+- *Inertias and masses of the tendon fish* contradict each other. Table II is used; only its I_0, taken
   about the nose, is consistent.
-- *Weight 3.6 kg and length 0.45 m* (Table I) contradict the sums of Table II, 2.472 kg and 0.466 m. Table II
-  is used.
-
-Dolphin, besides the differences named above:
-
-- *The RMSE of Figs 8 and 11b and the map of Fig 11a* are pictures without values.
-- *Power and cost of transport* are electrical. The text also assigns the least cost of transport to JN1 but
-  at the speed of JN2.
-- *An independent prediction* is not possible, because the paper does not give the heights and girths of the
-  body and the polar of the fluke. The profile follows from the stated dimensions and mass. The polar was
-  chosen to fit the three speeds, so their agreement is a fit and not a prediction.
-- *L_c = 0.4 m* from the nose to the centre of mass contradicts the inertias of Table 2, which put it at
-  0.31 m.
+- *The dolphin's profile and polar* are not published. The polar was chosen to fit the three speeds, so that
+  their agreement is a fit and no prediction.
+- *L_c = 0.4 m of the dolphin* contradicts the inertias of its Table 2, which put it at 0.31 m.
 """
 
 
-INTRODUCTION = """This page is printed by `make reproduction` (`docs/reproduction.py`, then
+INTRODUCTION = """This page and its tables are written by `make reproduction` (`docs/reproduction.py`, then
 `benchmarks/bench_tuning.py`). The models are the robot files `tfish` and `dolphin` with the published
-coefficients. The papers do not give the crank of the tendon fish (20 mm is chosen), nor the profile of the
-dolphin and the polar of its fluke."""
+coefficients. Tests compare the page with the output of the commands."""
 
 
 def page() -> str:
@@ -753,6 +699,14 @@ def pictures(folder: Path) -> None:
         drawing.write(folder / f"{name}.svg", figures_of, title=title)
 
 
+def write_tables(folder: Path) -> None:
+    """Write the tables of the page."""
+    for name, rows in sheets.items():
+        with (folder / name).open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
 if __name__ == "__main__":
     print(page())
+    write_tables(Path(__file__).parent / "measured")
     pictures(Path(__file__).parent / "figures")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swimid.commands import found
+from swimid.commands import COMMAND_SPECS
 from swimid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 #: Public names of swimid besides the functions of commands. The key is the module that defines the names.
 _NAMES_OF = {
     # Functions that read trials, logs and robots.
-    "swimid.api": ("load", "read_log", "read_robot", "built_in_robots"),
+    "swimid.api": ("load", "read_log", "read_robot", "list_robots"),
     "swimid.logs.log": ("Log",),
     "swimid.logs.trials": ("TrialSet",),
     "swimid.robots.file": ("Robot",),
     # Functions that import logs and fit a model of a user.
-    "swimid.logs.import_log": ("import_log",),
-    "swimid.logs.mapping": ("guess_mapping",),
+    "swimid.imports.import_log": ("import_log",),
+    "swimid.imports.mapping": ("guess_mapping",),
     "swimid.fitting.fit": ("fit_model",),
     # Classes of results.
     "swimid.tracking.track_camera": ("Calibration",),
@@ -42,7 +42,7 @@ _NAMES_OF = {
     "swimid.runs.compare_runs": ("ComparedRuns",),
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),
-    "swimid.logs.tracks": ("Logged",),
+    "swimid.kinematics.logged": ("Logged",),
     # Base classes for models, experiments and effects that a user writes; classes of errors and warnings.
     "swimid.logs.experiments": ("Trials",),
     "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),
@@ -53,7 +53,9 @@ _NAMES_OF = {
 #: Module of each public name. The module is imported on the first use of the name, so that ``import swimid``
 #: stays fast.
 NAMES = {name: module for module, names in _NAMES_OF.items() for name in names}
-NAMES |= {name: module for module, name in (spec.place for spec in found().values()) if ".cli." not in module}
+NAMES |= {
+    name: module for module, name in (spec.place for spec in COMMAND_SPECS.values()) if ".cli." not in module
+}
 
 
 def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
@@ -84,9 +86,9 @@ def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
     ['t_s', 'x_m']
     """
     from swimid.logs import log
-    from swimid.options import explained
+    from swimid.options import explain_types
 
-    with explained(read_log, [path]):
+    with explain_types(read_log, [path]):
         return log.read(path, required=required)
 
 
@@ -157,7 +159,7 @@ def read_robot(name: str | Path) -> Robot:
     Parameters
     ----------
     name : str or path
-        Name of a built-in robot (:func:`built_in_robots`), or path of a robot file (swimid-robot/1).
+        Name of a built-in robot (:func:`list_robots`), or path of a robot file (swimid-robot/1).
 
     Returns
     -------
@@ -175,14 +177,14 @@ def read_robot(name: str | Path) -> Robot:
     >>> read_robot("boxfish").body.inertial_mass_kg
     1.196
     """
-    from swimid.options import explained
+    from swimid.options import explain_types
     from swimid.robots import file
 
-    with explained(read_robot, [name]):
+    with explain_types(read_robot, [name]):
         return file.read(str(Path(name)))
 
 
-def built_in_robots() -> list[str]:
+def list_robots() -> list[str]:
     """Return the names of the built-in robots.
 
     Returns
@@ -192,9 +194,9 @@ def built_in_robots() -> list[str]:
 
     Examples
     --------
-    >>> built_in_robots()
+    >>> list_robots()
     ['blimp', 'bluerov2', 'boxfish', 'dolphin', 'long-fin', 'sealion', 'tfish']
     """
     from swimid.robots import file
 
-    return file.built_in()
+    return file.list_built_in_robots()

@@ -36,7 +36,7 @@ MAX_FILES = 5
 
 
 @contextmanager
-def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
+def name_arguments(arguments: Mapping[str, str] | None) -> Iterator[None]:
     """Replace command-line options by Python arguments in all messages of a ``with`` block.
 
     Errors and warnings of the block then name ``start_state`` in place of ``--start-state``.

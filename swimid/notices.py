@@ -1,7 +1,8 @@
 """Warnings of swimid, each with a stable code, and the interface of progress bars for long loops.
 
 Functions of swimid issue a warning with :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. A
-command collects its warnings with :func:`recorded`, prints them at its end, and stores them in its results.
+command collects its warnings with :func:`record_warnings`, prints them at its end, and stores them in its
+results.
 The caller of a long loop decides whether and how the progress of the loop is shown.
 """
 
@@ -9,111 +10,36 @@ from __future__ import annotations
 
 import sys
 import time
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import cache
 from html import escape
+from pathlib import Path
 from typing import Any
 
 from swimid.errors import in_words_of_the_caller
 
-#: Subject of each warning code. ``docs/warnings.md`` explains the codes.
-CODES: dict[str, str] = {
-    "SWM001": "missing samples masked",
-    "SWM002": "values are unusual in the stated unit",
-    "SWM003": "uneven time steps",
-    "SWM004": "columns not used",
-    "SWM010": "parameter not identifiable from these trials",
-    "SWM011": "parameters strongly correlated",
-    "SWM012": "estimate at its bound",
-    "SWM013": "residuals are not white",
-    "SWM014": "trials differ by more than their noise",
-    "SWM015": "validation error much larger than fit error",
-    "SWM016": "the integration step is too coarse for its accuracy target",
-    "SWM017": "the trials do not start at rest at their first sample",
-    "SWM018": "part of a log left out",
-    "SWM019": "only ratios of the parameters are known",
-    "SWM020": "identified model is unstable or integrating",
-    "SWM021": "working point removed from the data",
-    "SWM022": "input does not excite the model order",
-    "SWM023": "the model order lies at the edge of its range",
-    "SWM024": "an effect that is not fitted would explain the residuals",
-    "SWM025": "outliers",
-    "SWM026": "the search converged too slowly along an ill-conditioned valley",
-    "SWM027": "points of a Pareto front left out",
-    "SWM028": "differences between trials would not show",
-    "SWM030": "measurement departs from the propulsion law",
-    "SWM031": "free exponent disagrees with the law",
-    "SWM032": "beat frequency contradicts the metadata",
-    "SWM033": "two frequencies that are no multiples of each other",
-    "SWM034": "a unit contradicts other columns",
-    "SWM035": "a channel holds one value amid its motion",
-    "SWM040": "frames without a marker",
-    "SWM041": "no calibration: output in pixels",
-    "SWM042": "marker separation is not constant",
-    "SWM043": "video timing is irregular",
-    "SWM044": "video ends early or has damaged frames",
-    "SWM045": "marker touches the edge of the picture",
-    "SWM047": "track split at a long gap",
-    "SWM048": "calibration points are mirrored",
-    "SWM049": "a motionless object of the marker's colour left out",
-    "SWM050": "evidence of a result is missing",
-    "SWM051": "figure reduced to fewer points",
-    "SWM052": "a result was changed after its evidence was made",
-    "SWM053": "a value lies outside its bounds",
-    "SWM054": "the drive is impossible for a swimmer, or is not resolved",
-    "SWM055": "uncertainty of a parameter left out",
-    "SWM056": "start state of a trial not found",
-    "SWM057": "rows or cells left out, or rows put in order",
-    "SWM058": "track cleaned",
-    "SWM059": "the track goes on elsewhere after a jump",
-    "SWM060": "the target of an export cannot express a part of the robot",
-    "SWM061": "a file of an earlier run stays beside the result",
-    "SWM062": "parameters in use that their fit does not support",
-    "SWM063": "course and heading of a track contradict each other",
-    "SWM064": "another object was first taken for the marker",
-    "SWM065": "no marker at the beginning or the end of a video",
-    "SWM066": "marker hidden in part",
-    "SWM067": "the followed object does not move",
-    "SWM068": "the camera moves",
-    "SWM069": "random samples of parameters lay outside the bounds",
-    "SWM070": "the pulley friction follows the pulling mass",
-    "SWM071": "a trial contradicts the others",
-    "SWM072": "an estimate is physically impossible",
-    "SWM073": "the search had stopped short of the best fit",
-    "SWM074": "rows of a log fitted twice",
-    "SWM075": "no next trial to write",
-    "SWM076": "effects of a parameter file left out",
-    "SWM077": "an actuator leaves the table of a transmission",
-    "SWM080": "a fault of recording was repaired",
-    "SWM081": "an integrated path is accurate for a short time only",
-    "SWM082": "no still period in an inertial log",
-    "SWM083": "the clocks of two logs differ",
-    "SWM084": "the motion between rests does not close",
-    "SWM086": "an impossible motion is left empty",
-    "SWM087": "two logs of one trial contradict each other",
-    "SWM090": "two columns of a log contradict each other",
-    "SWM091": "the time step of a simulator changes its simulation",
-    "SWM100": "the robot swims tail first",
-    "SWM101": "a body larger than a marker is followed",
-    "SWM110": "a measured force has the wrong sign",
-    "SWM120": "tracked points left out or exchanged",
-    "SWM121": "places of tracked points are wrong or not determined",
-    "SWM150": "lines of a checkpoint ignored",
-    "SWM151": "a checkpoint cannot be written",
-    "SWM152": "compiled kernels are not stored",
-    "SWM172": "several objects of the colour of a marker move",
-    "SWM173": "pixels may not be square",
-    "SWM174": "a picture of a calibration is not used",
-    "SWM176": "an input has changed since it was read",
-    "SWM178": "files of a download are missing",
-    "SWM179": "the mean of a joint angle may not be that of its swing",
-}
+#: File with the warnings by section and code: subject, and meaning with the remedy.
+WARNINGS_FILE = Path(__file__).parent / "warnings.toml"
+
+
+@cache
+def read_warnings() -> dict[str, dict[str, tuple[str, str]]]:
+    """Return subject and explanation of each warning, by section and code."""
+    return tomllib.loads(WARNINGS_FILE.read_text(encoding="utf-8"))
+
+
+@cache
+def read_codes() -> dict[str, str]:
+    """Return the subject of each warning code. ``docs/warnings.md`` explains the codes."""
+    return {code: text for codes in read_warnings().values() for code, (text, _) in codes.items()}
 
 
 class SwimidWarning(UserWarning):
-    """Warning of swimid with a stable code, one of :data:`CODES`.
+    """Warning of swimid with a stable code.
 
     Attributes
     ----------
@@ -134,7 +60,7 @@ class SwimidWarning(UserWarning):
     """
 
     def __init__(self, code: str, text: str) -> None:
-        if code not in CODES:
+        if code not in read_codes():
             raise KeyError(f"unknown warning code {code}")
         self.code = code
         self.text = in_words_of_the_caller(text)
@@ -150,12 +76,12 @@ class Notice:
 
 
 def warn(code: str, text: str) -> None:
-    """Issue a warning to the user with the given code, one of :data:`CODES`."""
+    """Issue a warning to the user with the given code."""
     warnings.warn(SwimidWarning(code, text), stacklevel=2)
 
 
 @contextmanager
-def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
+def record_warnings(*, repeat: bool = False) -> Iterator[list[Notice]]:
     """Collect the warnings of swimid that a ``with`` block issues, and yield the list, without duplicates.
 
     The collected warnings are not shown to the user. With ``repeat`` they are issued again at the end of the

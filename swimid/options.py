@@ -17,13 +17,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from swimid import reading
-from swimid.errors import SwimidError, UsageError, naming, suggestion
+from swimid.commands import CommandUsage
+from swimid.errors import SwimidError, UsageError, name_arguments, suggestion
 from swimid.notices import automatic
 
 Returned = TypeVar("Returned")
@@ -101,50 +102,17 @@ class Options(BaseModel):
 
     The values of an object are validated and cannot be changed afterwards.
 
-    A subclass with the arguments below declares a command. Its docstring is the help text, and the first line
-    of the docstring appears in the list of commands. ``swimid.cli.main`` reads the arguments and the
-    docstring from the source file, so they must be literals.
-
-    Parameters
-    ----------
-    command : str
-        Name of the command, such as ``"fit-drag"``.
-    section : str
-        Heading of the command in the list of commands.
-    output : str
-        Description of the output that ``-o`` writes.
-    argument : str
-        Positional argument of the command, by default ``"TRIALS"``. ``"LOG..."`` stands for several files,
-        ``"[NAME]"`` for an optional word, ``"[NAME] [FOLDER]"`` for a word and the output, and an empty
-        string for no argument.
-    function, module : str
-        Name of the function, and of its module in the same package. The default of the function is the
-        command with ``_`` in place of ``-``, that of the module is the function. The function takes the
-        files, ``output`` and the options, and also ``progress``, ``allow`` or ``force`` if it has these
-        arguments.
-    output_flags : tuple of str
-        Flags of the output, if they are not ``-o`` and ``--output``.
-    required : bool
-        Whether ``-o`` must be given.
-    stdout : dict
-        Default values of options if the output is a document on stdout, because ``-o`` is not given.
-    beside : tuple of str
-        Endings of the files that are written next to the output. The default is the ending of the evidence
-        file.
-    makes : str
-        Kind of file that the command makes, by which a batch connects steps: ``log``, ``parameters``,
-        ``setup``, ``result``, ``picture`` or ``page``.
-    metrics : tuple of str
-        Dotted names of numbers in the ``--json`` answer that the summary of a batch shows besides the
-        estimates. ``*`` stands for any name. After ``|`` follows the name of the 95 % interval.
-    lock : bool
-        Whether the output is locked while the command runs.
+    The docstring of a class for a command is the help text of the command. The class arguments are those of
+    :class:`swimid.commands.CommandUsage`. A row of :data:`swimid.commands.TABLE` names the class.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
-    def __init_subclass__(cls, **command: Any) -> None:
+    usage: ClassVar[CommandUsage] = CommandUsage()
+
+    def __init_subclass__(cls, **usage: Any) -> None:
         super().__init_subclass__()
+        cls.usage = CommandUsage(**usage)
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -163,11 +131,11 @@ class Options(BaseModel):
         for name, value in stated.items():
             parts = value.values() if isinstance(value, Mapping) else [value]
             if wrong := [part for part in parts if is_beyond(part)]:
-                raise UsageError(f"{cls.declared()[name].flag}: {wrong[0]!r:.20} is {BEYOND}")
+                raise UsageError(f"{cls.declarations()[name].flag}: {wrong[0]!r:.20} is {BEYOND}")
         return options
 
     @classmethod
-    def declared(cls) -> dict[str, Declared]:
+    def declarations(cls) -> dict[str, Declared]:
         """Return the declaration of each option. The key is the name of its field in the class of options."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
@@ -181,7 +149,7 @@ class Options(BaseModel):
         **actual
             Values that replace those of the options in the settings, by key.
         """
-        keys = {entry.key: name for name, entry in self.declared().items() if entry.key}
+        keys = {entry.key: name for name, entry in self.declarations().items() if entry.key}
         return {key: actual.get(key, _plain(getattr(self, name))) for key, name in keys.items()}
 
 
@@ -208,7 +176,7 @@ class Declared:
         self.flags: str = notes["flag"] or f"--{name.replace('_', '-')}"
         self.metavar: str | None = notes["metavar"]
         self.help = info.description or ""
-        self.kind = without_none(info.annotation)
+        self.kind = remove_none(info.annotation)
         self.annotation = info.annotation
         self.required = info.is_required()
         self.default = None if self.required else info.default
@@ -241,7 +209,7 @@ class Declared:
         return f"{text}, default {self.default!r}".replace("default None", "optional")
 
 
-def without_none(kind: Any) -> Any:
+def remove_none(kind: Any) -> Any:
     """Remove None from the alternatives of a type: ``float | None`` becomes ``float``."""
     if get_origin(kind) in (Union, UnionType):
         return Union[tuple(one for one in get_args(kind) if one is not type(None))]  # noqa: UP007 - made of a tuple
@@ -263,7 +231,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         keywords = {p.name for p in own}
 
         arguments = {"-o": "output"}
-        for entry in options.declared().values():
+        for entry in options.declarations().values():
             on, _, off = entry.flags.partition("/")
             arguments |= {on: entry.name, off: f"{entry.name}=False"}
 
@@ -275,7 +243,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
             known = [*options.model_fields, *keywords]
             if "progress" in keywords:
                 mine.setdefault("progress", automatic)
-            with naming(arguments), explained(function, args), reading.record(mine.get("output")):
+            with name_arguments(arguments), explain_types(function, args), reading.record(mine.get("output")):
                 if isinstance(given.get("options"), options) and len(given) == 1:
                     return function(*args, **given, **mine)
                 for name in given:
@@ -292,13 +260,13 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
                 default=inspect.Parameter.empty if entry.required else entry.default,
                 annotation=entry.annotation,
             )
-            for entry in options.declared().values()
+            for entry in options.declarations().values()
         ]
         rest = [p for p in own if p.kind is p.KEYWORD_ONLY]
         rest = [p.replace(default=automatic) if p.name == "progress" else p for p in rest]
         call.__signature__ = signature.replace(parameters=[*positional, *shown, *rest])  # type: ignore[attr-defined]
         call.options = options  # type: ignore[attr-defined]
-        call.__doc__ = _documented(function.__doc__, options, [p.name for p in rest])
+        call.__doc__ = _document_options(function.__doc__, options, [p.name for p in rest])
         return call
 
     return decorate
@@ -312,7 +280,7 @@ ALSO = {
 
 
 @contextmanager
-def explained(function: Callable[..., Any], args: Sequence[Any]) -> Iterator[None]:
+def explain_types(function: Callable[..., Any], args: Sequence[Any]) -> Iterator[None]:
     """Convert an exception in the ``with`` block into a :class:`UsageError` if an argument has a wrong type.
 
     Parameters
@@ -350,7 +318,7 @@ def _wrong_type(function: Callable[..., Any], name: str, value: Any, wanted: set
     return UsageError(text, hint=hint or None)
 
 
-def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
+def _document_options(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
     """Add descriptions of the options to the section Parameters of the docstring of a function.
 
     They are placed before the arguments ``rest``.
@@ -363,7 +331,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
     end = min(heads, default=len(lines) + 1) - 1
     place = next((k for k in range(begin, end) if lines[k].split(" :")[0] in rest), end)
     entries = []
-    for entry in options.declared().values():
+    for entry in options.declarations().values():
         entries += [f"{entry.name} : {entry.type_text()}", f"    {entry.help}"]
     return "\n".join([*lines[:place], *entries, *lines[place:]])
 
@@ -396,10 +364,37 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
         return raised
     name = str(problem["loc"][0])
     if problem["type"] == "missing":
-        return UsageError(f"the option '{name}' is missing", hint=options.declared()[name].help)
-    message = problem["msg"]
+        return UsageError(f"the option '{name}' is missing", hint=options.declarations()[name].help)
     value = f"{problem.get('input')!r:.60}"
-    return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")
+    return UsageError(f"{name}: {value} is not allowed: {describe_problem(problem)}")
+
+
+#: What is allowed, by the type of an error of pydantic.
+ALLOWED = {
+    **dict.fromkeys(("float_parsing", "float_type"), "a number is needed"),
+    **dict.fromkeys(("int_parsing", "int_type", "int_from_float"), "a whole number is needed"),
+    **dict.fromkeys(("bool_parsing", "bool_type"), "true or false is needed"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list is needed"),
+    **dict.fromkeys(("dict_type", "mapping_type", "model_type"), "'key: value' lines are needed"),
+    "missing": "this key is missing",
+    "extra_forbidden": "this key is unknown",
+    "string_type": "a text is needed",
+    "finite_number": "a finite number is needed",
+    "literal_error": "allowed are {expected}",
+    "greater_than": "it must be greater than {gt:g}",
+    "greater_than_equal": "it must be at least {ge:g}",
+    "less_than": "it must be less than {lt:g}",
+    "less_than_equal": "it must be at most {le:g}",
+    "too_short": "at least {min_length} entries are needed",
+    "too_long": "at most {max_length} entries are allowed",
+}
+
+
+def describe_problem(problem: Any) -> str:
+    """Return what is allowed in place of a value, from an error of pydantic."""
+    message = problem["msg"]
+    text = ALLOWED.get(problem["type"], f"{message[0].lower()}{message[1:]}")
+    return text.format(**problem.get("ctx", {})) if problem["type"] in ALLOWED else text
 
 
 # ---------------------------------------------------------------- options that several commands share
@@ -410,12 +405,12 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
 StartState = Literal["auto", "rest", "estimate"]
 
 
-def fixed() -> Any:
+def fix_option() -> Any:
     """Return the declaration of the option ``--fix``, which holds parameters at a value."""
     return option({}, flag="--fix", metavar="NAME=VALUE", help="Hold a parameter at a value.")
 
 
-def freed() -> Any:
+def free_option() -> Any:
     """Return the declaration of the option ``--free``, which frees parameters that are fixed by default."""
     return option((), flag="--free", metavar="NAME", help="Estimate a parameter that is fixed by default.")
 
@@ -429,19 +424,6 @@ def own_experiments() -> Any:
     """Return the declaration of the option ``--experiment``, which reads experiments that a user defines."""
     help = "Python file with the experiment of one's own that the trials file names. Repeatable."
     return option((), flag="--experiment", metavar="FILE", help=help, recorded=False)
-
-
-def cluster() -> Any:
-    """Return the declaration of the option ``--cluster``, which moves the work to a cluster.
-
-    The cluster changes no result and is not recorded.
-    """
-    return option(
-        None,
-        metavar="ADDRESS|FILE",
-        recorded=False,
-        help="Address (tcp://host:8786) or scheduler file of a cluster of dask.distributed.",
-    )
 
 
 def jobs(help: str = "Threads; default one per processor.") -> Any:

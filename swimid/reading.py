@@ -63,7 +63,7 @@ class Opened:
 
 
 @dataclass
-class Record:
+class FileRecord:
     """Files that are read in a ``with`` block.
 
     Attributes
@@ -81,17 +81,17 @@ class Record:
     paths: dict[str, None] = field(default_factory=dict)
 
 
-_RECORD: ContextVar[Record | None] = ContextVar("_RECORD", default=None)
+_RECORD: ContextVar[FileRecord | None] = ContextVar("_RECORD", default=None)
 
 
 @contextmanager
-def record(output: str | Path | None = None) -> Iterator[Record]:
+def record(output: str | Path | None = None) -> Iterator[FileRecord]:
     """Record the files that are read in a ``with`` block. ``output`` is the result that will be written."""
     outer = _RECORD.get()
     folder = os.getcwd()
     if output is not None:
         folder = os.path.dirname(os.path.abspath(output))
-    inner = Record(folder, {} if outer is None else outer.known)
+    inner = FileRecord(folder, {} if outer is None else outer.known)
     token = _RECORD.set(inner)
     try:
         yield inner
@@ -164,7 +164,7 @@ def _listen() -> None:
     sys.addaudithook(hear)
 
 
-def known() -> dict[str, Opened]:
+def list_files() -> dict[str, Opened]:
     """Return the files that the current command has read, by absolute path."""
     now = _RECORD.get()
     return {} if now is None else now.known
@@ -242,7 +242,7 @@ def name_of(path: str | Path, folder: str | Path | None = None) -> str:
     return Path(os.path.relpath(place, folder)).as_posix()
 
 
-def published(text: str) -> str:
+def publish_word(text: str) -> str:
     """Return a word of a command line, or the value of an option, with a path in it as results state it."""
     option, equal, value = "", "", text
     if text.startswith("--"):
@@ -253,7 +253,7 @@ def published(text: str) -> str:
     return f"{option}{equal}{value}"
 
 
-def without_places(text: str) -> str:
+def remove_folders(text: str) -> str:
     """Return a text of a log without the folders of the installation, of the user and of the working folder.
 
     >>> without_places(f'File "{__file__}"')

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from swimid.diagnosis.noise import NoiseModel, RandomEffect, Scatter
-from swimid.diagnosis.study import Study
+from swimid.diagnosis.study import GapStudy
 from swimid.effects.base import Effect
 from swimid.fitting.model import Hooks, Model, Parameter, RigInput, Trial
 from swimid.fitting.problem import Problem
@@ -46,9 +46,9 @@ def ring(t: np.ndarray) -> np.ndarray:
 class Hooked(Toy):
     """Closed-form model to which effects can be added."""
 
-    def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
+    def simulate_hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
         """Simulate a trial, and change what is measured by an effect."""
-        return hooks.seen(self.simulate(values, trial), trial.time_s)
+        return hooks.sense(self.simulate(values, trial), trial.time_s)
 
 
 class Seen(Effect):
@@ -109,7 +109,7 @@ def seen_trials(rng: np.random.Generator, rising: float, ringing: float) -> list
     return trials
 
 
-def line_study(rng: np.random.Generator) -> Study:
+def line_study(rng: np.random.Generator) -> GapStudy:
     """Return a linear model with two coefficients, and five trials that each have a start value."""
     trials = []
     for k in range(5):
@@ -117,12 +117,12 @@ def line_study(rng: np.random.Generator) -> Study:
         clean = line(np.array([1.0, 0.2, 0.1 * k]), t)
         found = {c: clean[c] + 0.05 * rng.normal(size=len(t)) for c in clean}
         trials.append(Trial(f"t{k}", "fit", t, found, rig=RigInput(force=1.0 + max(k, 1))))
-    return Study(Hooked(line, LINE, ("y", "v")), LINE, trials, {"a": (0.8, 0.2)})
+    return GapStudy(Hooked(line, LINE, ("y", "v")), LINE, trials, {"a": (0.8, 0.2)})
 
 
-def plain_study(trials: Sequence[Trial], sd: float, prior: tuple[float, float] | None = None) -> Study:
+def plain_study(trials: Sequence[Trial], sd: float, prior: tuple[float, float] | None = None) -> GapStudy:
     """Return a study of a model that decays, with independent noise of a known standard deviation."""
-    study = Study(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {} if prior is None else {"a": prior})
+    study = GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {} if prior is None else {"a": prior})
     return with_sd(study, sd)
 
 
@@ -132,6 +132,6 @@ def noise_of(problem: Problem, sd: float) -> NoiseModel:
     return NoiseModel(weights, channels=problem.channels)
 
 
-def with_sd(study: Study, sd: float) -> Study:
+def with_sd(study: GapStudy, sd: float) -> GapStudy:
     """Return a study with independent noise of a standard deviation in all channels."""
     return study.with_noise(noise_of(study.shape, sd))

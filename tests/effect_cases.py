@@ -10,7 +10,7 @@ import numpy as np
 
 from swimid.blackbox.model import ArxModel
 from swimid.effects.base import Effect
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import Model, RigInput, SwimInput, Trial
 from swimid.results import parameters
 from swimid.rig import model as rig
@@ -71,7 +71,7 @@ def swim(
 ) -> Trial:
     """Return a beat from rest, with the simulation as measurement."""
     time = np.arange(0.0, duration_s, 0.025)
-    beat = Beat("sine", frequency_hz, amplitude_rad)
+    beat = TailBeat("sine", frequency_hz, amplitude_rad)
     name = f"{frequency_hz} {amplitude_rad} {pose} {duration_s}"
     trial = Trial(name, "fit", time, {}, swim=SwimInput(beat, pose=pose))
     return replace(trial, measured=model.simulate(start(model), trial))
@@ -103,7 +103,7 @@ def check_null(model: Model, trial: Trial, effect: Effect) -> None:
         assert all(p.scale > 0 and np.isfinite(p.scale) for p in own)
         affected = model.with_effects([variant], [trial])
         seen = affected.run(np.concatenate([values, null]), trial)
-        hooked = model.hooked(values, trial, variant.hooks(null, trial, model))
+        hooked = model.simulate_hooked(values, trial, variant.hooks(null, trial, model))
         for name in plain:
             assert np.array_equal(plain[name], seen[name])
             np.testing.assert_allclose(hooked[name], plain[name], rtol=1e-9, atol=1e-9)

@@ -18,18 +18,18 @@ from swimid.diagnosis.gap_file import (
     ChangedValue,
     ChannelGap,
     Closed,
+    EffectRow,
     Facts,
     GapFile,
     HeldOutTrial,
     Proposed,
     Remaining,
-    Score,
     Shrinkage,
-    Step,
     Value,
+    WaterfallStep,
     Where,
 )
-from swimid.diagnosis.held_out import Piece
+from swimid.diagnosis.held_out import HeldOutSeries
 from swimid.fitting import fit_common
 from swimid.fitting.model import Trial
 from swimid.results import evidence as ev
@@ -112,9 +112,9 @@ def _channel(channel: str, unit: str, nrmse: float, floor: float, share: float, 
     return ChannelGap(channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse)
 
 
-def _step(label: str, squared: float, u: float, rate: float, joint: float) -> Step:
+def _step(label: str, squared: float, u: float, rate: float, joint: float) -> WaterfallStep:
     rmse = dict(zip(_CHANNELS, (u, rate, joint), strict=True))
-    return Step(label=label, squared=squared, rmse=rmse)
+    return WaterfallStep(label=label, squared=squared, rmse=rmse)
 
 
 def _cell(kind: str, label: str, ratio: float, share: float) -> Cell:
@@ -175,7 +175,7 @@ READING = replace(
 )
 
 
-def _scores(first: str = "servo-backlash") -> list[Score]:
+def _scores(first: str = "servo-backlash") -> list[EffectRow]:
     rng = np.random.default_rng(5)
     names = {
         "servo-backlash": "actuation",
@@ -190,7 +190,7 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
     if first not in names:
         names[first] = "fluid"
     scores = [
-        Score(
+        EffectRow(
             effect=name,
             stage=stage,  # type: ignore[arg-type]
             variant="joint 2" if name == "joint-locked" else "",
@@ -204,7 +204,7 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
     scores = [
         replace(s, gain=3062.4, stderr=410.0, probability=0.94) if s.effect == first else s for s in scores
     ]
-    weak = Score(
+    weak = EffectRow(
         effect="wall",
         stage="environment",
         variant="+x",
@@ -215,7 +215,7 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
     return [weak, *scores]
 
 
-def worst() -> list[Piece]:
+def worst() -> list[HeldOutSeries]:
     """A held-out trial of two channels."""
     rng = np.random.default_rng(7)
     time = np.arange(0.0, 10.0, 0.02)
@@ -225,7 +225,7 @@ def worst() -> list[Piece]:
         after = 0.2 * (1 - np.exp(-time)) + 0.05 * np.sin(9 * time)
         before = after * 1.15
         measured = after + rng.normal(0, 0.01, len(time))
-        found.append(Piece(trial, channel, time, measured, before, after))
+        found.append(HeldOutSeries(trial, channel, time, measured, before, after))
     return found
 
 
@@ -456,7 +456,7 @@ ALL = {
 
 def evidence(gap: GapFile, sources: Sequence[str] = ()) -> ev.Evidence:
     """What one of them rests on."""
-    return diagnose_evidence.evidence(gap, worst(), sources=sources)
+    return diagnose_evidence.build_gap_evidence(gap, worst(), sources=sources)
 
 
 def written(folder: Path, name: str) -> Path:

@@ -38,18 +38,18 @@ def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, A
     def value(x: Any) -> float:
         return known[x.number] if isinstance(x, Symbol) else x
 
-    for x in kernel.traced.operations:
+    for x in kernel.equations.operations:
         if x.kind in inputs:
             known[x.number] = float(inputs[x.kind][x.of[0]])
         else:
             known[x.number] = ACTS[x.kind](*(value(a) for a in x.of))
-    return np.array([value(x) for x in kernel.traced.rates])
+    return np.array([value(x) for x in kernel.equations.rates])
 
 
 def arithmetic(kernel: Kernel) -> tuple[int, int]:
     """Count the instructions of a compiled kernel on packed and on single doubles, on x86-64."""
     names: dict[str, Any] = {}
-    exec(lanes.source_of(kernel.traced).replace("cache=True", "cache=False"), names)
+    exec(lanes.source_of(kernel.equations).replace("cache=True", "cache=False"), names)
     names["integrate"].compile(names["SIGNATURE"])
     assembly = next(iter(names["integrate"].inspect_asm().values()))
     packed, single = (
@@ -59,7 +59,7 @@ def arithmetic(kernel: Kernel) -> tuple[int, int]:
     return packed, single
 
 
-def emitted(program: list[tuple[Any, ...]]) -> Any:
+def emit(program: list[tuple[Any, ...]]) -> Any:
     """Return a Python function that runs a program of a generated module on the work array."""
 
     def run(work: np.ndarray, lane: int, *given: float) -> None:
@@ -84,11 +84,11 @@ def emitted(program: list[tuple[Any, ...]]) -> Any:
 
 def uncompiled(kernel: Kernel) -> Any:
     """Return the generated module as Python, not compiled."""
-    text = lanes.source_of(kernel.traced).replace("import numba", "")
-    text = text.replace("from swimid.swimmer.lanes import emitted", "")
+    text = lanes.source_of(kernel.equations).replace("import numba", "")
+    text = text.replace("from swimid.swimmer.lanes import emit", "")
     names: dict[str, Any] = {
         "numba": SimpleNamespace(njit=lambda **_: lambda function: function),
-        "emitted": emitted,
+        "emit": emit,
     }
     exec(compile(text, "lanes", "exec"), names)
     return SimpleNamespace(integrate=names["integrate"])

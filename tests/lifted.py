@@ -10,23 +10,25 @@ from scipy.spatial.transform import Rotation
 
 from swimid.fitting.model import Array
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Multilink
-from swimid.swimmer.planar.model import Assembly
-from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.model import NOWHERE, MultibodyModel, hinge_row
+from swimid.robots.planar import MultilinkRobot
+from swimid.swimmer.assembly import joint_row
+from swimid.swimmer.engine import INTEGERS
+from swimid.swimmer.planar.model import PlanarTree
+from swimid.swimmer.spatial.engine import COLUMNS, SPATIAL_ENGINE
+from swimid.swimmer.spatial.model import NOWHERE, MultibodyModel
 
 
-class Lifted(Assembly):
+class Lifted(PlanarTree):
     """Links of a planar robot, with their tables for the engine in space.
 
     A planar file is silent about motion off the plane. The robot is taken as symmetric: no mass and no force
     acts off the plane, and inertias about axes in the plane equal those about its normal.
     """
 
-    def __init__(self, body: Multilink, fluid: Fluid) -> None:
+    def __init__(self, body: MultilinkRobot, fluid: Fluid) -> None:
         super().__init__(body, fluid)
         #: The engine that takes the tables.
-        self.engine = engine
+        self.engine = SPATIAL_ENGINE
         #: The second axis of the plane, the axis across it, and the turn of the planar angle.
         self.second, self.across = (1, 2) if body.plane == "horizontal" else (2, 1)
         self.normal = np.array([0.0, 0.0, 1.0] if body.plane == "horizontal" else [0.0, -1.0, 0.0])
@@ -55,10 +57,10 @@ class Lifted(Assembly):
         }
         for name, (owner, table) in rows.items():
             found[f"{name}_link"] = np.array(owner, dtype=np.int64)
-            found[name] = np.array(table).reshape(len(table), len(getattr(engine, name.upper())))
-        for name, count in engine.INTEGERS.items():
+            found[name] = np.array(table).reshape(len(table), len(COLUMNS[name]))
+        for name, count in INTEGERS.items():
             found[f"{name}_link"] = np.empty((0, count), dtype=np.int64)
-            found[name] = np.empty((0, len(getattr(engine, name.upper()))))
+            found[name] = np.empty((0, len(COLUMNS[name])))
         found["load_input"] = flat["load_input"]
         found["surface"], found["free_base"] = NOWHERE, self.free_base
         return found
@@ -70,7 +72,7 @@ class Lifted(Assembly):
 
     def _hinge(self, row: Array) -> list[float]:
         mount = Rotation.from_rotvec(math.atan2(row[3], row[2]) * self.normal)
-        return [float(e) for e in hinge_row(list(self._point(row[0], row[1])), self.normal, mount)]  # type: ignore[arg-type]
+        return [float(e) for e in joint_row(list(self._point(row[0], row[1])), self.normal, mount)]  # type: ignore[arg-type]
 
     def _solid(self, row: Array) -> Array:
         uu, uv, ur, vv, vr, rr = row

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from swimid.kinematics.logged import Logged
 from swimid.logs import log
-from swimid.logs.tracks import Logged
 from swimid.results.evidence import (
     Check,
     Evidence,

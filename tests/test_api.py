@@ -203,7 +203,7 @@ class TestResult:
         assert row["value"] == drag["added_mass"].value
         assert row["low95"] < row["value"] < row["high95"]
         assert drag.correlation.loc["added_mass", "added_mass"] == pytest.approx(1.0)
-        assert drag.converged
+        assert drag.has_converged
         assert drag.verdict == "good"
         assert set(drag.checks()["verdict"]) == {"pass"}
         assert "methods" in drag.tables()
@@ -343,7 +343,7 @@ class TestNotebook:
             (lambda t: swimid.read_log(t), "read_log takes path as path, not as DataFrame", "CSV or"),
             (lambda t: swimid.report([t]), "report takes inputs as sequence of", "Parameter files"),
             (lambda t: swimid.simulate(params=t), "a DataFrame holds no parameters", "parameter file"),
-            (lambda t: swimid.read_robot(t), "read_robot takes name as str or path", "built_in_robots"),
+            (lambda t: swimid.read_robot(t), "read_robot takes name as str or path", "list_robots"),
             (lambda t: swimid.load_result(t), "load_result takes path as path", "parameter"),
         ],
     )

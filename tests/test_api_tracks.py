@@ -14,13 +14,14 @@ import pytest
 
 from swimid.errors import InputError, UsageError
 from swimid.files import provenance, yamlio
+from swimid.imports import mapping
+from swimid.imports.import_log import import_log
+from swimid.imports.mapping import guess_mapping
 from swimid.inertial.track_imu import track_imu
-from swimid.logs import log, mapping
-from swimid.logs.import_log import import_log
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.plot import plot
+from swimid.logs import log
 from swimid.logs.log import Log
-from swimid.logs.mapping import guess_mapping
-from swimid.logs.plot import plot
-from swimid.logs.tracks import Logged
 from swimid.results import evidence as ev
 from swimid.tracking import setup as setup_format
 from swimid.tracking.track_setup import track_setup
@@ -141,7 +142,7 @@ def test_a_setup_may_be_a_dictionary(film: tuple[Path, Path], tmp_path: Path) ->
     assert settings["setup"] == setup_format.read(setup).model_dump(mode="json", exclude_none=True)
     inputs = made.evidence.provenance["inputs"]
     assert len(inputs) == 2
-    assert inputs["setup"] == setup_format.of(keys).digest()
+    assert inputs["setup"] == setup_format.read_setup(keys).digest()
     with pytest.raises(InputError, match="setup, 'markrs': unknown key"):
         track_video(video, setup=keys | {"markrs": []})
 
@@ -239,7 +240,7 @@ def test_a_foreign_unit_through_a_mapping_in_memory(vehicle: tuple[pd.DataFrame,
     inputs = made.evidence.provenance["inputs"]
     assert inputs == {
         "imu": log.unread(foreign, name="imu").digest(),  # type: ignore[union-attr]
-        "mapping": mapping.of(rules).digest(),
+        "mapping": mapping.read_mapping(rules).digest(),
     }
     short = {**rules, "columns": rules["columns"][1:]}  # type: ignore[index]
     with pytest.raises(InputError, match="mapping, 'ax_m_s2'"):

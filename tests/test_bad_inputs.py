@@ -420,7 +420,7 @@ def test_bad_results(swimid: Run, tmp_path: Path, name: str, text: str, words: l
 def test_broken_evidence(swimid: Run, cruise: Path) -> None:
     (cruise / "drag.evidence.json").write_text(json.dumps({"format": "swimid-evidence/1", "command": 3}))
     ran = swimid("report", cruise / "drag.yaml", "-o", cruise / "page.html")
-    refused(ran, 3, ["drag.evidence.json, 'command': no swimid-evidence/1 file"])
+    refused(ran, 3, ["drag.evidence.json, 'command': is no swimid-evidence/1 file"])
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")

@@ -193,7 +193,7 @@ def test_a_dry_run_writes_nothing(lab: Path, swimid: Run) -> None:
 # ---------------------------------------------------------------- items that end badly
 
 SPOILT = """format: swimid-plan/1
-limits: {{time_s: {time_s}, memory_mb: {memory_mb}}}
+limits: {{time_s: {time_s}}}
 items:
   - files: rig/trials.yaml
     steps: [{{diagnose: {{params: params.yaml, effect: [effect.py]}}}}]
@@ -204,12 +204,12 @@ items:
 def spoilt(tmp_path: Path, swimid: Run) -> Callable[..., dict[str, Any]]:
     """Run one item whose own effect file does something; return its status."""
 
-    def run(code: str, *, time_s: float = 100, memory_mb: float = 4000) -> dict[str, Any]:
+    def run(code: str, *, time_s: float = 100) -> dict[str, Any]:
         shutil.copytree(SAMPLES / "rig", tmp_path / "rig")
         fit = package.fit_drag(SAMPLES / "rig/trials.yaml")
         fit.save(tmp_path / "params.yaml")
         (tmp_path / "effect.py").write_text(f"import os, signal, sys, time\n{code}\n")
-        plan = written(tmp_path, SPOILT.format(time_s=time_s, memory_mb=memory_mb))
+        plan = written(tmp_path, SPOILT.format(time_s=time_s))
         ran = swimid("batch", plan, "-o", tmp_path / "run", "--json")
         assert ran.status == 4
         found: dict[str, Any] = json.loads((tmp_path / "run/items/rig_trials.yaml/status.json").read_text())
@@ -219,13 +219,10 @@ def spoilt(tmp_path: Path, swimid: Run) -> Callable[..., dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_a_crash_is_tried_twice_more(spoilt: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
-    place = tmp_path / "attempts"
+def test_an_item_that_crashes_fails(spoilt: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     status = spoilt(
-        f"open({str(place)!r}, 'a').write('x')\nprint('the last words', file=sys.stderr, flush=True)\n"
-        "os.kill(os.getpid(), signal.SIGSEGV)"
+        "print('the last words', file=sys.stderr, flush=True)\nos.kill(os.getpid(), signal.SIGSEGV)"
     )
-    assert place.read_text() == "xxx"
     assert status["state"] == "failed"
     assert not [*(tmp_path / "run").rglob("*.lock")]
     assert str(ROOT) not in status["error"]["log"]
@@ -242,20 +239,6 @@ def test_an_item_beyond_its_time_fails_once(spoilt: Callable[..., dict[str, Any]
     assert status["state"] == "failed"
     assert "limit of 6 s" in status["error"]["message"]
     assert not [*(tmp_path / "run").rglob("*.lock")]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits private memory")
-def test_an_item_beyond_its_memory_fails(lab: Path, swimid: Run) -> None:
-    (lab / "logs/log0.csv").write_text(
-        "t_s,cmd1_rad,u_m_s\n" + "0.000000001,1.000000001,2.000000001\n" * 10_000_000
-    )
-    plan = written(lab, PLAN.replace("items:", "limits: {memory_mb: 500}\nitems:"))
-    swimid("batch", plan, "-o", lab / "run")
-    status = json.loads((lab / "run/items/logs_log0.csv/status.json").read_text())
-    assert status["state"] == "failed"
-    assert "not enough memory" in status["error"]["message"]
-    assert "500 MB" in status["error"]["message"]
 
 
 # ---------------------------------------------------------------- chains
@@ -382,17 +365,12 @@ def test_options_that_exclude_each_other(lab: Path, swimid: Run) -> None:
 
 
 @pytest.mark.slow
-def test_shards_and_job_array_do_all_items(lab: Path, swimid: Run) -> None:
-    """The scripts of the job array run under bash; the queue numbers their tasks."""
-    ran = swimid("batch", lab / "plan.yaml", "-o", lab / "new", "--slurm", lab / "jobs", "--jobs", "2")
-    assert ran.status == 0, ran.err
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    for task in ("1", "2"):
-        given = {**os.environ, "SLURM_ARRAY_TASK_ID": task, "PATH": path, "PYTHONPATH": str(ROOT)}
-        subprocess.run(["bash", lab / "jobs/array.sh"], env=given, check=True, capture_output=True)
+def test_shards_do_all_items(lab: Path, swimid: Run) -> None:
+    """The tasks of a job array do one shard each, and one more job collects."""
+    for shard in ("1/2", "2/2"):
+        assert swimid("batch", lab / "plan.yaml", "-o", lab / "new", "--shard", shard).status in (0, 4)
     assert not (lab / "new/index.html").exists()
-    given = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
-    subprocess.run(["bash", lab / "jobs/collect.sh"], env=given, capture_output=True)
+    assert swimid("batch", lab / "plan.yaml", "-o", lab / "new", "--collect").status == 4
     table = pd.read_csv(lab / "new/summary.csv", comment="#")
     assert sorted(table.state) == ["done", "done", "refused"]
 
@@ -404,7 +382,7 @@ def test_an_item_of_another_process_is_left_to_it(lab: Path, swimid: Run) -> Non
     before = {path.name for path in folder.iterdir()}
     holder = (
         "import sys, time; from pathlib import Path; from swimid.files import atomic\n"
-        f"with atomic.locked(Path({str(folder / 'status.json')!r})):\n"
+        f"with atomic.hold_lock(Path({str(folder / 'status.json')!r})):\n"
         "    print('locked', flush=True); time.sleep(60)\n"
     )
     process = subprocess.Popen(
@@ -431,21 +409,6 @@ def test_a_killed_run_ends_like_an_undisturbed_one(lab: Path) -> None:
     seconds = batch_runs.undisturbed(plan, lab / "one")
     assert batch_runs.killed(plan, lab / "two", kills=2, within_s=seconds) > 0
     assert batch_runs.hashes(lab / "two") == batch_runs.hashes(lab / "one")
-
-
-@pytest.mark.slow
-def test_a_cluster_that_loses_a_worker_ends_like_one_machine(lab: Path) -> None:
-    plan = lab / "plan.yaml"
-    batch_runs.undisturbed(plan, lab / "one")
-    batch_runs.on_cluster(plan, lab / "two", kill_after_s=4.0)
-    assert batch_runs.hashes(lab / "two") == batch_runs.hashes(lab / "one")
-
-
-def test_a_cluster_that_does_not_answer_is_an_error(lab: Path, swimid: Run) -> None:
-    pytest.importorskip("distributed")
-    ran = swimid("batch", lab / "plan.yaml", "-o", lab / "new", "--cluster", "nonsense://x")
-    assert ran.status == 3
-    assert "does not answer" in ran.err
 
 
 def test_time_of_results_can_be_fixed(monkeypatch: pytest.MonkeyPatch, swimid: Run, tmp_path: Path) -> None:

@@ -119,7 +119,7 @@ def write(
 
 
 def test_reaction_is_that_of_the_closed_form(tmp_path):
-    from swimid.fitting.drives import Beat
+    from swimid.fitting.drives import TailBeat
     from swimid.fitting.model import SwimInput, Trial
 
     (tmp_path / "plate.yaml").write_text(
@@ -129,7 +129,7 @@ def test_reaction_is_that_of_the_closed_form(tmp_path):
     truth = {"m_a": ADDED, "k_d": DRAG, "m_e": SHED}
     values = np.array([truth.get(p.name, p.start) for p in model.parameters])
     time = np.arange(2.0, 4.0, 0.004)
-    beat = Beat("sine", 1.5, 0.4, ramp_s=1.0)
+    beat = TailBeat("sine", 1.5, 0.4, ramp_s=1.0)
     angle, rate, bend = beat.motion(time)
 
     found = model.simulate(values, Trial("run", "fit", time, {}, swim=SwimInput(beat)))

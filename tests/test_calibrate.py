@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from swimid.diagnosis.posterior import Calibration, Candidate, Record
+from swimid.diagnosis.posterior import Candidate, DataSize, PosteriorConstants
 from validation import calibrate
 
-RECORD = Record(1000.0, 3, 20)
+RECORD = DataSize(1000.0, 3, 20)
 
 
 def _rows(null: float, **deviances: float) -> list[Candidate]:
@@ -36,7 +36,7 @@ def test_without_a_twin_it_would_still_be_explained() -> None:
 def test_what_cannot_be_seen_may_as_well_be_none() -> None:
     (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], RECORD)
     assert only.small
-    known = Calibration(7.0, 0.1, -2.0)
+    known = PosteriorConstants(7.0, 0.1, -2.0)
     assert only.probability(known) > 0.5
 
 
@@ -75,10 +75,10 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
         (tmp_path / "labels" / f"{k:04d}.json").write_text(json.dumps(label))
     cases = calibrate.read([tmp_path])
     assert len(cases) == 4 + 2 * 8
-    start = Calibration(1.0, 0.1, 0.0)
+    start = PosteriorConstants(1.0, 0.1, 0.0)
     known = calibrate.calibrated(cases, start)
 
-    def likelihood(c: Calibration) -> float:
+    def likelihood(c: PosteriorConstants) -> float:
         p = np.array([case.probability(c) for case in cases])
         return float(calibrate.weights(cases) @ np.log(p))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import shlex
@@ -19,12 +20,12 @@ import pytest
 from click.testing import CliRunner
 
 import swimid as package
-from swimid.cli.main import SECTIONS, main
-from swimid.cli.main import Run as Running
-from swimid.commands import found
+from swimid.cli.main import CommandRun as Running
+from swimid.cli.main import main
+from swimid.commands import COMMAND_SPECS, TABLE
 from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
-from swimid.results.result import Result, formats
+from swimid.results.result import Result, list_result_formats
 from tests.conftest import ROOT, SAMPLES, Ran
 
 Run = Callable[..., Ran]
@@ -32,11 +33,11 @@ Run = Callable[..., Ran]
 
 def test_every_command_is_in_a_section_and_explains_itself(swimid: Run) -> None:
     shown = swimid("--help").out
-    assert re.findall(r"^(\w[\w ]+):$", shown, re.M) == ["Options", *SECTIONS]
+    assert re.findall(r"^(\w[\w ]+):$", shown, re.M) == ["Options", *TABLE]
     for name in main.commands:
         assert re.search(rf"^  {name} ", shown, re.M), name
-    for spec in found().values():
-        assert spec.section in SECTIONS, spec.command
+    for spec in COMMAND_SPECS.values():
+        assert inspect.getdoc(spec.model()).splitlines()[0] == spec.help, spec.command
         assert "Example" in swimid(*spec.command.split(), "--help").out, spec.command
 
 
@@ -48,7 +49,12 @@ def test_every_verb_takes_the_shared_options() -> None:
         return found
 
     for command in leaves(main):
-        flags = {flag for p in command.params if isinstance(p, click.Option) for flag in p.opts}
+        flags = {
+            flag
+            for p in command.get_params(click.Context(command))
+            if isinstance(p, click.Option)
+            for flag in p.opts
+        }
         assert {"-o", "--json", "-q", "-v", "--no-progress", "--debug", "--force"} <= flags, command.name
 
 
@@ -191,9 +197,8 @@ def test_schema_and_doctor_write_over_nothing_of_others(
 
 def test_schema_lists_every_format(swimid: Run) -> None:
     listed = swimid("schema").out.split()
-    assert listed[:6] == ["trials", "robot", "setup", "mapping", "points", "evidence"]
-    assert listed[6:-1] == formats()
-    assert listed[-1] == "answer"
+    assert listed[:7] == ["trials", "robot", "setup", "mapping", "points", "evidence", "answer"]
+    assert listed[7:] == list_result_formats()
 
 
 @pytest.mark.slow
@@ -336,7 +341,7 @@ class TestInterrupts:
         assert ran.stdout == ""
 
     def test_what_is_kept_is_named(self, tmp_path: Path) -> None:
-        keep = Checkpoint.beside(tmp_path / "out.yaml", "it")
+        keep = Checkpoint.of_output(tmp_path / "out.yaml", "it")
 
         def work() -> None:
             keep.put("one", np.ones(1))
@@ -367,7 +372,7 @@ class TestFolders:
             "plot F -o x.svg", "compare F --params F", "rwls F --input a --output b", "import F -o x.csv",
             "batch F -o run", "import log.csv --map F -o x.csv", "track imu F -o x.csv",
             "track video log.csv --setup F -o x.csv", "export F --to json",
-            "export F --to movement -o x.nc", "simulate --params F", "simulate --robot F",
+            "simulate --params F", "simulate --robot F",
             "map --params F --over frequency_hz=1:2:3", "import F.parquet -o x.csv",
             "plot F.parquet -o x.svg", "import F.mat -o x.csv", "import F.h5 -o x.csv",
             "import F.xlsx -o x.csv", "import F.tdms -o x.csv",

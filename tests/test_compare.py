@@ -256,7 +256,7 @@ def test_the_derivative_passes_the_beat_with_the_documented_gain() -> None:
     there = np.isfinite(found)
     gain = float(found[there] @ true[there] / (true[there] @ true[there]))
     assert gain == pytest.approx(1 - (2 * np.pi * frequency * half) ** 4 / 504, abs=1e-3)
-    assert fit_common.score(true[there], gain * true[there]).nrmse < 0.01
+    assert fit_common.compute_score(true[there], gain * true[there]).nrmse < 0.01
     assert not there[time < time[0] + 0.9 * half].any()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from swimid.logs import kinematics
+from swimid.kinematics.cycles import CYCLE_QUANTITIES, cycle_quantities, whole_cycles, world_velocity
 from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.simulation.compare_series import ComparisonFile
@@ -57,7 +57,7 @@ def test_profiles_are_the_means_of_their_repeats(swimid: Run, tmp_path: Path) ->
         begin = round(2.9 * (cycle.cycle - 1) * 30)
         rates = [float(log["pitch_rad"].iloc[k] - log["pitch_rad"].iloc[begin]) / 2.9 for log in logs]
         assert cycle.measured["mean_pitch_rate_rad_s"] == pytest.approx(np.mean(rates), abs=1e-12)
-        assert set(cycle.simulated) == set(kinematics.CYCLE_QUANTITIES)
+        assert set(cycle.simulated) == set(CYCLE_QUANTITIES)
     assert profiles["pitch"].cycles == []
     assert profiles["pitch"].position_rmse_m is not None
     shown = evidence.read(evidence.sidecar(out))
@@ -70,9 +70,9 @@ def test_profiles_are_the_means_of_their_repeats(swimid: Run, tmp_path: Path) ->
 
 def test_speeds_of_a_cycle_by_hand() -> None:
     time = np.arange(88) / 30.0
-    window = kinematics.whole_cycles(time, 1 / 2.9)[0]
+    window = whole_cycles(time, 1 / 2.9)[0]
     x, z = 0.3 * time, 0.4 * time
-    found = kinematics.cycle_quantities(time, {"x_m": x, "z_m": z}, window)
+    found = cycle_quantities(time, {"x_m": x, "z_m": z}, window)
     assert found["max_speed_m_s"] == pytest.approx(0.5)
     assert found["path_speed_m_s"] == pytest.approx(0.5)
     assert found["surge_m"] == pytest.approx(0.3 * 2.9)
@@ -85,11 +85,11 @@ def test_speeds_of_a_cycle_by_hand() -> None:
         "w_m_s": np.zeros(88),
         "pitch_rad": np.full(88, math.pi / 2),
     }
-    found = kinematics.cycle_quantities(time, own, window)
+    found = cycle_quantities(time, own, window)
     assert found["max_speed_m_s"] == pytest.approx(0.2)
-    velocity = kinematics.world_velocity(time, own)
+    velocity = world_velocity(time, own)
     assert velocity is not None
     np.testing.assert_allclose(velocity[1], 0.2)
     # a gap in the speeds takes nothing from the way
     own["u_m_s"][:5] = math.nan
-    assert kinematics.cycle_quantities(time, own, window)["surge_m"] == pytest.approx(0.3 * 2.9)
+    assert cycle_quantities(time, own, window)["surge_m"] == pytest.approx(0.3 * 2.9)

@@ -26,7 +26,7 @@ TOUCHED = {
     "Add a model": ["swimid/rig/glide.py"],
     "Add an experiment": ["swimid/experiments/coasting_body.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
-    "Add a command": ["swimid/rig/fit_glide.py", "swimid/rig/options.py"],
+    "Add a command": ["swimid/rig/fit_glide.py", "swimid/rig/options.py", "swimid/commands.py"],
 }
 #: Runs the commands of the manual in the copy.
 RUNNER = """
@@ -84,7 +84,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("title", TOUCHED)
 def test_files_touched(title: str) -> None:
-    """An effect, a model, an experiment and a robot take one file each, a command two."""
+    """An effect, a model, an experiment and a robot take one file each, a command two and a row."""
     named = [name for name, *_ in BLOCK.findall(_section(title))]
     assert [name for name in named if not name.startswith("tests/")] == TOUCHED[title]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from swimid.logs import beat
+from swimid.kinematics.course import compare_course, is_in_degrees
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
@@ -37,7 +37,7 @@ TURNS = (0.1, -0.15, 0.02, -0.3)
 
 
 def test_a_true_track_is_not_mirrored_and_its_slip_is_small() -> None:
-    seen = beat.compare_course(tracks(TURNS), 1.0)
+    seen = compare_course(tracks(TURNS), 1.0)
     assert seen is not None
     assert not seen.mirrored
     assert abs(seen.slip_rad) < 0.1
@@ -48,7 +48,7 @@ def test_three_samples_of_a_track_show_its_course(samples: int, known: bool) -> 
     """Short straight tracks in several directions; the heading is 0.05 rad to port of each course."""
     time = np.linspace(0.0, 1.0, samples)
     courses = np.linspace(-3.0, 3.0, 30)
-    seen = beat.compare_course(
+    seen = compare_course(
         [[time, time * np.cos(c), time * np.sin(c), np.full(samples, c + 0.05)] for c in courses], 1.5
     )
     assert (seen is not None) == known
@@ -60,7 +60,7 @@ def test_three_samples_of_a_track_show_its_course(samples: int, known: bool) -> 
 @pytest.mark.parametrize("axis", [1, 2, 3])
 def test_one_axis_turned_round_is_mirrored(axis: int) -> None:
     wrong = [[*t[:axis], -t[axis], *t[axis + 1 :]] for t in tracks(TURNS)]
-    seen = beat.compare_course(wrong, 1.0)
+    seen = compare_course(wrong, 1.0)
     assert seen is not None
     assert seen.mirrored
 
@@ -71,13 +71,13 @@ def test_headings_in_degrees_are_told_from_courses_that_differ() -> None:
     true, straight = tracks(TURNS), [swim(0.0, 0.0, rng, 0.0) for _ in range(4)]
     mirrored = [[t, x, -y, yaw] for t, x, y, yaw in true]
     backwards = [[t, -x, -y, yaw] for t, x, y, yaw in true]
-    assert beat.is_in_degrees([[t, x, y, np.degrees(yaw)] for t, x, y, yaw in true], 1.0)
+    assert is_in_degrees([[t, x, y, np.degrees(yaw)] for t, x, y, yaw in true], 1.0)
     for others in (true, straight, mirrored, backwards):
-        assert not beat.is_in_degrees(others, 1.0)
+        assert not is_in_degrees(others, 1.0)
 
 
 def test_the_tail_for_the_head_is_half_a_turn() -> None:
-    seen = beat.compare_course([[t, x, y, yaw + math.pi] for t, x, y, yaw in tracks(TURNS)], 1.0)
+    seen = compare_course([[t, x, y, yaw + math.pi] for t, x, y, yaw in tracks(TURNS)], 1.0)
     assert seen is not None
     assert not seen.mirrored
     assert abs(seen.slip_rad) == pytest.approx(math.pi, abs=0.15)
@@ -86,13 +86,13 @@ def test_the_tail_for_the_head_is_half_a_turn() -> None:
 def test_nothing_is_said_of_straight_runs_of_rest_and_of_few_windows() -> None:
     rng = np.random.default_rng(2)
     straight = [swim(0.0, 0.0, rng, 0.0) for _ in range(4)]
-    flipped = beat.compare_course([[t, x, -y, yaw] for t, x, y, yaw in straight], 1.0)
+    flipped = compare_course([[t, x, -y, yaw] for t, x, y, yaw in straight], 1.0)
     assert flipped is not None
     assert not flipped.mirrored  # a straight run along x looks the same in the mirror
     t = np.arange(0.0, 20.0, 0.04)
     rest = [t, *rng.normal(0, 0.001, (3, t.size))]
-    assert beat.compare_course([rest], 1.0) is None
-    assert beat.compare_course([[v[:100] for v in straight[0]]], 1.0) is None
+    assert compare_course([rest], 1.0) is None
+    assert compare_course([[v[:100] for v in straight[0]]], 1.0) is None
 
 
 def test_noise_seldom_mirrors_a_weaving_swim() -> None:
@@ -103,7 +103,7 @@ def test_noise_seldom_mirrors_a_weaving_swim() -> None:
     for _ in range(300):
         heading = np.repeat(rng.normal(0, 0.3, 40), 10)
         path = np.cumsum(0.01 * np.exp(1j * (heading + np.repeat(rng.normal(0, 0.4, 40), 10))))
-        seen = beat.compare_course([(t, path.real, path.imag, heading)], 1.0)
+        seen = compare_course([(t, path.real, path.imag, heading)], 1.0)
         assert seen is not None
         called += seen.mirrored
     assert called == 0
@@ -115,9 +115,9 @@ def test_a_real_fish_swims_where_it_points_and_its_mirror_image_does_not(real_da
     for amplitude in ("Amp15", "Amp20", "Amp30"):
         runs = [np.loadtxt(f) for f in sorted(folder.glob(f"{amplitude}*/STATES*.txt"))]
         sides = [[(a[:, 0], a[:, 5], side * a[:, 6], a[:, 4]) for a in runs] for side in (1.0, -1.0)]
-        found = [beat.compare_course(side, 1.0) for side in sides]
+        found = [compare_course(side, 1.0) for side in sides]
         assert [bool(f and f.mirrored) for f in found] == [False, True]
-        assert not any(beat.is_in_degrees(side, 1.0) for side in sides)
+        assert not any(is_in_degrees(side, 1.0) for side in sides)
 
 
 @pytest.mark.parametrize(

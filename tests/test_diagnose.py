@@ -188,17 +188,18 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ran]:
 @pytest.mark.slow
 def test_the_readme_shows_the_diagnosis_of_the_sample(sample: tuple[Path, Ran]) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    shown = re.search(
-        r"\$ swimid diagnose sample_logs/gap/\S+ --params \S+ -o gap\.yaml\n(.*?)```", text, re.S
-    )
-    assert shown is not None
-    # a rounded digit changes the widths of the columns
-    said, expected = (re.sub(" +", " ", text.strip()) for text in (sample[1].out, shown.group(1)))
-    number = re.compile(r"\d+(?:\.\d+)?")
-    assert number.sub("#", said) == number.sub("#", expected)
-    # processors round differently, and a floor read off a hundred independent samples is good to 1/sqrt(200)
-    pairs = zip(number.findall(said), number.findall(expected), strict=True)
-    assert all(float(a) == pytest.approx(float(b), rel=2 / np.sqrt(200)) for a, b in pairs)
+    for label in ("as given", "refitted", "+ servo-backlash"):
+        shown = re.search(rf"^\| {re.escape(label)} \| ([\d.]+) \|", text, re.M)
+        said = re.search(rf"^ +{re.escape(label)} +([\d.]+) ", sample[1].out, re.M)
+        assert shown is not None
+        assert said is not None
+        # A floor from a hundred independent samples has a standard error of 1/sqrt(200).
+        assert float(shown.group(1)) == pytest.approx(float(said.group(1)), rel=2 / np.sqrt(200))
+    size = re.search(r"a backlash of ([\d.]+) ± ([\d.]+) rad", text)
+    assert size is not None
+    (cause,) = GapFile.read(sample[0]).causes[:1]
+    value, stderr = (float(number) for number in size.groups())
+    assert cause.parameters["backlash_rad"].value == pytest.approx(value, abs=stderr)
 
 
 @pytest.mark.slow

@@ -11,11 +11,11 @@ import pytest
 from swimid.diagnosis import readings, search
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.search import Search
-from swimid.diagnosis.study import Study
+from swimid.diagnosis.search import HypothesisSearch, SearchResult
+from swimid.diagnosis.study import GapStudy
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, RigInput, SwimInput, Trial
 from swimid.results import evidence
@@ -57,7 +57,7 @@ def swim(frequency_hz: float = 1.4) -> Trial:
     """A trial of which pose and heading are measured."""
     time = np.arange(51) / 25.0
     measured = {name: np.zeros(len(time)) for name in ("x_m", "y_m", "yaw_rad")}
-    return Trial("swim", "fit", time, measured, swim=SwimInput(Beat("sine", frequency_hz, 0.4)))
+    return Trial("swim", "fit", time, measured, swim=SwimInput(TailBeat("sine", frequency_hz, 0.4)))
 
 
 def experiment(robot: str | Path = "tfish", trials: list[Trial] | None = None) -> Experiment:
@@ -73,7 +73,7 @@ def fish() -> Experiment:
 
 @pytest.fixture(scope="module")
 def others(fish: Experiment) -> dict[str, OtherReading]:
-    found, left_out = readings.others(fish, fish.trials)
+    found, left_out = readings.list_readings(fish, fish.trials)
     assert not left_out
     return {r.name: r for r in found}
 
@@ -116,7 +116,9 @@ def test_another_reading_replaces_the_nominal_robot(
 
 def test_effects_act_on_a_robot_in_another_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
     ingress = next(
-        e for e in catalogue.applicable(catalogue.catalogue(), fish.model, fish.trials) if e.name == "current"
+        e
+        for e in catalogue.applicable(catalogue.list_effects(), fish.model, fish.trials)
+        if e.name == "current"
     )
     reading = others["reading:drag_point=strips"]
     _, model = swimmer_trials.robot_model("tfish", readings={"drag_point": "strips"})
@@ -129,7 +131,7 @@ def test_effects_act_on_a_robot_in_another_reading(fish: Experiment, others: dic
 
 def test_a_finer_step_keeps_the_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
     acting = fish.model.with_effects([others["reading:areas=as-printed"]], fish.trials)
-    finer = acting.refined()
+    finer = acting.refine()
     assert finer is not None
     assert isinstance(finer, Swimmer)
     assert isinstance(fish.model, Swimmer)
@@ -145,7 +147,7 @@ def test_two_answers_of_one_question_cannot_be_combined(others: dict[str, OtherR
     assert strips.joins([head])
     assert not strips.joins([com])
     assert not strips.joins([strips])
-    assert strips.joins(catalogue.catalogue())
+    assert strips.joins(catalogue.list_effects())
 
 
 def test_the_compiled_form_serves_readings_that_differ_in_numbers(fish: Experiment) -> None:
@@ -165,7 +167,7 @@ def test_a_reading_that_changes_no_measured_channel_is_no_hypothesis(tmp_path: P
     text = robot_format.locate("tfish").read_text().replace("coefficients:", spare, 1)
     path = tmp_path / "fish.yaml"
     path.write_text(text.replace("readings:\n", f"readings:\n{OPEN}", 1))
-    found, left_out = readings.others(experiment(path), [swim()])
+    found, left_out = readings.list_readings(experiment(path), [swim()])
     assert {r.name for r in found} == set(STAGES)
     assert left_out == {
         "reading:gravity=moon": "it changes nothing that was measured in these trials",
@@ -175,7 +177,7 @@ def test_a_reading_that_changes_no_measured_channel_is_no_hypothesis(tmp_path: P
 
 def test_a_robot_without_readings_has_no_such_hypothesis() -> None:
     sealion = experiment("sealion", [])
-    assert readings.others(sealion, []) == ([], {})
+    assert readings.list_readings(sealion, []) == ([], {})
 
 
 @pytest.mark.parametrize(
@@ -201,20 +203,20 @@ def test_priors_are_wider_under_another_reading(fish: Experiment, others: dict[s
     """Under another reading a coefficient is known to 60 % of its size at best, and counts as a parameter."""
     model = fish.model
     prior = {"c_d0": (4.9, 0.1), "c_d4": (5.8, 4.0)}
-    study = Study(model, model.parameters, fish.trials, prior)
+    study = GapStudy(model, model.parameters, fish.trials, prior)
     reading = others["reading:areas=as-printed"]
     plain, read = (study.problem(e) for e in ((), (reading,)))
-    assert study.loosened(plain) == {}
+    assert study.widen_priors(plain) == {}
     size = next(p.start for p in model.parameters if p.name == "c_d0")
-    assert study.loosened(read) == {"c_d0": (4.9, pytest.approx(0.6 * size))}
+    assert study.widen_priors(read) == {"c_d0": (4.9, pytest.approx(0.6 * size))}
     at = plain.labels.index("c_d0")
-    assert study.expected(plain)[1][at] == pytest.approx(1 / 0.1)
-    assert study.expected(read)[1][at] == pytest.approx(1 / (0.6 * size))
-    searched = Search(study, (), (), rng=np.random.default_rng(0))
+    assert study.compute_prior(plain)[1][at] == pytest.approx(1 / 0.1)
+    assert study.compute_prior(read)[1][at] == pytest.approx(1 / (0.6 * size))
+    searched = HypothesisSearch(study, (), (), rng=np.random.default_rng(0))
     own, other = study.at((), np.array(plain.start)), study.at((reading,), np.array(read.start))
     searched.null = own
     searched.pool = {h.key: h for h in (own, other)}
-    candidates = searched.weighed().candidates
+    candidates = searched.compute_posterior().candidates
     assert [c.numbers for c in candidates] == [0, 0]
     assert [c.widening for c in candidates] == pytest.approx([0.0, np.log(0.6 * size / 0.1)])
 
@@ -242,12 +244,14 @@ def decays(rng: np.random.Generator, rate_1_s: float, rising: float) -> list[Tri
     return trials
 
 
-def sought(trials: list[Trial], *, reading: bool = True) -> Search:
+def sought(trials: list[Trial], *, reading: bool = True) -> SearchResult:
     effects: list[Effect] = [Seen("rise", rise), Seen("ring", ring)]
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'
         effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", reread=Quicker()))
-    return search.run(Study(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}), effects)
+    return search.search_causes(
+        GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}), effects
+    )
 
 
 @pytest.mark.parametrize(
@@ -267,7 +271,7 @@ def test_readings_do_not_change_the_fits_of_effects(rng: np.random.Generator) ->
     trials = decays(rng, 1.0, 0.3)
     found, without = sought(trials), sought(trials, reading=False)
     np.testing.assert_array_equal(found.base.theta, without.base.theta)
-    gains = [{r.added.effect.name: r.gains for r in state.singles} for state in (found, without)]
+    gains = [{r.last_screening.effect.name: r.gains for r in state.singles} for state in (found, without)]
     assert set(gains[0]) == {*gains[1], "reading:rate=quick"}
     for name, own in gains[1].items():
         np.testing.assert_array_equal(gains[0][name], own)

@@ -16,7 +16,7 @@ import pytest
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import verdict
 from swimid.diagnosis.evidence import Diagnosis
-from swimid.diagnosis.gap_file import Closed, GapFile, HeldOut, HypothesisRow, Score, Value
+from swimid.diagnosis.gap_file import Closed, EffectRow, GapFile, HeldOut, HypothesisRow, Value
 from swimid.effects import catalogue
 from swimid.fitting.model import Hooks, Model, Trial
 from swimid.results import evidence as ev
@@ -151,15 +151,15 @@ def test_a_cause_without_a_held_out_gap_is_no_good_answer() -> None:
 
 def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
     text = said("ambiguous")
-    assert "Caution: these trials cannot tell current from tether or linear-drag" in text
+    assert "failed: these trials cannot tell current from tether or linear-drag" in text
     assert "explains" not in text
     assert "current/north_m_s at a bound" in text
 
 
 def test_the_reason_why_no_cause_is_named_is_stated() -> None:
     why = "refitted parameters of the file close the gap on held-out data as well as servo-backlash"
-    assert f"Caution: {why}" in said("imitated")
-    assert "Caution: held-out errors fall with servo-backlash in f14a15 only" in said("carried").replace(
+    assert f"failed: {why}" in said("imitated")
+    assert "failed: held-out errors fall with servo-backlash in f14a15 only" in said("carried").replace(
         "servo- ", "servo-"
     )
 
@@ -175,7 +175,7 @@ def test_the_other_verdicts_in_words() -> None:
     assert "f10a15 has 22 times the squared error that noise and uncertain parameters explain" in follows
     assert "together explain the gap" in said("pair")
     assert "The model has a gap, and no effect that was tried closes it." in said("unexplained")
-    assert "Do not rely on it: no gap has a probability of 0.1 % only" in said("unexplained")
+    assert "failed: no gap has a probability of 0.1 % only" in said("unexplained")
 
 
 def test_a_changed_parameter_is_stated_first() -> None:
@@ -197,7 +197,7 @@ def test_a_changed_parameter_is_written_with_its_value_in_the_file(tmp_path: Pat
 
 def test_notes_of_a_missing_parameter_file_and_a_poor_black_box() -> None:
     assert "NO GAP: The refitted model describes these trials" in said("not given")
-    assert "Do not rely on it: the model reproduces 0.3 % of u_m_s" in said("black box")
+    assert "failed: the model reproduces 0.3 % of u_m_s" in said("black box")
 
 
 def test_a_reading_is_named_with_its_question_and_its_option() -> None:
@@ -214,7 +214,7 @@ def test_a_reading_is_named_with_its_question_and_its_option() -> None:
 
 def test_an_odd_trial_is_reported() -> None:
     text = said("odd trial")
-    assert "Caution: left out f18a30: c_d0 1.40 ± 0.05 in place of 0.7" in text
+    assert "failed: left out f18a30: c_d0 1.40 ± 0.05 in place of 0.7" in text
     assert checked(cases.ODD)["trials agree"].verdict == "warn"
     assert "trials agree" not in checked(cases.NONE)
 
@@ -344,7 +344,7 @@ def test_every_check_that_does_not_pass_gives_a_reason(name: str) -> None:
 
 def test_logs_that_contradict_their_metadata_give_no_good_answer() -> None:
     against = ev.NoticeRecord(code="SWM063", text="the courses follow the headings mirrored")
-    known = [diagnose_evidence.evidence(cases.EXPLAINED, notices=n) for n in ([], [against])]
+    known = [diagnose_evidence.build_gap_evidence(cases.EXPLAINED, notices=n) for n in ([], [against])]
     assert [e.verdict.level for e in known] == ["good", "caution"]
     assert known[1].checks[0].verdict == "warn"
     assert "headings mirrored" in known[1].verdict.text
@@ -365,7 +365,7 @@ def test_effects_with_equal_residuals_share_a_row() -> None:
     alone = {"current": [5.0, 6.0], "camera-scale": [5.0, 6.0], "wall": [5.0, 7.0]}
     gap = replace(
         cases.NONE,
-        scores=[Score(effect=name, probability=0.3) for name in alone],
+        scores=[EffectRow(effect=name, probability=0.3) for name in alone],
         hypotheses=[
             HypothesisRow(effects=[], deviances=[9.0, 9.0]),
             *(HypothesisRow(effects=[name], deviances=own) for name, own in alone.items()),
@@ -457,7 +457,7 @@ def test_the_manual_lists_the_catalogue() -> None:
     for row in re.findall(r"^\| *(\w*) *\| `([a-z-]+)` \|", table, flags=re.M):
         stage = row[0] or stage
         listed[row[1]] = stage
-    assert listed == {effect.name: effect.stage for effect in catalogue.catalogue()}
+    assert listed == {effect.name: effect.stage for effect in catalogue.list_effects()}
 
 
 class Steady(Model):
@@ -468,9 +468,9 @@ class Steady(Model):
     channels = ()
     offers = frozenset({"command"})
 
-    def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
+    def simulate_hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
         angle = np.sin(trial.time_s)
-        return {"angle_rad": hooks.actuated(trial.time_s, angle)}
+        return {"angle_rad": hooks.actuate(trial.time_s, angle)}
 
 
 def test_the_example_of_the_manual_works() -> None:

@@ -10,8 +10,9 @@ from scipy import special
 from scipy.stats import multivariate_normal
 
 from swimid.diagnosis import crossval, settings
-from swimid.diagnosis.crossval import Drawn, NormalEquations, solved
-from swimid.diagnosis.study import START_PRIOR, Hypothesis, Study
+from swimid.diagnosis.crossval import NoiseDraws, NormalEquations, solve_normal
+from swimid.diagnosis.priors import START_PRIOR
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.fitting.model import RigInput, Trial
 from tests.diagnosis_models import (
     PLAIN,
@@ -37,7 +38,7 @@ def plain(k: int, *, force: float) -> Trial:
 
 
 @pytest.fixture
-def study(rng: np.random.Generator) -> Study:
+def study(rng: np.random.Generator) -> GapStudy:
     """Return a linear model with two coefficients, and five trials that each have a start value."""
     return line_study(rng)
 
@@ -47,7 +48,7 @@ def study(rng: np.random.Generator) -> Study:
 
 def test_repeats_stay_together() -> None:
     trials = [plain(k, force=f) for k, f in enumerate((1.0, 2.0, 1.0, 3.0, 4.0))]
-    found = settings.folds(trials, [np.arange(float(n)) for n in (7, 3, 5, 2, 4)])
+    found = settings.divide_folds(trials, [np.arange(float(n)) for n in (7, 3, 5, 2, 4)])
     assert found.whole
     assert found.count == 4
     assert [len(o) for o in found.owner] == [7, 3, 5, 2, 4]
@@ -59,7 +60,7 @@ def test_few_trials_are_divided_into_stretches() -> None:
     trials = [plain(0, force=1.0), plain(1, force=2.0)]
     times = [np.linspace(0.0, 8.0, 81), np.linspace(0.0, 8.0, 81)[40:]]
     stacked = np.concatenate(times)
-    found = settings.folds(trials, [stacked, stacked])
+    found = settings.divide_folds(trials, [stacked, stacked])
     assert not found.whole
     assert found.count == 8
     for k in range(2):
@@ -72,7 +73,7 @@ def test_few_trials_are_divided_into_stretches() -> None:
 
 
 def test_a_table_is_left_out_in_parts() -> None:
-    found = settings.folds([plain(k, force=float(k)) for k in range(25)], [np.zeros(1)] * 25)
+    found = settings.divide_folds([plain(k, force=float(k)) for k in range(25)], [np.zeros(1)] * 25)
     assert found.count == settings.TABLE_FOLDS
     counts = np.bincount(np.concatenate(found.owner), minlength=found.count)
     assert counts.sum() == 25
@@ -121,7 +122,7 @@ def test_held_out_residuals_equal_those_of_a_refit_without_the_fold(
 ) -> None:
     """The information of the full fit on the shared parameters counts as prior, by a known fraction."""
     at = [0, 1, 2, *(3 + c for c in chosen)]
-    found = crossval.held_out(folded(blocks), chosen, weights)
+    found = crossval.compute_held_out(folded(blocks), chosen, weights)
     prior = np.concatenate((PRIOR, weights))
     whole = refit(blocks, at, prior)
     shared = np.concatenate(blocks)[:, :3] * np.sqrt(crossval.SHRINKAGE)
@@ -131,7 +132,7 @@ def test_held_out_residuals_equal_those_of_a_refit_without_the_fold(
         strain = float(PRIOR @ (theta[:3] - PULL) ** 2) / len(blocks)
         misfit = float(np.sum((block[:, -1] - block[:, at] @ theta) ** 2))
         assert found[f] == pytest.approx(misfit + strain, rel=1e-8)
-    np.testing.assert_allclose(crossval.together(folded(blocks), chosen, weights), whole, rtol=1e-8)
+    np.testing.assert_allclose(crossval.fit_columns(folded(blocks), chosen, weights), whole, rtol=1e-8)
 
 
 def test_held_out_residuals_of_noise_draws(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
@@ -139,11 +140,11 @@ def test_held_out_residuals_of_noise_draws(blocks: list[np.ndarray], rng: np.ran
     others = [rng.normal(size=(len(b), 3)) for b in blocks]
     right = np.array([b[:, :-1].T @ o for b, o in zip(blocks, others, strict=True)])
     pull = rng.normal(size=(3, 3))
-    found = crossval.held_out(folded(blocks), (1,), (0.5,), Drawn(right, pull))
+    found = crossval.compute_held_out(folded(blocks), (1,), (0.5,), NoiseDraws(right, pull))
     for m in range(3):
         swapped = [np.column_stack((b[:, :-1], o[:, m])) for b, o in zip(blocks, others, strict=True)]
         one = replace(folded(blocks), pull=pull[:, m], products=folded(swapped).products)
-        whole = crossval.held_out(one, (1,), (0.5,))
+        whole = crossval.compute_held_out(one, (1,), (0.5,))
         size = [float(o[:, m] @ o[:, m]) for o in others]
         np.testing.assert_allclose(found[:, m], whole - size, rtol=1e-8, atol=1e-9)
 
@@ -152,13 +153,13 @@ def test_projection_removes_what_shared_parameters_imitate(blocks: list[np.ndarr
     rows = np.concatenate([*(b for b in blocks), np.zeros((3, 6))])
     rows[-3:, :3] = np.diag(np.sqrt(PRIOR))
     rest = rows[:, 3:] - rows[:, :3] @ np.linalg.lstsq(rows[:, :3], rows[:, 3:])[0]
-    np.testing.assert_allclose(crossval.projected(folded(blocks)), rest.T @ rest, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(crossval.project_columns(folded(blocks)), rest.T @ rest, rtol=1e-7, atol=1e-8)
 
 
 def test_noise_draws_have_the_covariance_of_the_columns(
     blocks: list[np.ndarray], rng: np.random.Generator
 ) -> None:
-    drawn = crossval.noise_draws(folded(blocks), rng, 40_000)
+    drawn = crossval.draw_noise(folded(blocks), rng, 40_000)
     np.testing.assert_allclose(drawn.pull.std(axis=1), [0.0, 0.5, 2.0], rtol=0.03)
     for f, block in enumerate(blocks):
         covariance = drawn.right[f] @ drawn.right[f].T / 40_000
@@ -169,17 +170,17 @@ def test_noise_draws_have_the_covariance_of_the_columns(
 
 def test_an_undetermined_direction_stays_at_zero() -> None:
     normal = np.array([[4.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 3.0]])
-    found = solved(normal, np.array([[1.0], [0.0], [2.0]]))[:, 0]
+    found = solve_normal(normal, np.array([[1.0], [0.0], [2.0]]))[:, 0]
     assert found[1] == 0.0
     expected = np.linalg.solve([[4.0, 2.0], [2.0, 3.0]], [1.0, 2.0])
     np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-8)
 
 
-def test_the_start_state_of_each_trial_is_projected_out(study: Study) -> None:
+def test_the_start_state_of_each_trial_is_projected_out(study: GapStudy) -> None:
     """The products equal those of rows from which the start state of the trial is projected out."""
     fit = study.at((), study.problem(()).start)
-    found = crossval.normal_equations(study, fit)
-    assert found.shared == 2
+    found = crossval.form_normal_equations(study, fit)
+    assert found.n_shared == 2
     assert study.folds.count == 4
     expected = np.zeros((4, 3, 3))
     for k, one in enumerate(study.trials):
@@ -210,12 +211,12 @@ def test_a_held_out_fold_takes_no_part_in_the_refit(rng: np.random.Generator) ->
         y = np.exp(-(2.5 if k == 0 else 0.4) * t) * (3.0 if k == 0 else 0.3) + 0.01 * rng.normal(size=len(t))
         trials.append(trial(k, t, y))
 
-    def fitted(fit_trials: list[Trial]) -> tuple[Study, Hypothesis]:
-        found = with_sd(Study(Toy(decaying, coefficients), coefficients, fit_trials, {}), 0.01)
+    def fitted(fit_trials: list[Trial]) -> tuple[GapStudy, Hypothesis]:
+        found = with_sd(GapStudy(Toy(decaying, coefficients), coefficients, fit_trials, {}), 0.01)
         return found, found.fit((), [np.array([1.0, 1.0])], tolerance=1e-8)
 
     study, fit = fitted(trials)
-    for k, theta in enumerate(study.without_each(fit)):
+    for k, theta in enumerate(study.refit_folds(fit)):
         _, rest = fitted([one for one in trials if one is not trials[k]])
         np.testing.assert_allclose(theta, rest.theta, rtol=0.03)
 
@@ -224,7 +225,7 @@ def test_a_held_out_fold_takes_no_part_in_the_refit(rng: np.random.Generator) ->
 
 
 def test_the_distance_of_a_fold_is_that_from_its_prediction(blocks: list[np.ndarray]) -> None:
-    distance, log_determinant = crossval.deviances(folded(blocks))
+    distance, log_determinant = crossval.compute_deviances(folded(blocks))
     for f, block in enumerate(blocks):
         others = np.concatenate([*blocks[:f], *blocks[f + 1 :]])[:, :3]
         covariance = np.linalg.inv(others.T @ others + np.diag(PRIOR))
@@ -244,12 +245,12 @@ def test_deviances_equal_the_log_predictive_density_of_a_linear_gaussian_model(
     each trial.
     """
     trials = seen_trials(rng, 0.3, 0.0)
-    study = Study(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (0.8, 0.2)})
+    study = GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (0.8, 0.2)})
     study = study.with_noise(noise_of(study.shape, 0.02))
     effect = (Apart if apart else Seen)("rise", rise)
     problem = study.problem((effect,))
     fit = study.fit((effect,), [problem.start], tolerance=1e-12)
-    distance, log_determinant = crossval.deviances(crossval.normal_equations(study, fit))
+    distance, log_determinant = crossval.compute_deviances(crossval.form_normal_equations(study, fit))
     assert study.folds.count == 6
     # covariance of all samples without knowledge of the parameters; EFFECT_PRIOR is 5 typical scales
     whole = [np.concatenate([c(t.time_s) for t in trials]) for c in (lambda t: np.exp(-t), rise)]
@@ -274,34 +275,38 @@ def test_the_strain_is_the_distance_of_the_model_s_parameters_from_their_prior_m
 ) -> None:
     """The size of an effect does not count."""
     away = refit(blocks, [0, 1, 2], PRIOR) - PULL
-    assert crossval.strain(folded(blocks)) == pytest.approx(float(PRIOR[1] * away[1] ** 2), rel=1e-8)
+    assert crossval.compute_strain(folded(blocks)) == pytest.approx(float(PRIOR[1] * away[1] ** 2), rel=1e-8)
 
 
 def test_the_distance_of_a_correct_model_is_its_number_of_samples(rng: np.random.Generator) -> None:
     """Six trials of 200 samples, in 40 experiments, have a standard error of 0.65 % of the mean."""
     found = []
     for _ in range(40):
-        study = Study(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.3, 0.0), {"a": (1.0, 0.1)})
+        study = GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.3, 0.0), {"a": (1.0, 0.1)})
         study = with_sd(study, 0.02)
         effect = Seen("rise", rise)
         fit = study.fit((effect,), [study.problem((effect,)).start])
-        found.append(crossval.deviances(crossval.normal_equations(study, fit))[0].sum() / 1200)
+        found.append(crossval.compute_deviances(crossval.form_normal_equations(study, fit))[0].sum() / 1200)
     assert np.mean(found) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 48_000))
 
 
 def test_an_effect_of_no_use_has_a_larger_deviance(rng: np.random.Generator) -> None:
-    study = with_sd(Study(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.3, 0.0), {}), 0.02)
+    study = with_sd(GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.3, 0.0), {}), 0.02)
     found = []
     for effects in ((Seen("rise", rise),), (Seen("rise", rise), Seen("ring", ring))):
         fit = study.fit(effects, [study.problem(effects).start])
-        found.append(sum(float(p.sum()) for p in crossval.deviances(crossval.normal_equations(study, fit))))
+        found.append(
+            sum(
+                float(p.sum()) for p in crossval.compute_deviances(crossval.form_normal_equations(study, fit))
+            )
+        )
     assert found[1] > found[0]
 
 
 # ---------------------------------------------------------------- standard errors
 
 
-def test_a_linear_fit_is_least_squares(study: Study) -> None:
+def test_a_linear_fit_is_least_squares(study: GapStudy) -> None:
     """The covariance is that of least squares, but larger if the trials disagree more than by noise."""
     fit = study.fit((), [study.problem(()).start])
     rows, target = [], []
@@ -317,7 +322,7 @@ def test_a_linear_fit_is_least_squares(study: Study) -> None:
     exact = np.linalg.lstsq(system, np.concatenate([*target, [5.0 * 0.8], np.zeros(5)]))[0]
     np.testing.assert_allclose(fit.theta, exact, atol=1e-4)
     # the noise is a twentieth of the assumed one, so that the trials agree very well
-    found, exact = crossval.covariance(study, fit), np.linalg.inv(system.T @ system)
+    found, exact = crossval.compute_covariance(study, fit), np.linalg.inv(system.T @ system)
     np.testing.assert_allclose(found, exact, atol=1e-4 * exact.diagonal().min())
 
 
@@ -331,20 +336,20 @@ def test_standard_errors_are_at_least_those_of_the_jackknife(
         trial(k, t, (1.0 + scatter * rng.normal()) * np.exp(-t) + 0.02 * rng.normal(size=100))
         for k in range(6)
     ]
-    study = with_sd(Study(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {}), 0.02)
+    study = with_sd(GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {}), 0.02)
     fit = study.fit((), [study.problem(()).start])
-    stderr = float(np.sqrt(crossval.covariance(study, fit)[0, 0]))
+    stderr = float(np.sqrt(crossval.compute_covariance(study, fit)[0, 0]))
     by_noise = 0.02 / np.sqrt(6 * np.sum(np.exp(-2.0 * t)))
-    steps = np.array([theta[0] for theta in study.without_each(fit)]) - fit.theta[0]
+    steps = np.array([theta[0] for theta in study.refit_folds(fit)]) - fit.theta[0]
     few = special.stdtrit(5, 0.975) / special.ndtri(0.975)
     jackknife = few * np.sqrt(5.0 / 6.0 * np.sum(steps**2))
     assert stderr == pytest.approx(max(by_noise, jackknife), rel=0.02)
     assert (stderr > 5.0 * by_noise) == (scatter > 0.0)
 
 
-def test_correlated_priors_constrain_the_ratio_of_coefficients(study: Study) -> None:
+def test_correlated_priors_constrain_the_ratio_of_coefficients(study: GapStudy) -> None:
     """Two coefficients are known to 0.2 and 0.5, and their weighted difference to a tenth of that."""
-    known = Study(
+    known = GapStudy(
         study.model, study.parameters, study.trials, {"a": (0.8, 0.2), "b": (0.3, 0.5)},
         correlation=(["b", "a"], np.array([[1.0, 0.98], [0.98, 1.0]])),
     )  # fmt: skip

@@ -17,14 +17,14 @@ def test_a_frame_that_failed_in_one_channel_is_blank_in_all_of_the_camera() -> N
     """A wrong marker may be off by little along one axis, so all channels of the frame are blank."""
     mask = np.arange(6) == 2
     trial = Trial("t", "fit", np.arange(6.0), {"x_m": np.ones(6), "y_m": np.ones(6), "u_m_s": np.ones(6)})
-    (left,) = dropouts.Dropouts({"t": {"x_m": mask}}, []).without([trial])
+    (left,) = dropouts.Dropouts({"t": {"x_m": mask}}, []).remove_from([trial])
     for channel, values in left.measured.items():
         np.testing.assert_array_equal(np.isnan(values), mask if channel in ("x_m", "y_m") else False)
 
 
 def looked(values: np.ndarray, simulated: np.ndarray = TRUE) -> dropouts.Dropouts:
     """Return the failed samples of one trial."""
-    return dropouts.look([Trial("t", "fit", TIME, {"x_m": values})], [{"x_m": simulated}])
+    return dropouts.detect_failures([Trial("t", "fit", TIME, {"x_m": values})], [{"x_m": simulated}])
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_a_frozen_marker_is_detected(tracked: np.ndarray) -> None:
     ((_, _, begin, end, _),) = found.stretches
     assert begin == pytest.approx(4.0, abs=0.1)
     assert end == pytest.approx(4.96, abs=0.1)
-    blank = found.without([Trial("t", "fit", TIME, {"x_m": tracked})])[0].measured["x_m"]
+    blank = found.remove_from([Trial("t", "fit", TIME, {"x_m": tracked})])[0].measured["x_m"]
     np.testing.assert_array_equal(np.isnan(blank), mask)
     np.testing.assert_array_equal(blank[~mask], tracked[~mask])
 
@@ -112,7 +112,7 @@ def test_failures_that_a_better_model_explains_are_none() -> None:
         )
         for mask in masks
     )
-    found = first.confirmed(again)
+    found = first.confirm(again)
     assert found.count == 1
     assert [s.begin for s in found.stretches] == [12.0]
-    assert first.confirmed(dropouts.Dropouts({}, [])).count == 0
+    assert first.confirm(dropouts.Dropouts({}, [])).count == 0

@@ -11,7 +11,7 @@ import pytest
 from swimid.diagnosis import held_out, noise
 from swimid.diagnosis.held_out import Prediction
 from swimid.diagnosis.posterior import CALIBRATED
-from swimid.diagnosis.study import Study
+from swimid.diagnosis.study import GapStudy
 from swimid.fitting.model import RigInput, Trial
 from swimid.fitting.noise import NoiseForm
 from tests.diagnosis_models import (
@@ -41,12 +41,12 @@ def decaying(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def predicted(
-    study: Study, effects: Sequence[Seen] = (), validation: Sequence[Trial] = ()
+    study: GapStudy, effects: Sequence[Seen] = (), validation: Sequence[Trial] = ()
 ) -> list[Prediction]:
     """Return the held-out predictions of the model with effects."""
     fit = study.fit(effects, [study.problem(effects).start])
     known = noise.with_floors(study, fit)
-    (found,) = held_out.predictions([fit], validation, known)
+    (found,) = held_out.predict_parts([fit], validation, known)
     return found
 
 
@@ -80,7 +80,7 @@ def test_a_correct_linear_model_has_the_expected_squared_error(
         ]
         last = replace(trials[-1], role="validate")
         trials = trials if held == "folds" else trials[:-1]
-        study = Study(Toy(decaying, DECAY), DECAY, trials, {})
+        study = GapStudy(Toy(decaying, DECAY), DECAY, trials, {})
         study = study.with_noise(replace(noise_of(study.shape, 0.1), forms={"y": form}))
         found = predicted(study, (), [last] if held == "validation" else ())
         found = [p for p in found if (p.trial.role == "validate") == (held == "validation")]
@@ -107,7 +107,7 @@ def test_the_deviance_of_a_held_out_trial_is_that_of_its_gaussian_prediction(
         for k in range(5)
     ]
     last, fitted = replace(trials[-1], role="validate"), trials if held == "folds" else trials[:-1]
-    study = Study(Toy(decaying, DECAY), DECAY, fitted, {})
+    study = GapStudy(Toy(decaying, DECAY), DECAY, fitted, {})
     study = study.with_noise(replace(noise_of(study.shape, 0.1), forms={"y": form}))
     found = predicted(study, (), [last] if held == "validation" else ())[-1]
     assert found.part == "t4"
@@ -134,7 +134,7 @@ def test_a_trial_pays_for_its_random_values(rng: np.random.Generator) -> None:
     known = replace(study.noise, random_effects=(differing(form, 0.2),))
     study = study.with_noise(known)
     fits = [study.fit(effects, [study.problem(effects).start]) for effects in ((), (form,))]
-    before, after = held_out.predictions(fits, [last], known)
+    before, after = held_out.predict_parts(fits, [last], known)
     for one, other in zip(before, after, strict=True):
         assert other.squared < other.limit(7)
         assert one.squared - other.squared > 10.0
@@ -192,7 +192,7 @@ def test_errors_within_the_uncertainty_of_coefficients_refute_no_model(
         if held == "folds":
             known.append(replace(far_trial, role="fit"))
         slope = (parameter("slope", 0.0),)
-        study = with_sd(Study(Toy(lambda v, t: {"y": v[0] * t}, slope, ("y",)), slope, known, {}), 1.0)
+        study = with_sd(GapStudy(Toy(lambda v, t: {"y": v[0] * t}, slope, ("y",)), slope, known, {}), 1.0)
         found = predicted(study, (), [far_trial] if held == "validation" else ())
         return next(p for p in found if p.part == "far")
 
@@ -258,11 +258,11 @@ def test_the_model_as_given_keeps_its_shared_parameters(rng: np.random.Generator
     """Only the start values are fitted. The true coefficient is 2, and the given one is 0.5."""
     time = np.linspace(0.0, 3.0, 80)
     trials = [trial(k, time, 2.0 * np.exp(-time) + k + 0.1 * rng.normal(size=80)) for k in range(5)]
-    study = with_sd(Study(Toy(decaying, DECAY), DECAY, trials, {}), 0.1)
-    given = held_out.as_given(study)
+    study = with_sd(GapStudy(Toy(decaying, DECAY), DECAY, trials, {}), 0.1)
+    given = held_out.fit_as_given(study)
     assert given.value("a") == 0.5
     refitted = study.fit((), [study.problem(()).start])
-    before, after = held_out.predictions([given, refitted], [], study.noise)
+    before, after = held_out.predict_parts([given, refitted], [], study.noise)
     for k, (b, a) in enumerate(zip(before, after, strict=True)):
         left = trials[k].measured["y"] - 0.5 * np.exp(-time)
         assert b.squared == pytest.approx(np.sum((left - left.mean()) ** 2) / 0.1**2, rel=0.01)
@@ -293,7 +293,7 @@ def test_the_table_has_a_row_for_each_part() -> None:
         [made(squared, deviance=deviance), made(190.0, part="t1")]
         for squared, deviance in ((950.0, 700.0), (900.0, 600.0), (210.0, 150.0))
     )
-    found = held_out.table(given, before, after)
+    found = held_out.tabulate_parts(given, before, after)
     assert list(found) == ["t0", "t1"]
     row = found["t0"]
     assert (row.samples, row.as_given, row.before, row.after) == (200, 950.0, 900.0, 210.0)
@@ -316,7 +316,7 @@ def test_the_steps_are_means_over_the_samples() -> None:
         "as given": [made(900.0), made(1100.0, part="t1")],
         "refitted": [made(300.0, expected=210), made(100.0, part="t1", expected=190)],
     }
-    first, second, last = held_out.waterfall(parts, {"x_m": 0.01})
+    first, second, last = held_out.build_waterfall(parts, {"x_m": 0.01})
     assert (first.label, first.squared) == ("as given", 5.0)
     assert first.rmse["x_m"] == pytest.approx(0.01 * np.sqrt(5.0))
     assert (second.label, second.squared) == ("refitted", 1.0)
@@ -327,17 +327,17 @@ def test_the_steps_are_means_over_the_samples() -> None:
     ("before", "after", "share"), [(9.0, 1.0, 1.0), (9.0, 4.0, 5 / 8), (9.0, 16.0, -7 / 8), (9.0, 0.8, 1.0)]
 )
 def test_the_closed_share_of_a_squared_gap(before: float, after: float, share: float) -> None:
-    assert held_out.share_closed(before, after, 1.0) == pytest.approx(share)
+    assert held_out.compute_closed_share(before, after, 1.0) == pytest.approx(share)
 
 
 def test_errors_of_noise_have_no_closed_share() -> None:
-    assert held_out.share_closed(1.0, 0.5, 1.0) is None
-    assert held_out.share_closed(1.03, 0.5, 1.0) is None
+    assert held_out.compute_closed_share(1.0, 0.5, 1.0) is None
+    assert held_out.compute_closed_share(1.03, 0.5, 1.0) is None
 
 
 def test_errors_of_a_channel_are_shares_of_its_fitted_range() -> None:
     given, before, after = [made(5200.0)], [made(5200.0)], [made(400.0)]
-    (found,) = held_out.shrinkages(given, before, after, {"x_m": 0.01}, {"x_m": 4.0})
+    (found,) = held_out.compute_shrinkages(given, before, after, {"x_m": 0.01}, {"x_m": 4.0})
     assert found.floor == pytest.approx(0.01 / 4.0)
     assert found.before == pytest.approx(0.01 * np.sqrt(26.0) / 4.0)
     assert found.after == pytest.approx(0.01 * np.sqrt(2.0) / 4.0)
@@ -346,7 +346,7 @@ def test_errors_of_a_channel_are_shares_of_its_fitted_range() -> None:
 
 def test_a_channel_of_held_out_trials_only_has_no_closed_share() -> None:
     """The noise of such a channel is unknown."""
-    (found,) = held_out.shrinkages([made(5200.0)], [made(5200.0)], [made(400.0)], {}, {})
+    (found,) = held_out.compute_shrinkages([made(5200.0)], [made(5200.0)], [made(400.0)], {}, {})
     assert (found.floor, found.closed) == (None, None)
 
 
@@ -359,7 +359,7 @@ def test_samples_without_noise_have_no_prediction(rng: np.random.Generator) -> N
 
     trials = [trial(k, time, np.exp(-time) + 0.1 * rng.normal(size=50)) for k in range(4)]
     last = Trial("last", "validate", time, {"y": trials[0].measured["y"], "v": 5.0 * time})
-    study = with_sd(Study(Toy(both, PLAIN, ("y", "v")), PLAIN, trials, {}), 0.1)
+    study = with_sd(GapStudy(Toy(both, PLAIN, ("y", "v")), PLAIN, trials, {}), 0.1)
     found = predicted(study, (), [last])[-1]
     assert found.samples == 50
     assert list(found.residuals) == ["y"]
@@ -377,13 +377,13 @@ def test_the_closed_share_has_the_true_motion_as_its_end(known: float, rng: np.r
         ]
         given = 1.0 + known * rng.normal()
         parameters = (replace(PLAIN[0], start=given),)
-        study = Study(Hooked(plainly, parameters, ("y",)), parameters, trials, {"a": (given, known)})
+        study = GapStudy(Hooked(plainly, parameters, ("y",)), parameters, trials, {"a": (given, known)})
         noisy = replace(noise_of(study.shape, 0.05), random_effects=(differing(form, 0.1),))
         study = study.with_noise(noisy)
-        fits = [held_out.as_given(study)]
+        fits = [held_out.fit_as_given(study)]
         fits += [study.fit(effects, [study.problem(effects).start]) for effects in ((), (form,))]
         floors = noise.with_floors(study, fits[-1])
-        closed = held_out.closing(*fits, [], floors, held_out.predictions(fits, [], floors))
+        closed = held_out.compute_closed(*fits, [], floors, held_out.predict_parts(fits, [], floors))
         before = (given - 1.0) * np.exp(-time) - size * ring(time)
         found = fits[-1]
         after = (found.value("a") - 1.0) * np.exp(-time) + (found.value("ring/size") - size) * ring(time)
@@ -407,12 +407,12 @@ def test_the_worst_held_out_trial_has_the_largest_ratio() -> None:
             for value, found in ((4.0 * squared, before), (squared, after)):
                 one = made(value, part=f"{name}, {part}", expected=1000 if name == "t1" else 200)
                 found.append(replace(one, residuals={"x_m": np.where(chosen, one.residuals["x_m"], np.nan)}))
-    (found,) = held_out.worst(before, after)
+    (found,) = held_out.select_worst(before, after)
     assert found.trial.id == "t0"
     error = found.measured - found.after
     np.testing.assert_allclose(np.abs(error), 0.01 * np.sqrt(900.0 / 200.0))
     np.testing.assert_allclose(np.abs(found.measured - found.before), 2.0 * np.abs(error))
-    assert held_out.worst([], []) == []
+    assert held_out.select_worst([], []) == []
 
 
 @pytest.mark.parametrize(
@@ -422,7 +422,7 @@ def test_a_cause_with_which_a_held_out_trial_diverges_is_reported(
     before: float, after: float, sound: bool
 ) -> None:
     """Another trial is predicted well with the cause."""
-    found = held_out.sound([made(5.0), made(before, part="t1")], [made(2.0), made(after, part="t1")])
+    found = held_out.is_finite([made(5.0), made(before, part="t1")], [made(2.0), made(after, part="t1")])
     assert found is sound
 
 
@@ -442,17 +442,17 @@ def test_a_diverged_simulation_has_a_finite_error(rng: np.random.Generator) -> N
     effect = Diverging("rise", rise)
     fits = [study.fit(e, [study.problem(e).start]) for e in ((), (effect,))]
     with np.errstate(invalid="ignore"):
-        before, after = held_out.predictions(fits, [last], study.noise)
+        before, after = held_out.predict_parts(fits, [last], study.noise)
     assert np.isfinite(after[-1].squared)
-    assert not held_out.sound(before, after)
+    assert not held_out.is_finite(before, after)
 
 
 def test_the_noise_floor_of_a_channel_is_in_its_unit(rng: np.random.Generator) -> None:
     time = np.linspace(0.0, 3.0, 50)
     trials = [trial(k, time, 0.3 * rng.normal(size=50)) for k in range(4)]
-    study = with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), 0.3)
+    study = with_sd(GapStudy(Hooked(nothing, (), ("y",)), (), trials, {}), 0.3)
     fit = study.at((), np.empty(0))
     study = study.with_noise(replace(study.noise, variance={"y": 4.0}))
     study = study.with_noise(noise.with_floors(study, fit))
-    assert held_out.floors(study, fit) == {"y": pytest.approx(0.6)}
+    assert held_out.compute_floors(study, fit) == {"y": pytest.approx(0.6)}
     assert study.noise.floor("y") == pytest.approx(2.0)

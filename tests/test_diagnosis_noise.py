@@ -10,7 +10,8 @@ from scipy.signal import lfilter
 
 from swimid.diagnosis import crossval, noise
 from swimid.diagnosis.noise import NoiseModel
-from swimid.diagnosis.study import START_PRIOR, Hypothesis, Study
+from swimid.diagnosis.priors import START_PRIOR
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.fitting.model import Parameter, Trial
 from swimid.fitting.noise import Autoregression, NoiseForm
 from swimid.fitting.problem import Problem
@@ -152,10 +153,10 @@ def estimated(
     trials: list[Trial], generic: tuple[np.ndarray, ...] = (), sd: float = 1.0, brief: bool = True
 ) -> tuple[NoiseModel, Hypothesis]:
     """Estimate the noise of trials of a model that is zero, with generic terms that equal curves."""
-    study = with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), sd)
+    study = with_sd(GapStudy(Hooked(nothing, (), ("y",)), (), trials, {}), sd)
     fit = study.at((), np.empty(0))
     terms = [[curve] * len(trials) for curve in generic]
-    return noise.learn(study, fit, terms, [], brief=brief), fit
+    return noise.estimate_measurement_noise(study, fit, terms, [], brief=brief), fit
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -282,9 +283,9 @@ def test_a_table_shares_its_generic_terms(rng: np.random.Generator) -> None:
     levels = []
     for _ in range(20):
         trials = [trial(k, np.zeros(1), np.array([0.5 * x[k] + rng.normal()])) for k in range(60)]
-        study = with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), 1.0)
+        study = with_sd(GapStudy(Hooked(nothing, (), ("y",)), (), trials, {}), 1.0)
         terms = [[np.array([v**power]) for v in x] for power in (0, 1, 2, 3)]
-        known = noise.learn(study, study.at((), np.empty(0)), terms, [])
+        known = noise.estimate_measurement_noise(study, study.at((), np.empty(0)), terms, [])
         levels.append(level(known) ** 2)
     assert np.mean(levels) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (20 * 56)))
 
@@ -298,20 +299,20 @@ def test_few_samples_do_not_determine_their_noise(count: int, rng: np.random.Gen
 # ---------------------------------------------------------------- random effects
 
 
-def tilted(rng: np.random.Generator, tilts: np.ndarray, sd: float = 0.05) -> Study:
+def tilted(rng: np.random.Generator, tilts: np.ndarray, sd: float = 0.05) -> GapStudy:
     """Return a study of a model that is zero, and of trials with given slopes."""
     time = np.linspace(0.0, 1.0, 100)
     trials = [trial(k, time, tilt * time + sd * rng.normal(size=100)) for k, tilt in enumerate(tilts)]
-    return with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), sd)
+    return with_sd(GapStudy(Hooked(nothing, (), ("y",)), (), trials, {}), sd)
 
 
 def scattering(
-    study: Study, effects: list[Seen], acting: tuple[Seen, ...] = (), largest: float = noise.LARGEST_SD
+    study: GapStudy, effects: list[Seen], acting: tuple[Seen, ...] = (), largest: float = noise.LARGEST_SD
 ) -> NoiseModel:
     """Return the noise with random effects of a study whose measurement noise is known."""
     problem = study.problem(acting)
     fit = study.fit(acting, [problem.start])
-    possible = noise.possible(study, fit, effects)
+    possible = noise.list_random_candidates(study, fit, effects)
     return noise.with_random_effects(study, fit, study.noise, possible, largest=largest)
 
 
@@ -342,7 +343,7 @@ def test_what_repeats_have_in_common_is_no_random_effect(rng: np.random.Generato
     common, own = rng.normal(size=4), 0.05 * rng.normal(size=(4, 3))
     study = tilted(rng, (common[:, None] + own).ravel(), sd=0.02)
     trials = [replace(t, rig=study.trials[k // 3 * 3].rig) for k, t in enumerate(study.trials)]
-    study = with_sd(study.replaced(study.model, trials), 0.02)
+    study = with_sd(study.copy_with(study.model, trials), 0.02)
     (found,) = scattering(study, [Tilt()]).random_effects
     assert found.sd in (0.02, 0.05, 0.1)
 
@@ -358,7 +359,7 @@ def test_repeats_of_unlike_length_and_with_gaps_are_compared_at_equal_times(rng:
             kept[40 + 10 * k : 50 + 10 * k] = False
             y = pattern + 0.02 * rng.normal(size=200)
             trials.append(replace(trial(number, time[kept], y[kept]), id=f"{number}{k}"))
-    study = with_sd(Study(Hooked(nothing, (), ("y",)), (), trials, {}), 0.02)
+    study = with_sd(GapStudy(Hooked(nothing, (), ("y",)), (), trials, {}), 0.02)
     assert scattering(study, [Tilt()]).random_effects == ()
 
 
@@ -425,7 +426,7 @@ def test_the_noise_floor_is_what_a_fit_of_the_initial_state_leaves(rng: np.rando
         for _ in range(300):
             y = rng.normal(size=60) + slow(rng, time, np.sqrt(form.ratio), max(form.time_s, 1.0))
             left.append(np.mean((y - y.mean()) ** 2))
-        study = Study(Hooked(start, own, ("y",)), own, [trial(0, time, y)], {})
+        study = GapStudy(Hooked(start, own, ("y",)), own, [trial(0, time, y)], {})
         study = study.with_noise(replace(noise_of(study.shape, 1.0), forms={"y": form}))
         floor = noise.with_floors(study, study.at((), study.shape.start)).floor("y")
         error = 5.0 * np.std(left) / np.sqrt(len(left))
@@ -454,9 +455,9 @@ def test_fixed_parameters_of_trials_may_differ_at_random(repeats: bool, rng: np.
     trials = [trial(k, np.arange(20.0), rng.normal(size=20)) for k in range(5)]
     if repeats:
         trials[1] = replace(trials[1], rig=trials[0].rig)
-    study = with_sd(Study(Hooked(total, parameters, ("y",)), parameters, trials, {}), 1.0)
+    study = with_sd(GapStudy(Hooked(total, parameters, ("y",)), parameters, trials, {}), 1.0)
     fit = study.at((), study.problem(()).start)
-    found = {d.effect.label: d.changes for d in noise.possible(study, fit, [])}
+    found = {d.effect.label: d.changes for d in noise.list_random_candidates(study, fit, [])}
     expected = {"friction_deviation": 0.003, "start_offset": 0.01}
     if repeats:
         expected["relative_drag_deviation"] = 0.05
@@ -475,7 +476,7 @@ def test_a_fit_with_random_effects_is_that_of_their_marginal_covariance(rng: np.
     )
     study = given.with_noise(known)
     fit = study.fit((), [study.problem(()).start])
-    folded = crossval.normal_equations(study, fit)
+    folded = crossval.form_normal_equations(study, fit)
     theta = np.array([fit.value("a"), fit.value("b")])
     normal, right = np.diag([25.0, 0.0]), np.array([25.0 * 0.8, 0.0])
     for k, one in enumerate(study.trials):
@@ -491,7 +492,7 @@ def test_a_fit_with_random_effects_is_that_of_their_marginal_covariance(rng: np.
             both = np.column_stack((shared, y - shared @ theta))
             np.testing.assert_allclose(folded.products[k - 1], both.T @ inverse @ both, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(theta, np.linalg.solve(normal, right), atol=1e-4)
-    (whole, _) = crossval.covariances(folded)
+    (whole, _) = crossval.compute_covariances(folded)
     np.testing.assert_allclose(whole, np.linalg.inv(normal), rtol=1e-3)
 
 
@@ -502,8 +503,8 @@ def test_a_random_effect_may_have_the_mean_zero(rng: np.random.Generator) -> Non
     one = replace(differing(Tilt(), sd), is_centred=True)
     study = given.with_noise(replace(noise_of(given.shape, 0.5), random_effects=(one,)))
     fit = study.fit((), [study.problem(()).start], tolerance=1e-10)
-    whole, rest = crossval.covariances(crossval.normal_equations(study, fit))
-    without = study.without_each(fit)
+    whole, rest = crossval.compute_covariances(crossval.form_normal_equations(study, fit))
+    without = study.refit_folds(fit)
     place = [fit.labels.index(name) for name in ("a", "b")]
     for left_out in (None, *range(study.folds.count)):
         kept = [t for t, f in zip(study.trials, study.folds.owner, strict=True) if f[0] != left_out]

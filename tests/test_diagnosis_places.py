@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import places
-from swimid.diagnosis.study import Study
+from swimid.diagnosis.study import GapStudy
 from swimid.fitting.model import RigInput, SwimInput, Trial
 from tests.diagnosis_models import nothing
 from tests.toy_models import Toy
@@ -22,7 +22,7 @@ def residual_map(series: list[np.ndarray], floor: float, **known: list[Any]) -> 
         Trial(f"t{k}", "fit", time, {"y": s}, **{n: v[k] for n, v in known.items()})
         for k, s in enumerate(series)
     ]
-    study = Study(Toy(nothing, (), ("y",)), (), trials, {})
+    study = GapStudy(Toy(nothing, (), ("y",)), (), trials, {})
     return places.Map(study, study.at((), np.empty(0)), {"y": floor})
 
 

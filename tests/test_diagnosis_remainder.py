@@ -50,6 +50,6 @@ def test_structure_is_found_in_a_gap_and_not_in_noise(
         remainder.Term(place, [curve(t.time_s) / 0.02 * 0.1 for t in study.trials])
         for place, curve in (("ringing", ring), ("waving", lambda t: np.cos(5.0 * t)))
     ]
-    left = remainder.find(study, base, terms, rng=rng)
-    assert left.found == found
+    left = remainder.find_structure(study, base, terms, rng=rng)
+    assert left.is_present == found
     assert max(left.places, key=lambda place: left.places[place]) == "ringing" or not found

@@ -12,7 +12,7 @@ import pytest
 
 from swimid.diagnosis import answer, nominal, odd, search
 from swimid.diagnosis.nominal import ParameterChange
-from swimid.diagnosis.study import Study
+from swimid.diagnosis.study import GapStudy
 from swimid.effects.base import Inside
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Hooks, Model, Parameter, Trial
@@ -35,7 +35,7 @@ from tests.toy_models import Toy, parameter
 
 
 @pytest.fixture
-def study(rng: np.random.Generator) -> Study:
+def study(rng: np.random.Generator) -> GapStudy:
     """Return a linear model with two coefficients, and five trials that each have a start value."""
     return line_study(rng)
 
@@ -46,15 +46,17 @@ def searched(
     own: Sequence[Parameter] = PLAIN,
     prior: tuple[float, float] = (1.0, 0.1),
     asked: list[str] | None = None,
-) -> search.Search:
+) -> search.SearchResult:
     """Return the result of a search for the causes of the gap of a model that decays."""
-    return search.run(Study(Hooked(plainly, own, ("y",)), own, trials, {"a": prior}), effects, asked=asked)
+    return search.search_causes(
+        GapStudy(Hooked(plainly, own, ("y",)), own, trials, {"a": prior}), effects, asked=asked
+    )
 
 
 # ---------------------------------------------------------------- starting points
 
 
-def test_a_fit_also_starts_at_the_prior_means(study: Study) -> None:
+def test_a_fit_also_starts_at_the_prior_means(study: GapStudy) -> None:
     problem = study.problem(())
     near, far = np.array(problem.start), np.array(problem.start)
     at = problem.labels.index("a")
@@ -66,7 +68,7 @@ def test_a_fit_also_starts_at_the_prior_means(study: Study) -> None:
     np.testing.assert_array_equal(known[others], far[others])
 
 
-def test_initial_states_also_restart_with_the_prior_means(study: Study) -> None:
+def test_initial_states_also_restart_with_the_prior_means(study: GapStudy) -> None:
     """Distorted coefficients come with distorted initial states, from which the prior means may diverge."""
     problem = study.problem(())
     far = np.array(problem.start)
@@ -76,13 +78,13 @@ def test_initial_states_also_restart_with_the_prior_means(study: Study) -> None:
     assert [start[problem.labels.index("a")] for start in starts] == [0.8, 0.8]
 
 
-def test_a_prior_from_the_same_trials_is_not_a_start(study: Study) -> None:
+def test_a_prior_from_the_same_trials_is_not_a_start(study: GapStudy) -> None:
     published = tuple(replace(p, known=2.0) if p.name == "a" else p for p in LINE)
-    loose = Study(study.model, published, study.trials, {"a": (0.8, 0.6)})
+    loose = GapStudy(study.model, published, study.trials, {"a": (0.8, 0.6)})
     problem = loose.problem(())
     at = problem.labels.index("a")
     assert loose.begins(problem, np.array(problem.start))[0][at] == 2.0
-    tight = Study(study.model, published, study.trials, {"a": (0.8, 0.2)})
+    tight = GapStudy(study.model, published, study.trials, {"a": (0.8, 0.2)})
     assert tight.begins(problem, np.array(problem.start)) == []
 
 
@@ -97,10 +99,10 @@ def test_a_base_in_a_poor_optimum_restarts_from_the_prior(rng: np.random.Generat
         Trial(f"t{k}", "fit", t, {"y": turning(np.array([1.05]), t)["y"] + 0.05 * rng.normal(size=len(t))})
         for k, t in enumerate(np.linspace(0.0, 20.0 + k, 200) for k in range(4))
     ]
-    study = with_sd(Study(Toy(turning, known, ("y",)), known, trials, {"rate": (1.0, 0.5)}), 0.05)
+    study = with_sd(GapStudy(Toy(turning, known, ("y",)), known, trials, {"rate": (1.0, 0.5)}), 0.05)
     trapped = study.fit((), [np.array([2.5])])
     assert abs(trapped.value("rate") - 1.05) > 0.5
-    based = search.Search(study, (), (), rng=rng).begin(trapped.theta)
+    based = search.HypothesisSearch(study, (), (), rng=rng).begin(trapped.theta)
     # five standard errors: a sample changes by about five of its units with the rate
     assert based.value("rate") == pytest.approx(1.05, abs=5 * 0.05 / np.sqrt(800) / 5)
     assert based.cost < trapped.cost
@@ -117,7 +119,7 @@ def test_of_many_starting_points_the_best_optimum_is_found(rng: np.random.Genera
         Trial(f"t{k}", "fit", t, {"y": turning([1.3, 1.05], t)["y"] + 0.05 * rng.normal(size=len(t))})
         for k, t in enumerate(np.linspace(0.0, 20.0 + k, 200) for k in range(4))
     ]
-    study = Study(Toy(turning, parameters, ("y",)), parameters, trials, {"size": (1.0, 0.5)})
+    study = GapStudy(Toy(turning, parameters, ("y",)), parameters, trials, {"size": (1.0, 0.5)})
     study = with_sd(study, 0.05)
     warm = study.fit((), [np.array([1.0, 0.5])])
     starts = [np.array([1.0, rate]) for rate in (0.3, 2.5, 0.6, 3.1, 1.0, 1.7, 1.1)]
@@ -150,15 +152,15 @@ def test_a_smaller_set_is_refitted_from_the_optimum_of_a_larger_one(rng: np.rand
     tone, slope = Tone("tone", ring), Seen("slope", rise)
     study = plain_study(seen_trials(rng, 0.0, 0.3), 0.02)
     own = {"tone/size": 0.05, "tone/frequency": 7.5}
-    found = search.Search(study, [tone, slope], [], rng=rng)
+    found = search.HypothesisSearch(study, [tone, slope], [], rng=rng)
     null = found.begin(np.array([1.0]))
-    found.screened(null)
+    found.screen(null)
     caught = study.fit((tone,), [study.start((tone,), null, own)])
     own["tone/frequency"] = 2.1
     whole = study.fit((tone, slope), [study.start((tone, slope), null, own)])
     assert abs(caught.value("tone/frequency") - 2.0) > 1.0
     found.pool |= {h.key: h for h in (caught, whole)}
-    assert found.without(whole, slope).value("tone/frequency") == pytest.approx(2.0, abs=0.01)
+    assert found.refit_without(whole, slope).value("tone/frequency") == pytest.approx(2.0, abs=0.01)
     assert found.pool[caught.key].cost < caught.cost
     found.compare()
     assert found.base.names == {"tone"}
@@ -166,16 +168,16 @@ def test_a_smaller_set_is_refitted_from_the_optimum_of_a_larger_one(rng: np.rand
 
 def test_an_effect_lowers_the_deviance_of_trials_in_which_it_acts(rng: np.random.Generator) -> None:
     study = plain_study(seen_trials(rng, 0.3, 0.0), 0.02)
-    found = search.Search(study, [Seen("rise", rise), Seen("ring", ring)], [], rng=rng)
+    found = search.HypothesisSearch(study, [Seen("rise", rise), Seen("ring", ring)], [], rng=rng)
     null = found.begin(np.array([1.0]))
-    found.beside([null])
+    found.add_effects([null])
     first, second = found.best(1)
     assert (first.names, second.names) == ({"rise"}, {"ring"})
     assert first.deviance < second.deviance
     # the model with the effect that acts leaves noise
     distance = first.deviance - first.log_determinant.sum()
     assert distance == pytest.approx(1200.0, abs=5.0 * np.sqrt(2400.0))
-    assert found.weighed().best == {"rise"}
+    assert found.compute_posterior().best == {"rise"}
 
 
 def test_the_search_beside_an_interrupted_one_has_the_same_fits(rng: np.random.Generator) -> None:
@@ -185,8 +187,8 @@ def test_the_search_beside_an_interrupted_one_has_the_same_fits(rng: np.random.G
     kept = Checkpoint()
     results = []
     for _ in range(2):
-        found = search.Search(study, effects, [], rng=rng, checkpoint=kept)
-        found.beside([found.begin(np.array([1.0]))])
+        found = search.HypothesisSearch(study, effects, [], rng=rng, checkpoint=kept)
+        found.add_effects([found.begin(np.array([1.0]))])
         results.append({h.names: h.deviance for h in found.pool.values()})
     assert results[0] == results[1]
 
@@ -220,7 +222,7 @@ def test_an_effect_asked_alone_and_among_all_has_the_same_fit(rng: np.random.Gen
     assert [e.name for e in whole.base.effects] == [e.name for e in alone.base.effects] == ["rise"]
     np.testing.assert_array_equal(whole.base.theta, alone.base.theta)
     assert whole.base.cost == alone.base.cost
-    rows = {r.added.effect.name: r for r in whole.singles}
+    rows = {r.last_screening.effect.name: r for r in whole.singles}
     (own,) = alone.singles
     np.testing.assert_array_equal(own.gains, rows["rise"].gains)
 
@@ -242,7 +244,7 @@ def test_an_effect_that_ends_at_an_imitating_bound_is_no_hypothesis(
     effects = [Bounded("rise", rise), Seen("wave", lambda t: np.cos(9.0 * t))]
     state = searched(seen_trials(rng, size, 0.0), effects)
     assert [e.name for e in state.base.effects if e.name == "rise"] == told
-    assert any(r.added.effect.name == "rise" for r in state.singles) == bool(told)
+    assert any(r.last_screening.effect.name == "rise" for r in state.singles) == bool(told)
     assert told or state.posterior.outside > 0.5
 
 
@@ -257,11 +259,11 @@ def test_a_parameter_that_changed_is_a_cause_alone_and_beside_an_effect(
     own = (parameter("a", given),)
     effects = [ParameterChange(own[0]), Seen("slope", rise), Seen("ring", ring)]
     state = searched(seen_trials(rng, rising, 0.0), effects, own, (given, 0.005))
-    told = [r.name for r in state.rounds] if state.posterior.none < 0.1 else []
+    told = [r.name for r in state.comparisons] if state.posterior.none < 0.1 else []
     assert told == causes
     if causes:
         now = state.base.value("a") + state.base.value("parameter:a/change")
-        stderr = answer.parameter_errors(state.study, state.base)
+        stderr = answer.compute_stderr(state.study, state.base)
         assert now == pytest.approx(1.0, abs=4 * stderr["parameter:a"])
         # the trials alone determine the new value, the file determines the old one
         assert stderr["parameter:a"] < 0.7 * stderr["parameter:a/change"]
@@ -284,7 +286,7 @@ def test_a_size_within_its_error_of_a_bound_is_at_the_bound(value: float, status
         parameters=(parameter("loss", 0.0, lower=0.0, upper=1.0),),
     )
     base = SimpleNamespace(labels=["slip/loss"], value=lambda label: value)
-    found = answer.sizes(base, tried, {"slip/loss": 0.01}, {})["loss"]  # type: ignore[arg-type]
+    found = answer.estimate_sizes(base, tried, {"slip/loss": 0.01}, {})["loss"]  # type: ignore[arg-type]
     assert (found.status, found.stderr) == (status, 0.01 if status == "estimated" else None)
 
 
@@ -329,17 +331,17 @@ def test_a_trial_that_no_parameters_explain_is_not_left_out(rng: np.random.Gener
     state = searched(trials, [Seen("rise", rise), Seen("ring", ring)])
     assert state.odd_trials == {}
     assert len(state.study.trials) == 7
-    assert odd.describe(odd.Odd("t3", state.null)) is None
+    assert odd.describe(odd.OddTrial("t3", state.null)) is None
 
 
 def test_the_parameters_of_an_odd_trial_are_described(rng: np.random.Generator) -> None:
     study = plain_study(odd_one(rng, [1.0, 1.0, 1.0, 1.5, 1.0], [0.0] * 5), 0.02)
     fit = study.fit((), [study.shape.start])
-    found = odd.describe(odd.Odd("t3", fit))
+    found = odd.describe(odd.OddTrial("t3", fit))
     assert found is not None
     assert found.startswith("a 1.5")
     alike = plain_study(odd_one(rng, [1.0] * 5, [0.0] * 5), 0.02)
-    assert odd.describe(odd.Odd("t3", alike.fit((), [alike.shape.start]))) is None
+    assert odd.describe(odd.OddTrial("t3", alike.fit((), [alike.shape.start]))) is None
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -377,7 +379,7 @@ def test_the_prior_is_wide_at_a_bound_of_a_fit_to_the_same_trials() -> None:
     p = parameter("c", 0.0, scale=2.0)
     at_bound, estimated = (Estimate(value=0.0, unit="1", status=s) for s in ("at-bound", "estimated"))
     sd = {
-        (e.status, own): nominal.prior([p], {"c": e}, own_data=own)["c"][1]
+        (e.status, own): nominal.select_priors([p], {"c": e}, own_data=own)["c"][1]
         for e in (at_bound, estimated)
         for own in (True, False)
     }

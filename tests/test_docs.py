@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import datetime
 import importlib.util
 import os
@@ -20,10 +19,10 @@ import click
 import pytest
 from ruamel.yaml import YAML
 
-from docs import evidence
+from docs import evidence, reference
 from swimid.api import NAMES
 from swimid.cli.main import main
-from swimid.commands import found
+from swimid.commands import COMMAND_SPECS
 from tests.conftest import ROOT, SAMPLES, Ran
 
 DOCS = ROOT / "docs"
@@ -68,15 +67,15 @@ def test_commands_parse(line: str) -> None:
     command.make_context("swimid", words)  # raises for an unknown option or a missing argument
 
 
-def test_the_readme_shows_what_the_command_prints(
-    swimid: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("page", ["fit-drag", "fit-graybox"])
+def test_a_page_shows_what_its_command_prints(
+    page: str, swimid: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ROOT)
-    shown = re.search(
-        r"\$ swimid fit-drag (\S+) -o drag\.yaml\n(.*?)```", (ROOT / "README.md").read_text(), re.S
-    )
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    shown = re.search(rf"\$ swimid {page} ([^\n]*) -o \S+\.yaml\n(.*?)```", text, re.S)
     assert shown is not None
-    assert swimid("fit-drag", shown.group(1)).out.strip() == shown.group(2).strip()
+    assert swimid(page, *shlex.split(shown.group(1))).out.strip() == shown.group(2).strip()
 
 
 @pytest.mark.parametrize("name", sorted(evidence.TABLES))
@@ -145,13 +144,7 @@ def test_every_page_is_in_the_navigation_once() -> None:
 
 
 def test_the_reference_lists_every_public_name_once() -> None:
-    tree = ast.parse((DOCS / "make_site.py").read_text(encoding="utf-8"))
-    (value,) = (
-        node.value
-        for node in tree.body
-        if isinstance(node, ast.Assign) and [ast.unparse(t) for t in node.targets] == ["PYTHON"]
-    )
-    listed = [name for names in ast.literal_eval(value).values() for name in names]
+    listed = [name for names in reference.PYTHON.values() for name in names]
     assert sorted(listed) == sorted(NAMES)
 
 
@@ -169,7 +162,8 @@ def _alike(row: str, other: str) -> bool:
 @pytest.mark.parametrize("name", ["rig", "markers", "trials", "imu"])
 @pytest.mark.slow
 def test_the_tables_of_a_page_are_printed_by_its_command(name: str) -> None:
-    page = (DOCS / "learn" / f"{name}.md").read_text(encoding="utf-8")
+    place = DOCS if name == "imu" else DOCS / "learn"
+    page = (place / f"{name}.md").read_text(encoding="utf-8")
     command = f"docs.learn.{name}"
     assert f"`python -m {command}`" in page
     ran = subprocess.run(
@@ -201,7 +195,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert not re.search(foreign, whole)
     assert 'class="equation"' in (tmp_path / "site" / "equations.html").read_text(encoding="utf-8")
     assert "arithmatex" not in whole
-    for command in found():
+    for command in COMMAND_SPECS:
         assert f'id="{command.replace(" ", "-")}"' in whole
     for name in NAMES:
         assert f'id="{name.lower()}"' in whole

@@ -116,14 +116,14 @@ class Series:
         self.trial, self.role = trial, role
         self.time_s = np.linspace(0, 1, 50)
         self.simulated = self.time_s
-        self.weighted = size * np.cos(np.arange(50.0))
-        self.measured = self.simulated + 0.01 * self.weighted
+        self.z_scores = size * np.cos(np.arange(50.0))
+        self.measured = self.simulated + 0.01 * self.z_scores
 
 
 def test_the_worst_the_best_and_the_worst_held_out_trial_are_shown() -> None:
     trials = [Series(f"t{k}", size) for k, size in enumerate((1.0, 3.0, 0.5, 2.0))]
     trials += [Series("v0", 1.0, "validate"), Series("v1", 4.0, "validate")]
-    figure = ev.measured_and_simulated("f", "t", "c", "x (m)", trials)
+    figure = ev.make_fit_figure("f", "t", "c", "x (m)", trials)
     assert [panel.title for panel in figure.panels] == [
         "t1 (largest error)",
         "t2 (smallest error)",
@@ -139,7 +139,7 @@ def test_residuals_have_one_row_for_each_trial() -> None:
     trials = [Series("a", 1.0), Series("b", 50.0)]
     lags = np.arange(5)
     correlation = type("Correlation", (), {"lags": lags, "values": 0.1 * lags, "bound": 0.2 + 0.0 * lags})
-    rows, lagged = ev.residuals("f", "t", "c", trials, correlation).panels
+    rows, lagged = ev.make_residual_figure("f", "t", "c", trials, correlation).panels
     assert rows.y_categories == ["a", "b"]
     for k, trace in enumerate(rows.traces):
         assert np.abs(np.array(trace.y) - k).max() < 0.5
@@ -148,7 +148,7 @@ def test_residuals_have_one_row_for_each_trial() -> None:
 
 def test_the_twelve_trials_with_the_largest_residuals_are_shown() -> None:
     trials = [Series(f"t{k}", 1.0 + (7 * k) % 15) for k in range(15)]
-    (rows,) = ev.residuals("f", "t", "c", trials, None).panels
+    (rows,) = ev.make_residual_figure("f", "t", "c", trials, None).panels
     smallest = {f"t{k}" for k in range(15) if (7 * k) % 15 < 3}
     assert rows.y_categories == [f"t{k}" for k in range(15) if f"t{k}" not in smallest]
     assert len(rows.y_categories) == 12

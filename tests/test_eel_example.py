@@ -15,7 +15,7 @@ from tests.conftest import ROOT, Ran
 from tests.generators import eel_logs
 
 EXAMPLES = ROOT / "docs" / "examples"
-TEXT = (EXAMPLES / "eel.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "learn" / "own-robot.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^swimid (.*)$", TEXT, re.M)
 
 
@@ -87,7 +87,10 @@ def test_the_wrong_reading_is_told(walked: tuple[Path, dict[str, Ran]]) -> None:
 
 
 def test_speeds_in_the_text(walked: tuple[Path, dict[str, Ran]]) -> None:
-    for words, text in ((("--robot",), r"mean speed of ([\d.]+) m/s"), (("1.2",), r"gives ([\d.]+) m/s")):
+    for words, text in (
+        (("--robot",), r"mean speed of ([\d.]+) m/s"),
+        (("1.2",), r"gait gives ([\d.]+) m/s"),
+    ):
         shown, printed = (
             re.search(text, TEXT),
             re.search(r"mean speed\s+([\d.]+)", _said(walked[1], *words).out),

@@ -14,7 +14,14 @@ from swimid.effects import actuation
 from swimid.effects.base import for_every_joint
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Hooks, Stroke, SurgeInput, SwimInput, Trial
-from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
+from swimid.propulsion.model import (
+    SPEED,
+    RecoilModel,
+    SurgeModel,
+    compute_cruise_speed,
+    compute_mean_speed,
+    velocity_ratio,
+)
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
@@ -73,7 +80,7 @@ def black_box(source=None):
 def fish():
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(0.0, 2.51, 0.04)
-    swim = SwimInput(drives.Beat("sine", 1.5, 0.35), pose=(0.3, -0.2, 0.5))
+    swim = SwimInput(drives.TailBeat("sine", 1.5, 0.35), pose=(0.3, -0.2, 0.5))
     return model, Trial("f", "fit", time, dict.fromkeys(model.pose, time), swim=swim)
 
 
@@ -133,11 +140,11 @@ class TestOperators:
         time = np.arange(80_000) / 10_000
         found = actuation.limit_rate(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
         fundamental = 2 * abs(np.mean(found * np.exp(-2j * np.pi * time[40_000:])))
-        assert float(actuation.describing_gain(ratio)) == pytest.approx(fundamental, abs=5e-4)
+        assert float(actuation.compute_fundamental_gain(ratio)) == pytest.approx(fundamental, abs=5e-4)
 
     def test_describing_function_begins_smoothly(self):
         ratio = np.linspace(0.5, 1.0, 2001)
-        gain = actuation.describing_gain(ratio)
+        gain = actuation.compute_fundamental_gain(ratio)
         assert np.all(np.diff(gain) > 0)
         assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
 
@@ -262,7 +269,9 @@ class TestFish:
 class TestBlackBox:
     def answer(self, effect, values, column=None):
         model, trial = black_box(column)
-        return model.hooked(starts(model), trial, effect.hooks(np.array(values), trial, model))["u_m_s"]
+        return model.simulate_hooked(starts(model), trial, effect.hooks(np.array(values), trial, model))[
+            "u_m_s"
+        ]
 
     def test_delay_by_whole_samples_is_a_shift(self, rng):
         """The input starts at rest."""
@@ -286,13 +295,13 @@ class TestBlackBox:
             (p,) = effect.parameters(model, [holed])
             hooks = effect.hooks(np.array([p.start + (-1 if p.start else 1) * p.scale]), holed, model)
             np.testing.assert_array_equal(
-                np.isnan(hooks.actuated(trial.time_s, column)), np.isnan(column), repr(effect)
+                np.isnan(hooks.actuate(trial.time_s, column)), np.isnan(column), repr(effect)
             )
 
     def test_a_late_clock_shifts_the_output(self):
         model, trial = black_box()
         nominal = model.simulate(starts(model), trial)["u_m_s"]
-        found = model.hooked(starts(model), trial, Hooks(clock_s=0.1))["u_m_s"]
+        found = model.simulate_hooked(starts(model), trial, Hooks(clock_s=0.1))["u_m_s"]
         np.testing.assert_allclose(found[2:], nominal[:-2], atol=1e-12)
 
 
@@ -301,7 +310,7 @@ class TestAverageModels:
 
     def speeds(self, effect, values, nominal=None):
         model, trial = recoil()
-        return model.hooked(
+        return model.simulate_hooked(
             starts(model) if nominal is None else nominal, trial, effect.hooks(np.array(values), trial, model)
         )[SPEED]
 
@@ -340,9 +349,11 @@ class TestAverageModels:
         double = Hooks(stroke=(lambda s: Stroke(s.frequency_hz, s.amplitude_rad, 8 * s.thrust),))
         nominal = model.simulate(starts(model), trial)[SPEED]
         # without the inertia of the fin there is no answer
-        assert np.isnan(model.hooked(starts(model), trial, double)[SPEED]).all()
+        assert np.isnan(model.simulate_hooked(starts(model), trial, double)[SPEED]).all()
         double = Hooks(stroke=(lambda s: replace(s, thrust=8 * s.thrust),))
-        np.testing.assert_allclose(model.hooked(starts(model), trial, double)[SPEED], 2 * nominal, rtol=1e-12)
+        np.testing.assert_allclose(
+            model.simulate_hooked(starts(model), trial, double)[SPEED], 2 * nominal, rtol=1e-12
+        )
 
     @pytest.mark.parametrize("linear, dry", [(0.3, 0.0), (0.0, 0.004), (0.2, 0.003), (1e-9, 0.0)])
     def test_other_drag(self, linear, dry):
@@ -353,7 +364,7 @@ class TestAverageModels:
             c["linear"] += linear
             c["dry"] += dry
 
-        found = model.hooked(starts(model), trial, Hooks(coefficients=(change,)))[SPEED]
+        found = model.simulate_hooked(starts(model), trial, Hooks(coefficients=(change,)))[SPEED]
         nominal = model.simulate(starts(model), trial)[SPEED]
         ratio = velocity_ratio(DRAG_AREA / MASS, trial.inputs["distance_m"])
         for speed, plain, distance in zip(found, nominal / ratio, trial.inputs["distance_m"], strict=True):
@@ -375,10 +386,10 @@ class TestAverageModels:
 
     def test_general_run_is_the_paper_s_without_linear_drag(self):
         v1, x = np.array([0.05, 0.1, 0.3]), np.array([0.02, 1.15, 40.0])
-        found = mean_speed(v1, x, {"mass": MASS, "quadratic": DRAG_AREA, "linear": 0.0})
+        found = compute_mean_speed(v1, x, {"mass": MASS, "quadratic": DRAG_AREA, "linear": 0.0})
         np.testing.assert_allclose(found, v1 * velocity_ratio(DRAG_AREA / MASS, x), rtol=1e-11)
         power = np.array([0.0, 1e-6, 1e-2])
-        found = terminal_speed(power, {"quadratic": 2.0, "linear": 0.0, "dry": 0.0})
+        found = compute_cruise_speed(power, {"quadratic": 2.0, "linear": 0.0, "dry": 0.0})
         np.testing.assert_allclose(found, np.cbrt(power / 2.0), rtol=1e-13)
 
     def test_current_carries_both_models(self):
@@ -389,13 +400,13 @@ class TestAverageModels:
         model, trial = recoil()
         nominal = model.simulate(starts(model), trial)[SPEED]
         np.testing.assert_allclose(
-            model.hooked(starts(model), trial, hooks)[SPEED], nominal + 0.02, rtol=1e-12
+            model.simulate_hooked(starts(model), trial, hooks)[SPEED], nominal + 0.02, rtol=1e-12
         )
         model, trial = surge()
         values = starts(model)
         values[-1] = 0.1
         slower = values - [0, 0, 0, 0, 0.02]
-        found = model.hooked(values, trial, hooks)["u_m_s"]
+        found = model.simulate_hooked(values, trial, hooks)["u_m_s"]
         np.testing.assert_allclose(found, model.simulate(slower, trial)["u_m_s"] + 0.02, atol=1e-9)
 
     def test_surge_with_linear_drag_alone(self):
@@ -408,7 +419,7 @@ class TestAverageModels:
             c["linear"] = 0.4
             c["mass"] *= 2.0
 
-        found = model.hooked(values, trial, Hooks(coefficients=(change,)))["u_m_s"]
+        found = model.simulate_hooked(values, trial, Hooks(coefficients=(change,)))["u_m_s"]
         push = (
             values[0] * (0.3 / model.reference_amplitude_rad) ** 2 * (1.5 / model.reference_frequency_hz) ** 2
         )
@@ -429,7 +440,7 @@ class TestAverageModels:
 
         values = starts(model)
         values[0] = 0.0
-        found = model.hooked(values, trial, Hooks(coefficients=(change,), flow=(waves,)))["u_m_s"]
+        found = model.simulate_hooked(values, trial, Hooks(coefficients=(change,), flow=(waves,)))["u_m_s"]
         for t, u in zip(trial.time_s, found, strict=True):
             expected = quad(lambda s, t=t: 0.035 * math.sin(2 * s) * math.exp(-0.7 * (t - s)), 0.3, t)[0]
             assert u == pytest.approx(expected, abs=1e-8)

@@ -59,19 +59,19 @@ def own(tmp_path, text):
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_pinned_names(stage):
-    found = {e.name for e in catalogue.catalogue() if e.stage == stage}
+    found = {e.name for e in catalogue.list_effects() if e.stage == stage}
     assert set(PINNED[stage].split()) <= found
 
 
 def test_effects_have_order_stage_and_meaning():
-    found = catalogue.catalogue()
+    found = catalogue.list_effects()
     assert list(found) == sorted(found, key=lambda e: (STAGES.index(e.stage), e.name))
     for effect in found:
         # a module of forms for one kind of model has effects of all stages
         assert type(effect).__module__.split(".")[2] in (effect.stage, effect.of_model)
         assert len(effect.meaning.split()) > 2
         assert isinstance(effect.sources, tuple)
-        assert effect.needs <= catalogue.PLACES
+        assert effect.needs <= catalogue.HOOK_NAMES
 
 
 def test_own_effects_are_used(tmp_path):
@@ -80,9 +80,9 @@ def test_own_effects_are_used(tmp_path):
     model = Toy(decay, DECAY, ("y", "v"))
     assert catalogue.applicable([effect], model, []) == [effect]
     assert not catalogue.applicable(
-        [e for e in catalogue.catalogue() if e.name in ("servo-lag", "current")], model, []
+        [e for e in catalogue.list_effects() if e.name in ("servo-lag", "current")], model, []
     )
-    seen = effect.hooks(np.array([0.5]), None, model).seen({"y": np.zeros(2)}, np.zeros(2))
+    seen = effect.hooks(np.array([0.5]), None, model).sense({"y": np.zeros(2)}, np.zeros(2))
     assert seen["y"].tolist() == [0.5, 0.5]
 
 
@@ -134,7 +134,7 @@ def test_typical_sizes_are_those_of_the_document():
         (" of a rig", effect_cases.weight_model(), [effect_cases.weight_trial()]),
         (" of a cruise", cruise, [runs]),
     ):
-        for effect in catalogue.applicable(catalogue.catalogue(), model, trials):
+        for effect in catalogue.applicable(catalogue.list_effects(), model, trials):
             for p in effect.parameters(model, trials):
                 found[effect.name + kind, p.name] = (p.scale, p.unit)
                 found.setdefault((effect.name, p.name), (p.scale, p.unit))

@@ -17,19 +17,19 @@ from swimid.effects.environment import (
     Wall,
     Waves,
     _Travelling,
-    lines,
+    find_lines,
     pull_back,
     push_off,
     rise,
     sink,
 )
 from swimid.effects.rig import InitialSpeed
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import CruiseInput, RigInput, SwimInput, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import Force
+from swimid.robots.planar import PlanarForce
 from tests.effect_cases import (
     INERTIA,
     TIME,
@@ -155,11 +155,11 @@ def test_lines_of_a_track_are_found_beside_the_beat() -> None:
         track = 0.2 * time + 0.01 * time**2 + 0.02 * np.sin(2 * np.pi * beat * time)
         track += 0.004 * np.cos(2 * np.pi * 0.63 * time + rng.uniform(0, 6))
         track += 1e-3 * rng.standard_normal(len(time))
-        swim = SwimInput(Beat("sine", beat, 0.3))
+        swim = SwimInput(TailBeat("sine", beat, 0.3))
         trials.append(Trial(str(beat), "fit", time, {"x_m": track}, swim=swim))
     model = Toy(lambda values, time: {"x_m": np.full(len(time), 0.2)}, (), ("x_m",))
-    assert lines(model, trials, "x")[0] == pytest.approx(0.63, abs=0.05)
-    assert lines(model, trials, "y") == ()
+    assert find_lines(model, trials, "x")[0] == pytest.approx(0.63, abs=0.05)
+    assert find_lines(model, trials, "y") == ()
 
 
 def test_oscillations_of_the_model_are_no_waves() -> None:
@@ -167,7 +167,7 @@ def test_oscillations_of_the_model_are_no_waves() -> None:
     own = {"x_m": 0.01 * np.sin(2 * np.pi * 0.4 * time)}
     model = Toy(lambda values, time: own, (), ("x_m",))
     trial = Trial("a", "fit", time, {"x_m": own["x_m"] + 1e-3 * np.sin(2 * np.pi * 0.9 * time)})
-    assert lines(model, [trial], "x")[0] == pytest.approx(0.9, abs=0.05)
+    assert find_lines(model, [trial], "x")[0] == pytest.approx(0.9, abs=0.05)
 
 
 # ------------------------------------------------------------ forces
@@ -223,7 +223,7 @@ def test_a_tether_takes_its_work_from_a_cruise() -> None:
     model = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
     trial = Trial("a", "fit", np.arange(1.0), {}, inputs={"distance_m": np.array([2.0])})
     c = {"dry": 0.0}
-    Tether().hooks(np.array([0.3, 0.5]), trial, model).changed(c, "coefficients")
+    Tether().hooks(np.array([0.3, 0.5]), trial, model).change_values(c, "coefficients")
     assert c["dry"] * 2.0 == pytest.approx(0.5 * 0.3 * 1.5**2)
 
 
@@ -303,7 +303,7 @@ def test_a_hull_above_the_surface_loses_buoyancy() -> None:
 def test_buoyancy_is_a_force_of_the_robot_file() -> None:
     def lifted(body: Any) -> None:
         body.elements.append(
-            Force(kind="force", name="lift", link="trunk", at_m=0.14631, port_N=0.05, frame="world")
+            PlanarForce(kind="force", name="lift", link="trunk", at_m=0.14631, port_N=0.05, frame="world")
         )
 
     model, built = swimmer("dolphin"), changed(robots.read("dolphin"), lifted)

@@ -10,14 +10,21 @@ import pytest
 
 from swimid.effects.base import Effect
 from swimid.effects.environment import Tether
-from swimid.effects.fluid import AddedMass, DragReynolds, LiftDamping, LinearDrag, QuadraticDrag, WakeLift
+from swimid.effects.fluid import (
+    AddedMassFactor,
+    DragReynolds,
+    LiftDamping,
+    LinearDrag,
+    QuadraticDrag,
+    WakeLift,
+)
 from swimid.effects.rig import InitialSpeed
 from swimid.fitting.model import CruiseInput, RigInput, SurgeInput, Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import AddedMass as AddedMassElement
-from swimid.robots.planar import Foil, TrailingEdge
+from swimid.robots.planar import PlanarAddedMass as AddedMassElement
+from swimid.robots.planar import PlanarFoil, TrailingEdge
 from tests.effect_cases import (
     INERTIA,
     TIME,
@@ -33,7 +40,7 @@ from tests.effect_cases import (
     weight_trial,
 )
 
-ALL = [AddedMass(), DragReynolds(), LinearDrag(), WakeLift(), LiftDamping()]
+ALL = [AddedMassFactor(), DragReynolds(), LinearDrag(), WakeLift(), LiftDamping()]
 
 
 @pytest.mark.parametrize("robot", ["tfish", "dolphin"])
@@ -141,7 +148,10 @@ def test_added_mass_slows_a_swing_on_a_tether() -> None:
     mass, k, extra = 2.133 + 3 * 0.081 + 0.096, 30.0, 1.1
     trial = coasting(model)
     seen = acted(
-        model, trial, [(Tether(), (k, 0.0, 0.0, 0.0)), (AddedMass(), (extra, 0.0, 0.0))], initial_surge=0.3
+        model,
+        trial,
+        [(Tether(), (k, 0.0, 0.0, 0.0)), (AddedMassFactor(), (extra, 0.0, 0.0))],
+        initial_surge=0.3,
     )
     rate = np.sqrt(k / (mass + extra))
     np.testing.assert_allclose(seen["x_m"], 0.3 / rate * np.sin(rate * trial.time_s), atol=1e-7)
@@ -165,14 +175,14 @@ def test_added_mass_of_a_swimmer_is_that_of_the_robot_file() -> None:
 
     model, built = swimmer("tfish"), changed(robots.read("tfish"), heavier)
     trial = swim(model)
-    seen = acted(model, trial, [(AddedMass(), (0.4, 0.7, 0.02))])
+    seen = acted(model, trial, [(AddedMassFactor(), (0.4, 0.7, 0.02))])
     expected = built.simulate(start(built), trial)
     for name in ("x_m", "y_m", "yaw_rad"):
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
 
 
 def test_added_mass_slows_a_rig() -> None:
-    seen = acted(weight_model(), weight_trial(), [(AddedMass(), 0.6)])
+    seen = acted(weight_model(), weight_trial(), [(AddedMassFactor(), 0.6)])
     np.testing.assert_allclose(seen["x_m"], 0.5 * 0.2 / (INERTIA + 0.6) * TIME**2, atol=1e-12)
 
 
@@ -255,7 +265,7 @@ def test_lift_of_the_links_is_that_of_plates_in_the_robot_file() -> None:
         middle = {"head": 0.135, "tail1": 0.016, "tail2": 0.016, "tail3": 0.016, "fin": 0.05}
         for link, share in across.items():
             body.elements.append(
-                Foil(
+                PlanarFoil(
                     kind="foil",
                     name=f"{link}-plate",
                     link=link,

@@ -13,9 +13,9 @@ from swimid.effects.rig import (
     PulleyViscous,
     StartOffset,
     StringStretch,
-    oscillation,
+    solve_oscillation,
 )
-from swimid.fitting.model import Force, Hooks, RigInput, Trial, no_force
+from swimid.fitting.model import ExternalForce, Hooks, RigInput, Trial, no_force
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from tests.effect_cases import FORCE, INERTIA, TIME, acted, check_null, start, weight_model, weight_trial
@@ -96,7 +96,9 @@ def test_a_string_oscillates_under_a_constant_pull() -> None:
     expected = (
         pull / omega**2 * (1 - decay * (np.cos(ring * time) + zeta * omega / ring * np.sin(ring * time)))
     )
-    np.testing.assert_allclose(oscillation(time, np.full(200, pull), omega, zeta, 0.0), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        solve_oscillation(time, np.full(200, pull), omega, zeta, 0.0), expected, atol=1e-12
+    )
 
 
 def test_a_stiff_string_is_stretched_in_proportion_to_acceleration() -> None:
@@ -120,34 +122,34 @@ def test_forced_kernel_is_the_nominal_one_in_still_water() -> None:
     model = weight_model(quadratic_drag=2.0, pulley_friction=0.05)
     trial = weight_trial(release_s=0.13)
     plain = model.simulate(start(model), trial)
-    forced = model.hooked(start(model), trial, Hooks(flow=(_still,)))
+    forced = model.simulate_hooked(start(model), trial, Hooks(flow=(_still,)))
     np.testing.assert_allclose(forced["x_m"], plain["x_m"], atol=1e-10)
     decay = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
     values = start(decay, dry_friction=0.02)
     trial = Trial("d", "fit", TIME, {}, rig=RigInput(inertia=0.01, x0=0.3))
-    plain, forced = decay.simulate(values, trial), decay.hooked(values, trial, Hooks(flow=(_still,)))
+    plain, forced = decay.simulate(values, trial), decay.simulate_hooked(values, trial, Hooks(flow=(_still,)))
     np.testing.assert_array_equal(forced["roll_rad"], plain["roll_rad"])
 
 
 def test_a_late_clock_shows_earlier_states() -> None:
     model = weight_model()
-    late = model.hooked(start(model), weight_trial(), Hooks(clock_s=0.5))
+    late = model.simulate_hooked(start(model), weight_trial(), Hooks(clock_s=0.5))
     before = np.maximum(TIME - 0.5, 0.0)
     np.testing.assert_allclose(late["x_m"], 0.5 * FORCE / INERTIA * before**2, atol=1e-12)
 
 
 def test_late_clock_under_a_measured_force_delays_the_motion_not_the_force() -> None:
-    model = rig.towed(mass_kg=INERTIA, force_N=0.2, area_known=False)
+    model = rig.make_towed_model(mass_kg=INERTIA, force_N=0.2, area_known=False)
     known = RigInput(inertia=INERTIA, release_s=0.0)
     trial = Trial("t", "fit", TIME, {}, inputs={"force_N": 0.1 * TIME}, rig=known)
     values = start(model, quadratic_drag=0.0, added_mass=0.0)
-    late = model.hooked(values, trial, Hooks(clock_s=0.5))
+    late = model.simulate_hooked(values, trial, Hooks(clock_s=0.5))
     before = np.maximum(TIME - 0.5, 0.0)
     np.testing.assert_allclose(late["x_m"], 0.1 * before**3 / (6 * INERTIA), atol=1e-9)
 
 
 def test_more_forces_than_the_kernel_takes_are_refused() -> None:
     model = weight_model()
-    many = Hooks(force=(Force(no_force, np.zeros(1)),) * 5)
+    many = Hooks(force=(ExternalForce(no_force, np.zeros(1)),) * 5)
     with pytest.raises(ValueError, match="at most 4"):
-        model.hooked(start(model), weight_trial(), many)
+        model.simulate_hooked(start(model), weight_trial(), many)

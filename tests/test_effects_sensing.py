@@ -33,7 +33,7 @@ def starts(model):
 def swimmer(name, *columns):
     model = MultilinkModel(robot_format.read(name))
     time = np.arange(0.0, 1.61, 0.04)
-    beat = drives.Beat("sine", 1.5, 0.35, bias_rad=0.1)
+    beat = drives.TailBeat("sine", 1.5, 0.35, bias_rad=0.1)
     measured = {n: np.zeros(len(time)) for n in columns or model.pose}
     return model, Trial("f", "fit", time, measured, swim=SwimInput(beat, pose=POSE))
 
@@ -137,7 +137,7 @@ def test_sensing_changes_nothing_only_at_its_start_values(effect, fish):
             for name, values in found.items():
                 np.testing.assert_array_equal(values, nominal[name])
             hooks = variant.hooks(null, trial, model)
-            for name, values in model.hooked(starts(model), trial, hooks).items():
+            for name, values in model.simulate_hooked(starts(model), trial, hooks).items():
                 np.testing.assert_array_equal(values, nominal[name])
             for point in variant.tries(own):
                 assert all(p.lower <= v <= p.upper for p, v in zip(own, point, strict=True))
@@ -293,7 +293,7 @@ def test_a_broken_simulation_stays_missing_under_a_late_camera(fish):
     hooks = late.hooks(np.array([0.02]), trial, model)
     time = trial.time_s
     broken = np.where(time > time[len(time) // 2], np.inf, 0.0)
-    found = hooks.seen({"x_m": broken, "y_m": np.sin(time), "u_m_s": time}, time)
+    found = hooks.sense({"x_m": broken, "y_m": np.sin(time), "u_m_s": time}, time)
     assert np.isnan(found["x_m"]).all()
     assert np.isfinite(found["y_m"]).all()
     np.testing.assert_array_equal(found["u_m_s"], time)
@@ -303,7 +303,7 @@ def test_a_broken_simulation_stays_missing_under_a_late_camera(fish):
 
 
 def shown(model, trial, effect, value):
-    return model.hooked(starts(model), trial, effect.hooks(np.array([value]), trial, model))
+    return model.simulate_hooked(starts(model), trial, effect.hooks(np.array([value]), trial, model))
 
 
 @pytest.mark.parametrize("rate", [0.05, -0.05])

@@ -24,13 +24,14 @@ from swimid.effects.structure import (
     LoadFriction,
     Stribeck,
     WaterIngress,
-    bent_fin,
+    add_bent_fin_force,
 )
 from swimid.fitting.model import CruiseInput, RigInput, Stroke, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import Hydrostatics, Input, Load
+from swimid.robots.joints import Input
+from swimid.robots.planar import PlanarHydrostatics, PlanarLoad
 from tests.effect_cases import (
     FORCE,
     INERTIA,
@@ -61,7 +62,7 @@ ALL = [
 ROLL = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
 RELEASED = Trial("d", "fit", TIME, {"roll_rad": 0.3 * np.cos(10 * TIME)}, rig=RigInput(inertia=0.01, x0=0.3))
 UNDAMPED = {"quadratic_damping": 0.0, "linear_damping": 0.0}
-TOW = rig.towed(mass_kg=INERTIA, force_N=0.2, area_known=False)
+TOW = rig.make_towed_model(mass_kg=INERTIA, force_N=0.2, area_known=False)
 TOWED = Trial(
     "t",
     "fit",
@@ -143,7 +144,7 @@ def test_weight_moves_with_the_centre_of_mass() -> None:
 
     def floating(body: Any) -> None:
         body.elements.append(
-            Hydrostatics(kind="hydrostatics", name="float", link="trunk", volume_m3=2.83 / 1000)
+            PlanarHydrostatics(kind="hydrostatics", name="float", link="trunk", volume_m3=2.83 / 1000)
         )
 
     model = changed(robots.read("dolphin"), floating)
@@ -215,7 +216,9 @@ def test_every_joint_that_moves_can_be_locked() -> None:
 def test_a_bent_fin_pushes_forwards_with_less_load(w: float) -> None:
     compliance, gain = 0.01, 20.0
     wrench = np.zeros(3)
-    bent_fin._pyfunc(0.0, np.zeros(3), np.array([0.0, w, 0.0]), np.array([compliance, gain, 0.0]), wrench)
+    add_bent_fin_force._pyfunc(
+        0.0, np.zeros(3), np.array([0.0, w, 0.0]), np.array([compliance, gain, 0.0]), wrench
+    )
     load = gain * w * w
     assert wrench[0] == pytest.approx(compliance * load**2, rel=1e-2)
     # the speed across the bent chord is reduced by its cosine, the force by its square, its part across by
@@ -229,7 +232,7 @@ def test_a_fin_that_bends_loses_thrust_by_its_load() -> None:
     effect = FinFlexibility(load=2e-4 * 0.3, inertia_kg_m2=1.0)
     cruise = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 2e-4})
     trial = Trial("a", "fit", np.arange(2.0), {})
-    bent = effect.hooks(np.array([0.5]), trial, cruise).beaten(stroke)
+    bent = effect.hooks(np.array([0.5]), trial, cruise).change_stroke(stroke)
     np.testing.assert_allclose(bent.thrust, [1 / 1.5, 1 / 3.0])
 
 
@@ -250,7 +253,7 @@ def test_null_and_tries_of_pulled_bodies(effect: Effect) -> None:
 def test_load_friction_leaves_the_commands_of_thrusters_alone() -> None:
     def thrust(body: Any) -> None:
         body.inputs["stern"] = Input(column="stern_N")
-        body.elements.append(Load(kind="load", link="head", input="stern", at_m=0.1, forward_N=1.0))
+        body.elements.append(PlanarLoad(kind="load", link="head", input="stern", at_m=0.1, forward_N=1.0))
 
     model, plain = changed(robots.read("tfish"), thrust), swimmer("tfish")
     pushed = swim(plain)
@@ -288,7 +291,7 @@ def test_a_decay_that_hardens_swings_in_duffings_period() -> None:
     period = 0.4 * quad(lambda p: 1 / np.sqrt(1 + 0.5 * h * size**2 * (1 + np.sin(p) ** 2)), 0, np.pi / 2)[0]
     time = period * np.arange(7)
     trial = replace(RELEASED, time_s=time, measured={"roll_rad": 0 * time})
-    seen = acted(ROLL.refined().refined(), trial, [(Hardening(), h)], **UNDAMPED)
+    seen = acted(ROLL.refine().refine(), trial, [(Hardening(), h)], **UNDAMPED)
     np.testing.assert_allclose(seen["roll_rad"], size, atol=2e-5)
 
 
@@ -349,10 +352,10 @@ def test_the_load_of_a_servo_is_that_of_the_links_behind_it() -> None:
     body = dry_fish().body
     masses, places = (0.081, 0.081, 0.081, 0.096), (0.016, 0.048, 0.080, 0.123)
     inertia = 2.3e-4 + 2.3e-4 + 2.1e-4 + 8.0e-5 + np.dot(masses, np.square(places))
-    assert body.carried(body.tables(), 0) == pytest.approx((inertia, 0.0))
+    assert body.compute_actuator_load(body.tables(), 0) == pytest.approx((inertia, 0.0))
     bodies = swimmer("tfish", c_d13=0.0, c_d4=2.0).body
     drag = 500.0 * 0.006853 * 2.0 * (3 * 0.032 + 0.05) ** 3
-    assert bodies.carried(bodies.tables(), 0)[1] == pytest.approx(drag, rel=1e-9)
+    assert bodies.compute_actuator_load(bodies.tables(), 0)[1] == pytest.approx(drag, rel=1e-9)
 
 
 def servo(effect: Effect, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -380,7 +383,7 @@ def test_a_servo_sticks_where_its_command_turns_round() -> None:
 def test_a_servo_under_load_is_held_back_by_its_torque() -> None:
     """At full speed the torque is that of drag, ``D q'^2``; before and after, inertia adds or reduces it."""
     share, body = 0.4, swimmer("tfish").body
-    _, drag = body.carried(body.tables(), 1)
+    _, drag = body.compute_actuator_load(body.tables(), 1)
     rate, back, top = servo(LoadFriction(), share)
     full = np.abs(rate) > 0.98 * rate.max()
     assert back[full].mean() == pytest.approx((share * drag * rate[full] ** 2).mean(), rel=0.05)

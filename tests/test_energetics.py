@@ -9,16 +9,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
-from swimid.logs import kinematics
+from swimid.kinematics.cycles import settling_time
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Multilink, Yielding
+from swimid.robots.joints import Yielding
+from swimid.robots.planar import MultilinkRobot
 from swimid.swimmer.model import Energetics, Swimmer
-from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.spatial import engine as space_engine
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as engine
+from swimid.swimmer.planar.model import MultilinkModel, PlanarTree
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as space_engine
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests.conftest import Ran
 from tests.generators import lagrange
@@ -29,7 +30,7 @@ needs_casadi = pytest.mark.skipif(importlib.util.find_spec("casadi") is None, re
 
 
 def values_of(model: Swimmer) -> np.ndarray:
-    stated = model.stated()
+    stated = model.get_file_values()
     return np.array([stated.get(p.name, p.start) for p in model.parameters])
 
 
@@ -52,7 +53,7 @@ def test_torques_of_random_trees(base: str) -> None:
         links = int(rng.integers(3, 8))
         yielding = int(rng.integers(base == "fixed", min(links - 2, 3) + 1))
         body = {**lagrange.random_tree(rng, links, yielding), "base": base}
-        tree = Assembly(Multilink.model_validate(body), Fluid(density_kg_m3=WATER))
+        tree = PlanarTree(MultilinkRobot.model_validate(body), Fluid(density_kg_m3=WATER))
         oracle, tables = lagrange.Lagrange(body, density=WATER), tree.tables(np.zeros(0))
         n, driven = tree.unknowns, len(tree.driven)
         compared += driven
@@ -64,9 +65,11 @@ def test_torques_of_random_trees(base: str) -> None:
         mounts = np.radians([a.joint.mount_deg for a in tree.driven])
         row = np.column_stack([q[n:], qd[n:], told, np.cos(q[n:] + mounts), np.sin(q[n:] + mounts)])
         rate, scratch = np.empty(2 * n), tuple(np.zeros(shape) for shape in engine.shapes(tables)[1])
-        engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
+        engine.compute_rate(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
-        torque, _ = engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
+        torque, _ = engine.compute_torques(
+            state[None], rate[None], row[None], tuple(tables.values()), None, 0.0, 0.0
+        )
         found = torque[0, [a.link for a in tree.driven]]
         size = np.abs(torque).max()
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
@@ -76,7 +79,7 @@ def test_torques_of_random_trees(base: str) -> None:
 
 
 def test_both_engines_give_the_same_torques() -> None:
-    swim = SwimInput(Beat("sine", 1.4, 0.5))
+    swim = SwimInput(TailBeat("sine", 1.4, 0.5))
     flat, space = (swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, LiftedModel))
     assert space.torque_N_m == pytest.approx(flat.torque_N_m, abs=1e-9)
 
@@ -91,14 +94,16 @@ def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
     joints[-1] = joints[-1].model_copy(update={"driven": None, "passive": law})
     body = robot.multibody.model_copy(update={"joints": joints, "strokes": {}})
     model = MultibodyModel(robot.model_copy(update={"multibody": body}))
-    tables = model.tree.tables(np.array(list(model.stated().values())))
+    tables = model.tree.tables(np.array(list(model.get_file_values().values())))
     rng, size = np.random.default_rng(3), 13 + 2 * len(model.passive)
     state, row = rng.normal(size=size), rng.normal(size=(len(model.driven), 5))
     row[:, 3], row[:, 4] = np.cos(row[:, 0]), np.sin(row[:, 0])
     rate = np.empty(size)
     scratch = tuple(np.zeros(shape) for shape in space_engine.shapes(tables)[1])
-    space_engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
-    torque, _ = space_engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
+    space_engine.compute_rate(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
+    torque, _ = space_engine.compute_torques(
+        state[None], rate[None], row[None], tuple(tables.values()), None, 0.0, 0.0
+    )
     (axis,) = model.passive
     expected = -2.0 * state[7] - 0.3 * state[-1]
     assert torque[0, axis.link] == pytest.approx(expected, abs=1e-9 * np.abs(torque).max())
@@ -108,7 +113,7 @@ def test_a_run_that_breaks_down_has_no_energetics() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     values = values_of(model)
     values[model.index("c_d4")] = -1e6
-    trial = Trial("run", "fit", np.arange(101) / 20, {}, swim=SwimInput(Beat("sine", 2.0, 0.5)))
+    trial = Trial("run", "fit", np.arange(101) / 20, {}, swim=SwimInput(TailBeat("sine", 2.0, 0.5)))
     columns, found = model.with_energetics([(values, trial)], [1.0])[0]
     assert found is None
     assert np.isnan(columns["u_m_s"]).all()
@@ -117,7 +122,7 @@ def test_a_run_that_breaks_down_has_no_energetics() -> None:
 def test_forgotten_trials_are_simulated_again() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(101) / 50
-    slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(Beat("sine", f, 0.3))) for f in (1.0, 2.0))
+    slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(TailBeat("sine", f, 0.3))) for f in (1.0, 2.0))
     first = model.simulate(values_of(model), slow)["u_m_s"]
     model.forget([slow])
     assert not np.array_equal(model.simulate(values_of(model), fast)["u_m_s"], first)
@@ -127,9 +132,9 @@ def test_settling_time_of_a_first_order_rise() -> None:
     """``1 - exp(-t / tau)`` is within 5 % at ``tau log 20``. A signal that still rises has not settled."""
     time = np.arange(64 * 60 + 1) / 64.0
     rise = 1.0 - np.exp(-time / 5.0)
-    found = kinematics.settling_time(time, rise, 1.0)
+    found = settling_time(time, rise, 1.0)
     assert found == pytest.approx(5.0 * math.log(20.0), abs=0.1)
-    assert math.isnan(kinematics.settling_time(time[:640], time[:640], 1.0))
+    assert math.isnan(settling_time(time[:640], time[:640], 1.0))
 
 
 def test_simulate_tells_power_and_cost_of_transport(swimid: Callable[..., Ran]) -> None:

@@ -12,7 +12,7 @@ from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from swimid import guess_mapping, import_log
-from swimid.logs.beat import find_beat
+from swimid.kinematics.frequency import find_beat
 
 N = 1500
 T = np.arange(N) / 50.0

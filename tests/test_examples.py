@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import swimid
-from swimid.blackbox.model import published, to_control
+from swimid.blackbox.model import load_published, to_control
 from tests.conftest import ROOT
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -104,7 +104,7 @@ class TestController:
     def test_the_published_vehicle(self) -> None:
         """The closed loop by the difference equations, one sample after the other, comes to its set point."""
         recipe_of = recipe("controller")
-        file = published("long-fin-marching-3-2")
+        file = load_published("long-fin-marching-3-2")
         plant = to_control(file)
         gain, integral = recipe_of.tune(plant)
         a = [file.value(f"a{k}") for k in (1, 2, 3) if f"a{k}" in file.parameters]
@@ -121,7 +121,7 @@ class TestController:
 
     def test_an_unstable_model_has_none(self) -> None:
         with pytest.raises(ValueError, match=r"unstable \(a pole of 1\.0013\)"):
-            recipe("controller").tune(to_control(published("long-fin-rotating-4-3")))
+            recipe("controller").tune(to_control(load_published("long-fin-rotating-4-3")))
 
     @pytest.mark.filterwarnings("ignore::swimid.SwimidWarning")
     def test_it_runs(self, at_root: None, capsys: pytest.CaptureFixture[str]) -> None:

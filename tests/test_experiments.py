@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 import swimid as package
 from swimid.errors import InputError, UsageError
 from swimid.files import yamlio
-from swimid.logs.experiments import Trials, built_in, find_experiments, read_experiments
+from swimid.logs.experiments import Trials, find_experiments, list_experiments, read_experiments
 from tests.conftest import ROOT
 
 #: The example of CONTRIBUTING.md: a body that coasts.
@@ -51,7 +51,7 @@ def coasting(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", built_in())
+@pytest.mark.parametrize("name", list_experiments())
 def test_an_experiment_has_the_name_of_its_module_and_a_valid_example(name: str) -> None:
     kind = find_experiments()[name]
     assert kind.title == name

@@ -14,14 +14,14 @@ import pytest
 
 from swimid.exporters import mjcf
 from swimid.exporters.export import load
-from swimid.exporters.source import Source, about, central
+from swimid.exporters.source import ExportSource, about, central
 from swimid.files import yamlio
 from swimid.fitting import drives
 from swimid.fitting.model import SwimInput, Trial
 from swimid.results import parameters
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
 from swimid.robots import file as robot
-from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as engine
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.conftest import Ran
 
@@ -212,17 +212,19 @@ def mujoco() -> Iterator[Any]:
     module.set_mjcb_passive(None)
 
 
-def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
+def _rate(source: ExportSource, state: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Return the rate of the state from the engine."""
     tables = source.assembly.tables(source.values).values()
     n = source.assembly.unknowns
     rate = np.zeros(2 * n)
     work = np.zeros((len(source.links), 19))
-    engine.derivative(state, row, *tables, None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
+    engine.compute_rate(state, row, tuple(tables), None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
     return rate
 
 
-def _residual(mujoco: Any, source: Source, text: str, rng: np.random.Generator, *, water: bool) -> float:
+def _residual(
+    mujoco: Any, source: ExportSource, text: str, rng: np.random.Generator, *, water: bool
+) -> float:
     """Return the maximum force that MuJoCo lacks for the accelerations of the engine, as a share of all."""
     mujoco.set_mjcb_passive(None)  # MuJoCo compiles no model while a Python callback is set
     model = mujoco.MjModel.from_xml_string(text)
@@ -328,7 +330,7 @@ def test_mujoco_moves_the_tfish_as_the_engine_does(
 
 
 def _swims(
-    mujoco: Any, path: Path, text: str, time_s: float, beat: drives.Beat
+    mujoco: Any, path: Path, text: str, time_s: float, beat: drives.TailBeat
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return x, y and yaw of a swim in MuJoCo and in swimid, each of shape (3, n), at the steps of MuJoCo."""
     mujoco.set_mjcb_passive(None)
@@ -354,7 +356,7 @@ def test_mujoco_swims_as_far_as_the_model(tmp_path: Path, swimid: Callable[..., 
     """Servos with the exported gains follow a beat, and the fish then swims as in swimid."""
     path = _tfish(tmp_path)
     text = _exported(swimid, path, "--to", "mjcf", "--added-mass", "fold")
-    found, truth = _swims(mujoco, path, text, 6.0, drives.Beat("sine", 1.0, math.radians(30)))
+    found, truth = _swims(mujoco, path, text, 6.0, drives.TailBeat("sine", 1.0, math.radians(30)))
     assert truth[0, -1] > 0.3
     # a critically damped servo of 20 Hz has (f / f_n)^2 = 0.25 % less amplitude at 1 Hz and lags by
     # 2 f / f_n = 0.1 rad, 16 ms of 6 s; MuJoCo's integrator is of first order in its step of 2 ms
@@ -366,7 +368,7 @@ def test_mujoco_swims_as_far_as_the_model_with_added_mass_sideways_only(
 ) -> None:
     path = _write(tmp_path, SLENDER, {"c_a": 0.9})
     text = _exported(swimid, path, "--to", "mjcf", "--added-mass", "fold", "--servo-hz", "60")
-    beat = drives.Beat("sine", 1.5, math.radians(30))
+    beat = drives.TailBeat("sine", 1.5, math.radians(30))
     found, truth = _swims(mujoco, path, text, 2.0, beat)
     mean, _ = _swims(mujoco, path, text.replace('"mass:', '"other:'), 2.0, beat)
     length = np.hypot(*truth[:2, -1])
@@ -387,7 +389,7 @@ def test_the_difference_from_mujoco_is_stated(
         "export", path, "--to", "mjcf", "--added-mass", "fold", "--servo-hz", "60", "-o", out, "--json"
     )
     stated = ran.json["result"]["compared"]
-    found, truth = _swims(mujoco, path, out.read_text(), 6.0, drives.Beat("sine", 1.0, math.radians(20)))
+    found, truth = _swims(mujoco, path, out.read_text(), 6.0, drives.TailBeat("sine", 1.0, math.radians(20)))
     assert stated["way_m"] == pytest.approx(np.hypot(*truth[:2, -1]), rel=0.01)
     # the two runs give MuJoCo the commands of the middle and of the start of a step
     assert abs(stated["difference_m"] - np.hypot(*(found - truth)[:2, -1])) < 0.01 * stated["way_m"]
@@ -676,7 +678,7 @@ def test_planar_inertia_about_another_point() -> None:
 
 
 def test_built_in_multilink_robots_export(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
-    for name in robot.built_in():
+    for name in robot.list_built_in_robots():
         body = robot.read(name).multilink
         if body is None:
             continue

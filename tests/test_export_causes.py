@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from swimid.effects.base import Effect
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import list_effects
 from swimid.exporters.mjcf import water
 from swimid.files import yamlio
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.results import parameters
 from swimid.robots import file as robot
@@ -65,7 +65,7 @@ SWIMMING: Causes = {
     "water-ingress": {"mass_kg": 1.0, "along_m": -0.05},
 }
 TIME = np.arange(0.0, 3.0, 0.002)
-BEAT = Beat("sine", 1.4, math.radians(25.0))
+BEAT = TailBeat("sine", 1.4, math.radians(25.0))
 TRIAL = Trial("run", "fit", TIME, {}, swim=SwimInput(BEAT))
 GIVEN = ROOT / "sample_logs" / "gap" / "params.yaml"
 
@@ -117,7 +117,7 @@ def _model() -> MultilinkModel:
 
 def _form(name: str, values: dict[str, float], model: MultilinkModel) -> tuple[Effect, np.ndarray]:
     """Return the form of an effect that has the given parameters, and their values in its order."""
-    effect = next(e for e in catalogue() if e.name == name)
+    effect = next(e for e in list_effects() if e.name == name)
     for form in effect.variants(model, [TRIAL]):
         names = [p.name for p in form.parameters(model, [TRIAL])]
         if set(names) == set(values):
@@ -130,7 +130,7 @@ def _followed(name: str, command: np.ndarray) -> np.ndarray:
     model = _model()
     form, values = _form(name, ACTUATION[name], model)
     hooks = form.hooks(values, TRIAL, model)
-    return np.array([hooks.actuated(TIME, command.copy(), k) for k in range(3)])
+    return np.array([hooks.actuate(TIME, command.copy(), k) for k in range(3)])
 
 
 def _command() -> np.ndarray:
@@ -188,7 +188,7 @@ def test_a_law_that_mujoco_cannot_combine_is_a_filter(tmp_path: Path, swimid: Sw
     out = tmp_path / "fish.xml"
     assert swimid("export", _write(tmp_path, causes), "--to", "mjcf", "-o", out).status == 0
     filters = tmp_path / "fish_mjcf_causes.py"
-    assert "RateLimit(rate_limit_rad_s=0.8)" in filters.read_text()
+    assert "RateLimitFilter(rate_limit_rad_s=0.8)" in filters.read_text()
     assert "ServoLag" not in filters.read_text()
     servo = ET.fromstring(out.read_text()).find(".//actuator/general")
     assert servo is not None

@@ -66,7 +66,7 @@ CONTRADICTIONS = {
                               "x_m: {rmse: abc, unit: m}\n  val", ["fit.channels.x_m.rmse"]),
     "channels that are no mapping": ("validation: {trials: [w25], channels: {x_m",
                                      "validation: {channels: [x]}\n  more: {x: {x_m", ["validation"]),
-    "a negative standard error": ("stderr: 0.003", "stderr: -0.003", ["greater than or equal to 0"]),
+    "a negative standard error": ("stderr: 0.003", "stderr: -0.003", ["at least 0"]),
 }  # fmt: skip
 
 

@@ -61,7 +61,7 @@ class TestModel:
         self, quadratic: float, linear: float, dry: float, stiffness: float
     ) -> None:
         time = np.linspace(0, 5, 101)
-        x, v = equation.integrate(
+        x, v = equation.integrate_rig(
             time,
             0.0,
             0.005,
@@ -87,7 +87,7 @@ class TestModel:
         """Each half swing loses 2 dry / stiffness, until the spring force is below the friction."""
         time = np.linspace(0, 30, 3001)
         coefficients = (1.0, 0.0, 0.0, 0.1, 4.0, 0.0, 0.0, 0.0)
-        x, v = equation.integrate(time, 0.0, 0.01, np.array([0.0]), 0.52, 0.0, coefficients)
+        x, v = equation.integrate_rig(time, 0.0, 0.01, np.array([0.0]), 0.52, 0.0, coefficients)
         swing = np.pi / 2.0
         for k in range(1, 10):
             expected = (0.52 - 0.05 * k) * (-1) ** k
@@ -99,7 +99,7 @@ class TestModel:
         time = np.linspace(0, 12, 200)
         x, v = equation.falling_weight_closed_form(time, 0.0, 1.921, AREA_FACTOR * 0.705, 0.165)
         coefficients = (1.921, AREA_FACTOR * 0.705, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        xi, vi = equation.integrate(time, 0.0, 0.005, np.array([0.165]), 0.0, 0.0, coefficients)
+        xi, vi = equation.integrate_rig(time, 0.0, 0.005, np.array([0.165]), 0.0, 0.0, coefficients)
         assert np.max(np.abs(x - xi)) < 1e-10
         assert np.max(np.abs(v - vi)) < 1e-10
 
@@ -231,7 +231,9 @@ def test_intervals_cover_the_truth(clicks: dict[int, np.ndarray], kind: str) -> 
     """
     model, hits = _model(), np.zeros(3)
     for seed in range(200):
-        result = output_error.fit(model, _measure(clicks, kind, np.random.default_rng(5000 + seed)))
+        result = output_error.fit_output_error(
+            model, _measure(clicks, kind, np.random.default_rng(5000 + seed))
+        )
         for i, (name, true) in enumerate(TRUTH.items()):
             error = result.stderr(name)
             assert error is not None
@@ -245,10 +247,10 @@ def test_intervals_cover_the_truth(clicks: dict[int, np.ndarray], kind: str) -> 
 
 def test_trials_that_disagree_enlarge_the_standard_errors(clicks: dict[int, np.ndarray]) -> None:
     trials = _measure(clicks, "white", np.random.default_rng(2))
-    agreed = output_error.complete(output_error.fit(_model(), trials))
+    agreed = output_error.complete_fit(output_error.fit_output_error(_model(), trials))
     # the weight of the third drop is 5 % above the stated one
     odd = [replace(t, rig=replace(t.rig, force=t.rig.pull / 1.05)) if t.id == "w20" else t for t in trials]
-    scattered = output_error.complete(output_error.fit(_model(), odd))
+    scattered = output_error.complete_fit(output_error.fit_output_error(_model(), odd))
     assert agreed.differences is not None
     assert agreed.differences.probability < 0.5
     assert scattered.differences is not None
@@ -263,7 +265,9 @@ def test_added_mass_is_not_identifiable_at_terminal_speed(rng: np.random.Generat
     model = rig_model.falling_weight(mass_kg=0.04, force_N=1.0, area_known=False, pulley=False)
     rig = RigInput(inertia=inertia, force=force, pulley=False, release_s=0.0, x0=0.0)
     parameters_ = tuple(replace(p, free=True) if p.name == "start_offset" else p for p in model.parameters)
-    result = output_error.fit(model, [Trial("a", "fit", t, {"x_m": x}, rig=rig)], parameters=parameters_)
+    result = output_error.fit_output_error(
+        model, [Trial("a", "fit", t, {"x_m": x}, rig=rig)], parameters=parameters_
+    )
     assert result.status["added_mass"] in ("unidentifiable", "at-bound")
     assert result.status["quadratic_drag"] == "estimated"
 

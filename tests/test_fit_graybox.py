@@ -547,7 +547,7 @@ class TestWrongModels:
             folder = tmp_path / name
             gap_trials.write(folder, "tfish", acts, settings=TWELVE, scatter=0.0, seed=7)
             experiment = load_experiment(folder / "trials.yaml")
-            result = output_error.fit(experiment.model, experiment.trials, max_iterations=75)
+            result = output_error.fit_output_error(experiment.model, experiment.trials, max_iterations=75)
             spent[name] = result.evaluations
             if name == "right":
                 assert result.converged
@@ -754,7 +754,7 @@ class TestPublishedFish:
                 )
                 for trial in experiment.trials
             ]
-            result = output_error.fit(experiment.model, noisy, parameters=begin)
+            result = output_error.fit_output_error(experiment.model, noisy, parameters=begin)
             for name, true in swimmer.TFISH.items():
                 stderr = result.stderr(name)
                 # at its bound a coefficient claims no interval
@@ -816,7 +816,7 @@ def test_a_track_of_one_marker_has_an_estimated_heading(tmp_path: Path) -> None:
     found = load_experiment(folder / "trials.yaml")
     assert "start_yaw" in {p.name for p in found.model.parameters if p.free}
     for trial, known in zip(found.trials, whole.trials, strict=True):
-        off = trial.swim.posed()[2] - known.swim.posed()[2]
+        off = trial.swim.get_pose()[2] - known.swim.get_pose()[2]
         assert abs((off + np.pi) % (2 * np.pi) - np.pi) < np.pi / 4
     # not where its place is not fitted
     partial = load_experiment(folder / "trials.yaml", channels=["y_m"])

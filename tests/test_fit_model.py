@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swimid.errors import NoTrustworthyResult, UsageError
-from swimid.files.provenance import Held
+from swimid.files.provenance import InputInMemory
 from swimid.fitting.fit import fit_model
 from swimid.fitting.model import Trial
 from swimid.results.parameters import Fitted
@@ -77,7 +77,7 @@ def test_nothing_is_written_unless_asked(
     model: Toy, swings: list[Trial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    fitted = fit_model(model, swings, inputs=[Held("swings", "abc")])
+    fitted = fit_model(model, swings, inputs=[InputInMemory("swings", "abc")])
     assert list(tmp_path.iterdir()) == []
     assert fitted.file.provenance["inputs"] == {"swings": "abc"}
     written = fit_model(model, swings, output=tmp_path / "toy.yaml")

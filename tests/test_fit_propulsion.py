@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from swimid.errors import InputError
 from swimid.fitting import output_error
 from swimid.fitting.model import CruiseInput, Trial
+from swimid.kinematics.frequency import find_beat
 from swimid.logs import log
-from swimid.logs.beat import find_beat
 from swimid.propulsion import model as propulsion
 from swimid.propulsion.trials import beat_averages
 from swimid.results import evidence, parameters
@@ -111,7 +111,9 @@ def test_an_offset_of_zero_is_known_to_a_degree(noise: float, status: str) -> No
     speed = model.simulate(np.array([0.3, 0.0, 3.0, 2.0]), runs)["mean_speed_m_s"]
     # the error does not change with frequency or amplitude
     errors = noise * np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, -1, 1])
-    found = output_error.fit(model, [replace(runs, measured={"mean_speed_m_s": speed * (1 + errors)})])
+    found = output_error.fit_output_error(
+        model, [replace(runs, measured={"mean_speed_m_s": speed * (1 + errors)})]
+    )
     assert abs(found.value("amplitude_offset_deg")) < 0.1
     assert found.status["amplitude_offset_deg"] == status
     assert found.status["recoil_efficiency"] == "estimated"

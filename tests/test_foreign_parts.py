@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs import foreign
+from swimid.imports.table import ForeignTable, choose, flat, in_si, length, of_records, of_tree
+from swimid.logs.units import UNITS
 
 TIME = np.arange(5.0)
 TREE = {
@@ -23,8 +24,8 @@ TREE = {
 }
 
 
-def read(select: str | None, content: Any = TREE) -> foreign.Table:
-    return foreign.of_tree(content, select, Path("a.mat"), lambda value: value)
+def read(select: str | None, content: Any = TREE) -> ForeignTable:
+    return of_tree(content, select, Path("a.mat"), lambda value: value)
 
 
 def test_columns_of_a_tree() -> None:
@@ -57,12 +58,12 @@ def test_a_group_that_is_not_there(select: str, words: str) -> None:
 
 def test_one_of_several_is_chosen() -> None:
     path = Path("a.mat")
-    assert foreign.choose(None, ["hip"], "body", path) == "hip"
-    assert foreign.choose("tail", ["hip", "tail"], "body", path) == "tail"
+    assert choose(None, ["hip"], "body", path) == "hip"
+    assert choose("tail", ["hip", "tail"], "body", path) == "tail"
     with pytest.raises(InputError, match="holds 2 bodies; name one"):
-        foreign.choose(None, ["hip", "tail"], "body", path)
+        choose(None, ["hip", "tail"], "body", path)
     with pytest.raises(InputError, match="holds no body 'tial'"):
-        foreign.choose("tial", ["hip", "tail"], "body", path)
+        choose("tial", ["hip", "tail"], "body", path)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_one_of_several_is_chosen() -> None:
     ],
 )
 def test_units_become_those_of_a_log(name: str, unit: str, found: str, factor: float) -> None:
-    column, values = foreign.in_si(name, unit, np.array([2.0, -3.0]))
+    column, values = in_si(name, unit, np.array([2.0, -3.0]))
     assert column == found
     np.testing.assert_allclose(values, factor * np.array([2.0, -3.0]), rtol=1e-9)
 
@@ -119,18 +120,18 @@ def defined(quantity: str, unit: str) -> float:
     return PREFIXES[unit[0]] * defined(quantity, unit[1:])
 
 
-@pytest.mark.parametrize("quantity", foreign.UNITS)
+@pytest.mark.parametrize("quantity", UNITS)
 def test_every_unit_has_its_definition(quantity: str) -> None:
-    for unit, factor in foreign.UNITS[quantity].items():
+    for unit, factor in UNITS[quantity].items():
         assert factor == pytest.approx(defined(quantity, unit), rel=1e-12), unit
-    assert next(iter(foreign.UNITS[quantity].values())) == 1
+    assert next(iter(UNITS[quantity].values())) == 1
 
 
 @pytest.mark.parametrize(
     ("unit", "factor", "name"), [("mm", 1e-3, "m"), ("inch", 0.0254, "m"), ("px", 1.0, "px")]
 )
 def test_a_unit_of_length(unit: str, factor: float, name: str) -> None:
-    assert foreign.length(unit, Path("a.csv")) == (pytest.approx(factor), name)
+    assert length(unit, Path("a.csv")) == (pytest.approx(factor), name)
 
 
 @pytest.mark.parametrize(
@@ -138,13 +139,13 @@ def test_a_unit_of_length(unit: str, factor: float, name: str) -> None:
 )
 def test_no_unit_of_length(unit: str | None, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        foreign.length(unit, Path("a.csv"))
+        length(unit, Path("a.csv"))
 
 
 def test_records_become_columns() -> None:
-    found = foreign.of_records([{"a": 1, "b": "x"}, {"a": 2**70, "c": 2.5}])
+    found = of_records([{"a": 1, "b": "x"}, {"a": 2**70, "c": 2.5}])
     np.testing.assert_allclose(found["a"], [1.0, 2.0**70])
     np.testing.assert_array_equal(np.isnan(found["c"]), [True, False])
     assert found["b"][0] == "x"
-    nested = foreign.flat({"a": {"b": [1, [2, 3]]}, "long": list(range(10_000))})
+    nested = flat({"a": {"b": [1, [2, 3]]}, "long": list(range(10_000))})
     assert dict(nested) == {"a.b[1]": 1, "a.b[2][1]": 2, "a.b[2][2]": 3}

@@ -11,7 +11,7 @@ import pytest
 from swimid.errors import InputError, SwimidError, UsageError
 from swimid.files import atomic, yamlio
 from swimid.logs import log, trials
-from swimid.notices import SwimidWarning, recorded
+from swimid.notices import SwimidWarning, record_warnings
 from swimid.propulsion import trials as cruise
 from swimid.results import evidence, parameters
 from swimid.robots import file as robot
@@ -38,7 +38,7 @@ class TestLog:
 
     def test_missing_samples_are_nan_and_counted(self, tmp_path: Path) -> None:
         path = _file(tmp_path, "t_s,x_m\n0,1\n1,\n2,\n3,4\n")
-        with recorded() as notices:
+        with record_warnings() as notices:
             read = log.read(path, required=("x_m",))
         assert np.isnan(read["x_m"]).sum() == 2
         assert [n.code for n in notices] == ["SWM001"]
@@ -142,12 +142,12 @@ class TestLog:
         ],
     )
     def test_wrong_units_are_suspected(self, tmp_path: Path, text: str, word: str) -> None:
-        with recorded() as notices:
+        with record_warnings() as notices:
             log.read(_file(tmp_path, text))
         assert any(n.code == "SWM002" and word in n.text for n in notices), notices
 
     def test_ordinary_logs_raise_no_suspicion(self, tmp_path: Path) -> None:
-        with recorded() as notices:
+        with record_warnings() as notices:
             log.read(
                 _file(
                     tmp_path,
@@ -182,7 +182,7 @@ class TestYaml:
             a: int
 
         with pytest.raises(InputError) as caught:
-            yamlio.validated(_file(tmp_path, text, "x.yaml"), Any1)
+            yamlio.read_document(_file(tmp_path, text, "x.yaml"), Any1)
         for word in words:
             assert word in str(caught.value)
 
@@ -255,7 +255,7 @@ class TestTrials:
         with pytest.raises(InputError, match="did you mean 'boxfish'"):
             robot.read("boxfsh")
 
-    @pytest.mark.parametrize("name", robot.built_in())
+    @pytest.mark.parametrize("name", robot.list_built_in_robots())
     def test_built_in_robots_are_valid(self, name: str) -> None:
         assert robot.read(name).name == name
 
@@ -336,7 +336,7 @@ class TestAtomic:
         path = _file(tmp_path, "old")
 
         def fail_halfway() -> None:
-            with atomic.replacing(path) as temporary:
+            with atomic.replace_file(path) as temporary:
                 temporary.write_text("half")
                 raise RuntimeError
 
@@ -396,7 +396,7 @@ class TestEvidence:
     def test_thinning_keeps_peaks(self, rng: np.random.Generator) -> None:
         x, y = np.arange(100000.0), rng.normal(size=100000)
         y[12345] = 50.0
-        thin_x, thin_y = evidence.thinned(x, y, 500)
+        thin_x, thin_y = evidence.thin_curve(x, y, 500)
         assert len(thin_x) <= 500
         assert thin_y.max() == 50.0
         assert np.all(np.diff(thin_x) > 0)

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swimid.errors import SwimidError
-from swimid.logs import mapping
-from swimid.logs.foreign import open_table
-from swimid.logs.mapping import guess_mapping
+from swimid.imports import mapping
+from swimid.imports.formats import open_table
+from swimid.imports.mapping import guess_mapping
 from swimid.notices import SwimidWarning
 from tests.conftest import Ran
 from tests.test_fuzz_readers import _ends_in_order, examples, mutated, rewritten
@@ -170,7 +170,7 @@ def test_rewritten_mappings(swimid: Callable[..., Ran], folder: Path) -> None:
     def run(content: bytes) -> None:
         path.write_bytes(content)
         with contextlib.suppress(SwimidError):
-            mapping.of(path)
+            mapping.read_mapping(path)
         _ends_in_order(
             swimid("import", folder / name, "--map", path, "-o", folder / "map-out.csv", "--force")
         )

@@ -19,7 +19,9 @@ FRICTIONS = ("c_f0", "c_f13", "c_f4")
 
 def _fit(seed: int) -> FitResult:
     model = Toy(friction, FRICTION)
-    return output_error.fit(model, trials(model, FRICTION_TRUTH, {"y": 0.05}, np.random.default_rng(seed)))
+    return output_error.fit_output_error(
+        model, trials(model, FRICTION_TRUTH, {"y": 0.05}, np.random.default_rng(seed))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ class TestThreeFrictions:
         assert result.status["thrust"] == "estimated"
 
     def test_the_sum_is_named(self, result: FitResult) -> None:
-        assert idn.confounded(result) == [FRICTIONS]
+        assert idn.find_confounded(result) == [FRICTIONS]
         (sum_,) = idn.combinations(result)
         assert sum_.members == FRICTIONS
         # differences of 1e-6 relative accuracy
@@ -57,7 +59,7 @@ class TestThreeFrictions:
 
     def test_the_error_of_the_sum_is_that_of_a_shared_coefficient(self, result: FitResult) -> None:
         parameters = share(FRICTION, {"c_f": FRICTIONS})
-        shared = output_error.fit(Toy(friction, FRICTION), result.trials, parameters=parameters)
+        shared = output_error.fit_output_error(Toy(friction, FRICTION), result.trials, parameters=parameters)
         (sum_,) = idn.combinations(result)
         assert shared.status["c_f"] == "estimated"
         # the variance of the residuals is over 600 - 2 and over 600 - 4
@@ -78,10 +80,10 @@ def test_a_member_that_happens_to_look_known_stays_in_its_group() -> None:
             (parameter("a", 1.0, scale=0.1), parameter("b", 1.0, scale=0.1)),
         )
         rng = np.random.default_rng(seed)
-        result = output_error.fit(model, trials(model, (0.3, 0.3), {"y": 0.5}, rng))
+        result = output_error.fit_output_error(model, trials(model, (0.3, 0.3), {"y": 0.5}, rng))
         vague = all(result.stderr(name) > idn.VAGUE * abs(result.value(name)) for name in ("a", "b"))
         if vague and sorted(result.status.values()) == ["estimated", "unidentifiable"]:
-            assert idn.confounded(result) == [("a", "b")]
+            assert idn.find_confounded(result) == [("a", "b")]
             (sum_,) = idn.combinations(result)
             assert sum_.stderr < 0.1 * result.stderr("a")
             return
@@ -93,9 +95,11 @@ class TestGroups:
 
     def test_pairs_stay_separate_and_an_unseen_parameter_alone(self, rng: np.random.Generator) -> None:
         model = Toy(_pairs, self.parameters)
-        result = output_error.fit(model, trials(model, (1.0, 2.0, 3.0, 1.0, 0.0), {"y": 0.1}, rng))
+        result = output_error.fit_output_error(
+            model, trials(model, (1.0, 2.0, 3.0, 1.0, 0.0), {"y": 0.1}, rng)
+        )
         assert idn.unidentifiable(result) == ["a", "b", "c", "d", "unseen"]
-        assert idn.confounded(result) == [("a", "b"), ("c", "d")]
+        assert idn.find_confounded(result) == [("a", "b"), ("c", "d")]
         first, second = idn.combinations(result)
         ratio = first.weights["b"] / first.weights["a"]
         assert ratio == pytest.approx(2.0, rel=1e-4)
@@ -114,7 +118,7 @@ class TestGroups:
             return {"y": (a + 2 * b) * t + offset}
 
         model = Toy(formula, [parameter(n, 1.0) for n in ("a", "b", "offset")])
-        result = output_error.fit(model, trials(model, (1.0, 2.0, 3.0), {"y": 0.1}, rng))
+        result = output_error.fit_output_error(model, trials(model, (1.0, 2.0, 3.0), {"y": 0.1}, rng))
         (sum_,) = idn.combinations(result)
         t = np.concatenate([s.time_s for s in result.series])
         sd = result.noise["y"].value_sd
@@ -124,7 +128,7 @@ class TestGroups:
 
     def test_no_sentences_if_all_parameters_are_identifiable(self, rng: np.random.Generator) -> None:
         model = Toy(lambda v, t: {"y": v[0] * t + v[1]}, [parameter("a", 1.0), parameter("b", 1.0)])
-        result = output_error.fit(model, trials(model, (1.0, 2.0), {"y": 0.1}, rng))
+        result = output_error.fit_output_error(model, trials(model, (1.0, 2.0), {"y": 0.1}, rng))
         assert idn.sentences(result) == []
         assert idn.combinations(result) == []
 
@@ -145,9 +149,9 @@ class TestGroups:
             parameter("own", 0.0, per_trial=True),
         ]
         model = Toy(formula, parameters)
-        result = output_error.fit(model, trials(model, (1.0, 2.0, 0.0), {"y": 0.1}, rng))
+        result = output_error.fit_output_error(model, trials(model, (1.0, 2.0, 0.0), {"y": 0.1}, rng))
         assert result.status["slope"] == "estimated"
-        assert idn.confounded(result) == [("offset", "own[t0]", "own[t1]", "own[t2]")]
+        assert idn.find_confounded(result) == [("offset", "own[t0]", "own[t1]", "own[t2]")]
 
 
 @pytest.mark.parametrize(

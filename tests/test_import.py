@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import log, mapping
-from swimid.logs.foreign import formats, open_table, unit_factor
+from swimid.imports import mapping
+from swimid.imports.formats import formats, open_table
+from swimid.logs import log
+from swimid.logs.units import unit_factor
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
@@ -276,7 +278,7 @@ def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None
     time = "time: {source: stamp, unit: ns, origin: first}"
     text = f"format: swimid-mapping/1\n{time}\ncolumns: [{{source: u, target: u_m_s}}]\n"
     (tmp_path / "m.yaml").write_text(text)
-    found = mapping.apply(mapping.of(tmp_path / "m.yaml"), tmp_path / "a.parquet")
+    found = mapping.apply(mapping.read_mapping(tmp_path / "m.yaml"), tmp_path / "a.parquet")
     assert np.array_equal(found.time_s, np.arange(20) * 1_000_001 * 1e-9)
 
 
@@ -285,7 +287,7 @@ def test_a_rate_in_place_of_a_time_column(tmp_path: Path) -> None:
     column = '{source: "run.pose[1]", target: x_m, unit: mm}'
     text = f"format: swimid-mapping/1\ntime: {{rate_hz: fs}}\ncolumns: [{column}]\n"
     (tmp_path / "m.yaml").write_text(text)
-    found = mapping.apply(mapping.of(tmp_path / "m.yaml"), tmp_path / "a.mat")
+    found = mapping.apply(mapping.read_mapping(tmp_path / "m.yaml"), tmp_path / "a.mat")
     assert np.allclose(found.time_s, np.arange(N) / 50)
 
 
@@ -416,7 +418,7 @@ def test_a_draft_of_a_table_without_names_asks_for_everything(swimid: Run, tmp_p
 
 @pytest.mark.parametrize("name", ["msu-states", "msu-control", "starfish"])
 def test_example_mappings_are_valid(name: str) -> None:
-    mapping.of(ROOT / "docs" / "examples" / f"{name}.yaml")
+    mapping.read_mapping(ROOT / "docs" / "examples" / f"{name}.yaml")
 
 
 def test_msu_fish(real_data: Path, swimid: Run, tmp_path: Path) -> None:

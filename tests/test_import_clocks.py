@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs import mapping
+from swimid.imports import mapping
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -92,7 +92,7 @@ FILES = {
 def test_a_mapping_of_chosen_columns_keeps_the_times_of_the_file(name: str, tmp_path: Path) -> None:
     write, kind, column = FILES[name]
     write(tmp_path / name)
-    rules = mapping.of({"as": kind, "columns": [{"source": column, "target": f"chosen_{column}"}]})
+    rules = mapping.read_mapping({"as": kind, "columns": [{"source": column, "target": f"chosen_{column}"}]})
     found = mapping.apply(rules, tmp_path / name)
     assert np.allclose(found.time_s, T, atol=1e-5)
     assert list(found.columns) == ["t_s", f"chosen_{column}"]
@@ -101,13 +101,13 @@ def test_a_mapping_of_chosen_columns_keeps_the_times_of_the_file(name: str, tmp_
     for chosen in (rules, None):
         with pytest.raises(InputError, match=r"at 50 Hz: a rate of 25.0 Hz contradicts"):
             mapping.apply(chosen, tmp_path / name, {"rate_hz": 25.0, "profile": kind})
-    later = mapping.of({"as": kind, "time": {"offset_s": -0.7}})
+    later = mapping.read_mapping({"as": kind, "time": {"offset_s": -0.7}})
     assert np.allclose(mapping.apply(later, tmp_path / name).time_s, T - 0.7, atol=1e-5)
 
 
 def test_a_file_without_a_clock_is_asked_for_its_column_of_times(tmp_path: Path) -> None:
     _text(tmp_path / "a.csv", ["Time,force"], "{us},{x:.4f}")
-    rules = mapping.of({"as": "delimited", "columns": [{"source": "force", "target": "force_N"}]})
+    rules = mapping.read_mapping({"as": "delimited", "columns": [{"source": "force", "target": "force_N"}]})
     with pytest.raises(InputError) as refused:
         mapping.apply(rules, tmp_path / "a.csv")
     assert "source: Time" in str(refused.value.hint)
@@ -172,7 +172,7 @@ def test_sections_of_a_recording_with_other_rates_and_starts_are_joined_by_their
     columns = [{"source": "Plate_Fx_N", "target": "force_N"}]
     join = {"as": "vicon", "select": "Devices", "columns": columns}
     found = mapping.apply(
-        mapping.of({"as": "vicon", "select": "Trajectories", "join": [join]}), tmp_path / "a.csv"
+        mapping.read_mapping({"as": "vicon", "select": "Trajectories", "join": [join]}), tmp_path / "a.csv"
     )
     assert np.allclose(found.time_s, 0.6 + T[: N - 20])
     assert np.allclose(found.columns["force_N"], np.sin(3 * found.time_s), atol=1e-4)
@@ -190,7 +190,9 @@ def test_points_and_analog_channels_of_one_recording_share_a_clock(tmp_path: Pat
     file["data"]["analogs"] = np.array([np.sin(3 * np.arange(10 * N) / 500), np.zeros(10 * N)])[None]
     file.write(str(tmp_path / "a.c3d"))
     join = {"as": "c3d", "select": "analog", "columns": [{"source": "Fx_N", "target": "force_N"}]}
-    found = mapping.apply(mapping.of({"as": "c3d", "select": "points", "join": [join]}), tmp_path / "a.c3d")
+    found = mapping.apply(
+        mapping.read_mapping({"as": "c3d", "select": "points", "join": [join]}), tmp_path / "a.c3d"
+    )
     assert np.allclose(found.columns["force_N"], np.sin(3 * found.time_s), atol=1e-4)
 
 
@@ -210,7 +212,9 @@ def test_units_of_netcdf_are_used_and_a_mapping_must_not_contradict_them(tmp_pat
     heading = [{"source": "yaw", "target": "yaw_rad"}]
     for name, engine in (("a.nc", "h5netcdf"), ("b.nc", "scipy")):
         data.to_netcdf(tmp_path / name, engine=engine)
-        found = mapping.apply(mapping.of(plain | {"columns": plain["columns"] + heading}), tmp_path / name)
+        found = mapping.apply(
+            mapping.read_mapping(plain | {"columns": plain["columns"] + heading}), tmp_path / name
+        )
         assert np.allclose(found.time_s, T)
         assert np.allclose(found.columns["x_m"], X_M)
         assert np.allclose(found.columns["yaw_rad"], np.radians(10 * Y_M))
@@ -222,7 +226,7 @@ def test_units_of_netcdf_are_used_and_a_mapping_must_not_contradict_them(tmp_pat
         ({"columns": [{"source": "x", "target": "x_m", "unit": "cm"}]}, "states mm, the mapping states cm"),
     ):
         with pytest.raises(InputError, match=words):
-            mapping.apply(mapping.of(plain | wrong), tmp_path / "a.nc")
+            mapping.apply(mapping.read_mapping(plain | wrong), tmp_path / "a.nc")
 
 
 # ---------------------------------------------------------------- two clocks
@@ -252,7 +256,7 @@ def _aligned(folder: Path, align: dict[str, Any], **time: Any) -> mapping.Mapped
     }  # fmt: skip
     if align:
         join["align"] = align
-    return mapping.apply(mapping.of({"as": "swimid", "join": [join]}), folder / "camera.csv")
+    return mapping.apply(mapping.read_mapping({"as": "swimid", "join": [join]}), folder / "camera.csv")
 
 
 def test_two_clocks_are_aligned_by_the_command_and_the_yaw(tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ import pandas as pd
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs import mapping
-from swimid.logs.mapping import MappedLog
+from swimid.imports import mapping
+from swimid.imports.mapping import MappedLog
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -75,7 +75,9 @@ def test_a_dataflash_log(tmp_path: Path, swimid: Run) -> None:
     # a mapping takes the fields as they are in the log, under the format 'mavlink'
     rules = {"as": "mavlink", "select": "ATT", "time": {"source": "TimeUS", "unit": "us"}}
     rules |= {"columns": [{"source": "Yaw", "target": "yaw_rad", "unit": "deg"}]}
-    assert np.allclose(mapping.apply(mapping.of(rules), path).columns["yaw_rad"], np.pi / 2 + YAW, atol=1e-4)
+    assert np.allclose(
+        mapping.apply(mapping.read_mapping(rules), path).columns["yaw_rad"], np.pi / 2 + YAW, atol=1e-4
+    )
     _dataflash(tmp_path / "cut.bin", noise=b"\xa3\x95\x81cut")
     assert len(_read(tmp_path / "cut.bin", select="ATT")) == N
     data = bytearray(path.read_bytes())
@@ -131,7 +133,7 @@ def test_a_mavlink_log(tmp_path: Path) -> None:
     # two messages in one log
     join = {"as": "ardupilot", "select": "ATTITUDE", "columns": [{"source": "yaw_rad", "target": "yaw_rad"}]}
     both = mapping.apply(
-        mapping.of({"as": "ardupilot", "select": "LOCAL_POSITION_NED", "join": [join]}), path
+        mapping.read_mapping({"as": "ardupilot", "select": "LOCAL_POSITION_NED", "join": [join]}), path
     )
     assert np.allclose(both.columns["yaw_rad"], -YAW, atol=1e-6)
 
@@ -201,7 +203,7 @@ def test_bags_of_ros(name: str, version: int, tmp_path: Path, swimid: Run) -> No
     with pytest.raises(InputError, match="2 instances in turn: board0, board1"):
         _read(path, select="/imu")
     rules = {"as": "ros2", "select": "/imu", "where": {"header.frame_id": "board1"}}
-    assert np.allclose(mapping.apply(mapping.of(rules), path).columns["wz_rad_s"], YAW[1::2] + 1)
+    assert np.allclose(mapping.apply(mapping.read_mapping(rules), path).columns["wz_rad_s"], YAW[1::2] + 1)
     ran = swimid("import", path, "--select", "/fix", "--raw", "-o", tmp_path / "o.csv", "--json")
     assert ran.status == 0, ran.err
 
@@ -279,7 +281,7 @@ def test_nmea(kind: str, tmp_path: Path) -> None:
 
 def test_distances_are_those_on_the_ellipsoid() -> None:
     """Length of a degree at 60 degrees north (Snyder 1987, USGS Professional Paper 1395, table 7)."""
-    from swimid.logs.foreign.gps import east_north
+    from swimid.imports.formats.gps import east_north
 
     step = 1e-3
     place, _ = east_north(np.array([60.0, 60.0 + step, 60.0]), np.array([10.0, 10.0, 10.0 + step]))
@@ -298,10 +300,12 @@ def test_a_numpy_archive(tmp_path: Path, swimid: Run) -> None:
     assert "X#wcentroid (cm), missing" in ran.err
     columns = [{"source": "X#wcentroid (cm)", "target": "x_m", "unit": "cm"}]
     rules: dict[str, Any] = {"time": {"source": "time"}, "columns": columns}
-    found = mapping.apply(mapping.of(rules), tmp_path / "fish0.npz")
+    found = mapping.apply(mapping.read_mapping(rules), tmp_path / "fish0.npz")
     assert np.allclose(found.columns["x_m"], X_M)
     assert "Python objects left out: note" in found.notes[0]
-    by_rate = mapping.apply(mapping.of(rules | {"time": {"rate_hz": "frame_rate"}}), tmp_path / "fish0.npz")
+    by_rate = mapping.apply(
+        mapping.read_mapping(rules | {"time": {"rate_hz": "frame_rate"}}), tmp_path / "fish0.npz"
+    )
     assert np.allclose(by_rate.time_s, T)
 
 
@@ -359,7 +363,7 @@ def test_servos_in_turn_are_chosen(column: str, numbers: list[int], same_time: b
         {"as": "dynamixel", "where": one, "columns": [{"source": "joint1_rad", "target": f"joint{k}_rad"}]}
         for k, one in enumerate(chosen[1:], start=2)
     ]
-    found = mapping.apply(mapping.of({"as": "dynamixel", "where": chosen[0], "join": join}), path)
+    found = mapping.apply(mapping.read_mapping({"as": "dynamixel", "where": chosen[0], "join": join}), path)
     assert len(found) == N
     for k in range(1, len(numbers) + 1):
         wanted = k * 200 * np.sin(BEAT) * 2 * np.pi / 4096
@@ -407,7 +411,7 @@ def test_negative_numbers_without_a_sign(bits: int, ending: str, tmp_path: Path)
         {"source": "force", "target": "force_N", "factor": 0.01},
         {"source": "command", "target": "cmd1_rad"},
     ]
-    found = mapping.apply(mapping.of({"time": {"source": "time"}, "columns": targets}), path)
+    found = mapping.apply(mapping.read_mapping({"time": {"source": "time"}, "columns": targets}), path)
     assert np.allclose(found.columns["force_N"], 0.01 * true)
     assert np.allclose(found.columns["cmd1_rad"], square)
     assert f"unsigned integers of {bits} bits" in found.notes[0]
@@ -428,7 +432,7 @@ def test_negative_numbers_without_a_sign(bits: int, ending: str, tmp_path: Path)
 def test_numbers_that_may_be_positive_stay(values: np.ndarray, tmp_path: Path) -> None:
     pd.DataFrame({"time": T, "load": values}).to_csv(tmp_path / "a.csv", index=False)
     rules = {"time": {"source": "time"}, "columns": [{"source": "load", "target": "force_N"}]}
-    found = mapping.apply(mapping.of(rules), tmp_path / "a.csv")
+    found = mapping.apply(mapping.read_mapping(rules), tmp_path / "a.csv")
     assert np.array_equal(found.columns["force_N"], values)
     assert found.notes == []
 

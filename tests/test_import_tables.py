@@ -13,9 +13,11 @@ import pandas as pd
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs import mapping
-from swimid.logs.foreign import Table, open_table, quantity_of
-from swimid.logs.mapping import guess_mapping
+from swimid.imports import mapping
+from swimid.imports.formats import open_table
+from swimid.imports.mapping import guess_mapping
+from swimid.imports.table import ForeignTable
+from swimid.logs.units import quantity_of
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -46,7 +48,7 @@ def _mapped(path: Path, **answers: str) -> mapping.MappedLog:
         assert f"{key}: ASK" in text, text
         text = text.replace(f"{key}: ASK", f"{key}: {answer}")
     (path.parent / "map.yaml").write_text(text)
-    return mapping.apply(mapping.of(path.parent / "map.yaml"), path)
+    return mapping.apply(mapping.read_mapping(path.parent / "map.yaml"), path)
 
 
 def _other(values: np.ndarray, *rows: int) -> np.ndarray:
@@ -125,7 +127,9 @@ def test_many_cells_of_text_are_a_question(tmp_path: Path) -> None:
     assert np.isnan(found.columns["x_m"]).sum() == N // 5
     assert found.notes == []
     with pytest.raises(InputError, match="'-' is not a number"):
-        mapping.apply(mapping.of({"time": {"source": 1}, "columns": [{"source": 2, "target": "x_m"}]}), path)
+        mapping.apply(
+            mapping.read_mapping({"time": {"source": 1}, "columns": [{"source": 2, "target": "x_m"}]}), path
+        )
 
 
 def test_units_below_the_names_hold_with_dashes_in_the_samples(tmp_path: Path) -> None:
@@ -233,10 +237,12 @@ def test_a_sheet_with_settings_blank_columns_and_a_second_table(tmp_path: Path) 
     assert len(found) == N
     # a number of a column is its place in the file
     by_number = {"time": {"source": 1}, "columns": [{"source": 3, "target": "x_m", "unit": "mm"}]}
-    assert np.allclose(mapping.apply(mapping.of(by_number), tmp_path / "a.xlsx").columns["x_m"], X / 1000)
+    assert np.allclose(
+        mapping.apply(mapping.read_mapping(by_number), tmp_path / "a.xlsx").columns["x_m"], X / 1000
+    )
     empty = {"time": {"source": 1}, "columns": [{"source": 2, "target": "x_m"}]}
     with pytest.raises(InputError, match="no such column"):
-        mapping.apply(mapping.of(empty), tmp_path / "a.xlsx")
+        mapping.apply(mapping.read_mapping(empty), tmp_path / "a.xlsx")
 
 
 BOOT = [
@@ -404,7 +410,7 @@ def test_a_heading_that_may_be_of_a_compass_is_a_question(name: str, tmp_path: P
      ("torque_yaw_N_m", "torque_yaw_N_m"), ("gx_g", "ASK"), ("k_N_m_rad", "ASK"), ("c_N_s_m", "ASK")],
 )  # fmt: skip
 def test_drafted_names_are_those_that_commands_read(name: str, target: str) -> None:
-    assert mapping.named(name)[0] == target
+    assert mapping.name_target(name)[0] == target
 
 
 @pytest.mark.parametrize(
@@ -421,10 +427,10 @@ def test_the_quantity_of_a_compound_unit(name: str, quantity: str | None) -> Non
 def test_a_torque_in_a_mapping(tmp_path: Path) -> None:
     path = _write(tmp_path / "a.csv", _rows())
     columns = [{"source": 3, "target": "torque_yaw_N_m", "unit": "mNm"}]
-    found = mapping.apply(mapping.of({"time": {"source": 1}, "columns": columns}), path)
+    found = mapping.apply(mapping.read_mapping({"time": {"source": 1}, "columns": columns}), path)
     assert np.allclose(found.columns["torque_yaw_N_m"], Y / 1000, atol=1e-6)
     with pytest.raises(InputError, match="unit of length"):
-        mapping.of({"time": {"source": 1}, "columns": [columns[0] | {"unit": "mm"}]})
+        mapping.read_mapping({"time": {"source": 1}, "columns": [columns[0] | {"unit": "mm"}]})
 
 
 @pytest.mark.parametrize(
@@ -456,7 +462,7 @@ def test_the_hint_for_a_date_is_a_format_that_reads_it(tmp_path: Path) -> None:
     _write(tmp_path / "a.csv", [[stamp, "1"] for stamp in stamps], names=["Timestamp", "x_m"])
     rules = {"time": {"source": 1}, "columns": [{"source": 2, "target": "x_m"}]}
     with pytest.raises(InputError) as caught:
-        mapping.apply(mapping.of(rules), tmp_path / "a.csv")
+        mapping.apply(mapping.read_mapping(rules), tmp_path / "a.csv")
     assert "'%d/%m/%Y %H:%M:%S.%f' or '%m/%d/%Y %H:%M:%S.%f'" in str(caught.value.hint)
 
 
@@ -520,7 +526,7 @@ def test_a_folder_and_binary_content_are_refused(swimid: Run, tmp_path: Path) ->
     # names in another code are text
     latin = "Zeit (ms);Höhe (mm)\n".encode("latin-1") + b"".join(b"%d;%d\n" % (20 * k, k) for k in range(50))
     (tmp_path / "c.csv").write_bytes(latin)
-    assert isinstance(open_table(tmp_path / "c.csv"), Table)
+    assert isinstance(open_table(tmp_path / "c.csv"), ForeignTable)
 
 
 @pytest.mark.slow

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from swimid.inertial import estimate
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Record, find_rests, integrated_attitude, measure_noise, prepare
+from swimid.inertial.record import ImuRecord, find_rests, integrate_attitude, measure_noise, prepare_setup
 from swimid.inertial.smoother import at_reference
 from swimid.inertial.track_imu import compute_by_paper
-from swimid.logs.kinematics import angles, from_angles
+from swimid.kinematics.attitude import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
 
@@ -63,7 +63,7 @@ def test_attitude_of_a_cone_drifts_only_by_the_error_of_the_trapezoid() -> None:
     )
     steps = (dense[:-1].inv() * dense[1:]).as_rotvec() / 1e-4
     rate = np.column_stack([np.interp(t, fine[:-1] + 5e-5, c) for c in steps.T])
-    found = integrated_attitude(t, rate, true[0])
+    found = integrate_attitude(t, rate, true[0])
     # the trapezoid takes (spin dt)^2 / 12 off the amplitude of a sine: the cone's own turning,
     # half^2 spin / 2
     # a second, is off by twice that; without the coning term it would be twice as much again
@@ -73,7 +73,7 @@ def test_attitude_of_a_cone_drifts_only_by_the_error_of_the_trapezoid() -> None:
 
 def test_noise_and_rests_of_a_known_sensor(rng: np.random.Generator) -> None:
     run = imu.marching(rng)
-    record = Record(run.time_s, run.acceleration, run.rate)
+    record = ImuRecord(run.time_s, run.acceleration, run.rate)
     rests = find_rests(record)
     assert [r.at for r in rests] == ["start", "end"]
     assert record.time_s[rests[0].last] == pytest.approx(4.0, abs=0.6)
@@ -91,7 +91,7 @@ def test_the_steps_of_the_paper(mode: Literal["marching", "receding", "rotating"
     rate = np.column_stack([np.zeros(4), np.zeros(4), [0.5, 0.5, 0.7, 0.3]])
     quarter = Rotation.from_rotvec(np.tile([0, 0, np.pi / 2], (4, 1)))
     options = TrackImuOptions(motion_mode=mode, threshold_m_s2=0.02, threshold_rad_s=0.01)
-    found, constant = compute_by_paper(Record(t, acceleration, rate), quarter, options)
+    found, constant = compute_by_paper(ImuRecord(t, acceleration, rate), quarter, options)
     np.testing.assert_allclose(found["acceleration"][:, 1], [1, 3, -1, -3], atol=1e-12)
     np.testing.assert_allclose(found["acceleration"][:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
     np.testing.assert_allclose(found["velocity"][:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
@@ -134,8 +134,8 @@ def test_errors_are_as_large_as_their_bands_say() -> None:
     squares = []
     for seed in range(12):
         run = imu.marching(np.random.default_rng(100 + seed), swim_s=10.0, rest_s=2.5, rate_hz=50.0)
-        record = Record(run.time_s, run.acceleration, run.rate)
-        setup, _ = prepare(record, TrackImuOptions())
+        record = ImuRecord(run.time_s, run.acceleration, run.rate)
+        setup, _ = prepare_setup(record, TrackImuOptions())
         found = at_reference(estimate.smooth_alone(setup).smoothed)
         squares.append(np.mean(((found["velocity"] - run.velocity) / found["velocity_sd"])[300:-200] ** 2))
     # 36 independent numbers: chi square over its freedom lies in 0.6 ... 1.5 in 95 of 100 cases; prior

@@ -127,7 +127,7 @@ def test_drawn_errors_have_the_smoothed_covariance(system: dict[str, Any]) -> No
 
 def test_the_cross_matrix_multiplies_as_a_cross_product(rng: np.random.Generator) -> None:
     v, u = rng.normal(size=(2, 5, 3))
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", smoother.cross_matrix(v), u), np.cross(v, u))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", smoother.skew_matrices(v), u), np.cross(v, u))
 
 
 # ---------------------------------------------------------------- contradictions
@@ -135,9 +135,9 @@ def test_the_cross_matrix_multiplies_as_a_cross_product(rng: np.random.Generator
 
 def estimated(
     tilt_rad: float, *, yaw_rad: float = 0.0, stray: float = 0.0, mean: float = 0.0
-) -> estimate.Estimate:
+) -> estimate.MotionEstimate:
     """Return an estimate whose tilt departs from that of a filter, of 0.01 rad as its own is of 0.014 rad."""
-    count, tilt = 50, smoother.PARTS["rotation"]
+    count, tilt = 50, smoother.ERROR_SLICES["rotation"]
     covariance = np.zeros((count, tilt.stop, tilt.stop))
     for k in (0, 1):
         covariance[:, tilt.start + k, tilt.start + k] = 2e-4

@@ -13,7 +13,7 @@ import pytest
 from swimid.errors import InputError
 from swimid.inertial import faults
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Record, find_mount, find_rests
+from swimid.inertial.record import ImuRecord, find_mount, find_rests
 from tests.conftest import Ran
 from tests.generators import imu
 
@@ -26,8 +26,8 @@ def run() -> imu.Run:
     return imu.marching(np.random.default_rng(3), roll_rad=0.25, swim_s=12.0, rest_s=2.0)
 
 
-def record(run: imu.Run) -> Record:
-    return Record(run.time_s, run.acceleration.copy(), run.rate.copy(), name="imu.csv")
+def record(run: imu.Run) -> ImuRecord:
+    return ImuRecord(run.time_s, run.acceleration.copy(), run.rate.copy(), name="imu.csv")
 
 
 def names(findings: list[faults.Finding]) -> list[str]:
@@ -70,7 +70,7 @@ def test_the_stated_unit_of_fast_turns_about_the_vertical_stays(rng: np.random.G
     level = rng.normal(0, 0.01, (n, 3)) + np.array([0, 0, G])
     turning = rng.normal(0, 0.1, (n, 3))
     turning = turning + np.outer(40 * np.sin(np.arange(n) / 50), [0, 0, 1])
-    repaired, found = faults.repair(Record(np.arange(n) / 100, level, turning))
+    repaired, found = faults.repair(ImuRecord(np.arange(n) / 100, level, turning))
     assert "unconfirmed turn rates" in names(found)
     np.testing.assert_array_equal(repaired.rate, turning)
 
@@ -212,7 +212,7 @@ def test_wrong_gyroscope_axes_are_rearranged(
     rate = rate + rng.normal(0, 0.005, (n, 3))
     # naval axes stay: the comparison knows no frame but that gravity turns against the body
     wrong = rate[:, order] * signs
-    given = Record(t, force, wrong)
+    given = ImuRecord(t, force, wrong)
     repaired, found = faults.repair(given)
     assert names(found) == ["swapped or flipped axes"]
     np.testing.assert_allclose(repaired.rate, rate, atol=1e-12)
@@ -265,9 +265,9 @@ def test_a_missing_column_is_named(swimid: Callable[..., Ran], tmp_path: Path, r
 # ---------------------------------------------------------------- single readings, by hand
 
 
-def quiet(values: np.ndarray) -> Record:
+def quiet(values: np.ndarray) -> ImuRecord:
     """Return a record at 100 Hz, of which a test uses the times."""
-    return Record(np.arange(len(values)) / 100, np.zeros((len(values), 3)), np.zeros((len(values), 3)))
+    return ImuRecord(np.arange(len(values)) / 100, np.zeros((len(values), 3)), np.zeros((len(values), 3)))
 
 
 @pytest.mark.parametrize(("code", "wild"), [(64.0, True), (88.0, False), (136.0, True), (112.0, False)])

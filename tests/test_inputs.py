@@ -126,7 +126,7 @@ def test_published_files_do_not_name_the_home_folder(
 
 def test_threads_are_not_stated(lab: Path, swimid: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ["import", "a.csv", "--map", "map.yaml", "-o", "o.csv"]
-    monkeypatch.setattr(sys, "argv", ["swimid", *words, "--jobs", "3", "--cluster=tcp://head:8786"])
+    monkeypatch.setattr(sys, "argv", ["swimid", *words, "--jobs", "3"])
     assert swimid(*words).status == 0
     command = json.loads((lab / "o.evidence.json").read_text())["provenance"]["command"]
     assert command == "swimid import a.csv --map map.yaml -o o.csv"

@@ -41,7 +41,7 @@ def line_trials(levels: list[float], noise: list[np.ndarray]) -> list[Trial]:
 
 
 def fit(model: Model, trials: list[Trial]) -> FitResult:
-    return output_error.complete(output_error.fit(model, trials, tested=False))
+    return output_error.complete_fit(output_error.fit_output_error(model, trials, tested=False))
 
 
 @pytest.mark.parametrize("ratio, memory_s", [(0.5, 0.1), (40.0, 2.0)])
@@ -249,9 +249,11 @@ def test_any_data_have_intervals_or_are_refused(seed: int) -> None:
             measured[name] = np.round(values, rng.choice([0, 12, 12, 12]))
         trials.append(Trial(f"t{k}", "fit", time, measured, inputs=trial.inputs))
     try:
-        result = output_error.complete(output_error.fit(model, trials, tested=False, max_iterations=40))
+        result = output_error.complete_fit(
+            output_error.fit_output_error(model, trials, tested=False, max_iterations=40)
+        )
     except swimid.NoTrustworthyResult:
         return
-    for label in result.shared:
+    for label in result.common_labels:
         error = result.stderr(label)
         assert result.status[label] != "estimated" or (error is not None and math.isfinite(error))

@@ -17,8 +17,8 @@ import pytest
 from swimid import import_log
 from swimid.errors import InputError
 from swimid.files import isolated, video
+from swimid.imports.formats import open_table
 from swimid.logs import log
-from swimid.logs.foreign import open_table
 
 
 def crash(_: Path) -> None:
@@ -57,15 +57,15 @@ def test_a_reader_that_fails_is_an_error_for_its_file(
 ) -> None:
     monkeypatch.setattr(isolated, "MAX_TIME_S", 0.3 if function is hang else 30.0)
     with pytest.raises(InputError, match=words) as caught:
-        isolated.run(function, file, file=file)
+        isolated.run_isolated(function, file, file=file)
     assert caught.value.file == str(file)
 
 
 @pytest.mark.parametrize("fork", [hasattr(os, "fork"), False])
 def test_results_and_errors_come_back_as_they_are(fork: bool, file: Path) -> None:
-    assert isolated.run(double, file, file=file, fork=fork) == "a.mata.mat"
+    assert isolated.run_isolated(double, file, file=file, fork=fork) == "a.mata.mat"
     with pytest.raises(InputError) as caught:
-        isolated.run(refuse, file, file=file, fork=fork)
+        isolated.run_isolated(refuse, file, file=file, fork=fork)
     error = caught.value
     assert (error.line, error.hint, error.reason) == (3, "leave it", "is refused")
 
@@ -105,7 +105,7 @@ def _xlsx(path: Path) -> None:
 def test_small_files_that_expand_are_refused(
     name: str, make: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(isolated, "N_COPIES", 1)
+    monkeypatch.setattr(isolated, "N_READER_COPIES", 1)
     path = tmp_path / name
     make(path)
     assert path.stat().st_size < 3e6
@@ -161,7 +161,7 @@ def test_a_full_disk_is_an_error_for_a_video(share: float, tmp_path: Path) -> No
     write()
     size = path.stat().st_size
     with pytest.raises(InputError, match="File too large"):
-        isolated.run(_as_input_error, write, int(share * size), path, file=path)
+        isolated.run_isolated(_as_input_error, write, int(share * size), path, file=path)
 
 
 def _as_input_error(write: Callable[[int], None], limit: int, path: Path) -> None:

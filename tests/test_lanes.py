@@ -22,17 +22,15 @@ from swimid.fitting.model import SwimInput, Trial, share
 from swimid.fitting.problem import Problem
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Multilink
-from swimid.robots.spatial import Multibody
+from swimid.robots.planar import MultilinkRobot
+from swimid.robots.spatial import MultibodyRobot
 from swimid.swimmer import lanes
 from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.model import Swimmer
-from swimid.swimmer.planar import engine as planar_engine
-from swimid.swimmer.planar.model import Assembly as PlanarAssembly
-from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial import engine as spatial_engine
-from swimid.swimmer.spatial.model import Assembly as SpatialAssembly
-from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as planar_engine
+from swimid.swimmer.planar.model import MultilinkModel, PlanarTree
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as spatial_engine
+from swimid.swimmer.spatial.model import MultibodyModel, SpatialTree
 from tests import lanes_forms
 from tests.conftest import ROOT
 from tests.generators import gap_trials, lagrange
@@ -63,19 +61,19 @@ def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarra
     return ENGINES[form].integrate(start, step, drive, tuple(tables.values()), None, 0.0)
 
 
-def planar_tree(seed: int, **changed: Any) -> PlanarAssembly:
+def planar_tree(seed: int, **changed: Any) -> PlanarTree:
     rng = np.random.default_rng(seed)
     body = lagrange.random_tree(rng, int(rng.integers(3, 6)), int(rng.integers(1, 4)))
-    return PlanarAssembly(Multilink.model_validate({**body, **changed}), Fluid(density_kg_m3=1000.0))
+    return PlanarTree(MultilinkRobot.model_validate({**body, **changed}), Fluid(density_kg_m3=1000.0))
 
 
-def sea_lion() -> SpatialAssembly:
+def sea_lion() -> SpatialTree:
     robot = robot_format.read("sealion")
     assert robot.multibody is not None
-    return SpatialAssembly(robot.multibody, robot.fluid)
+    return SpatialTree(robot.multibody, robot.fluid)
 
 
-def hinged(**changed: Any) -> SpatialAssembly:
+def hinged(**changed: Any) -> SpatialTree:
     """Return a weight with two passive fins, and every kind of element."""
     inertia = [0.02, 0.03, 0.03, 0.0, 0.001, 0.0]
     fins = [
@@ -108,7 +106,7 @@ def hinged(**changed: Any) -> SpatialAssembly:
         ],
         **changed,
     }  # fmt: skip
-    return SpatialAssembly(Multibody.model_validate(body), Fluid(density_kg_m3=1000.0))
+    return SpatialTree(MultibodyRobot.model_validate(body), Fluid(density_kg_m3=1000.0))
 
 
 CASES: dict[str, tuple[type[Swimmer], Any]] = {
@@ -206,7 +204,7 @@ def test_a_batch_of_a_robot_in_space_agrees_with_the_engine(rng: np.random.Gener
 
 
 def trials(count: int = 3) -> list[Trial]:
-    swims = [SwimInput(drives.Beat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k)) for k in range(count)]
+    swims = [SwimInput(drives.TailBeat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k)) for k in range(count)]
     return [
         Trial(f"run{k}", "fit", np.arange(0.0, 2.0 + 0.3 * k, 0.02), {}, swim=s) for k, s in enumerate(swims)
     ]
@@ -215,9 +213,9 @@ def trials(count: int = 3) -> list[Trial]:
 def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
     """Repeats, trials and values are mixed, and effects of every stage act."""
     plain = MultilinkModel(robot_format.read("tfish"))
-    names = {e.name: e for e in effect_catalogue.catalogue()}
+    names = {e.name: e for e in effect_catalogue.list_effects()}
     own = trials()
-    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
     for chosen in (
         (),
         ("tether",),
@@ -246,7 +244,7 @@ def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
 def test_a_single_run_takes_the_kernel_too(fish: MultilinkModel) -> None:
     """A simulation does not depend on the other runs of its batch."""
     own = trials()
-    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
     runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(8)]
     together = fish.run_many(runs)
     for values, trial in runs:
@@ -267,7 +265,7 @@ def test_a_run_that_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel
     for side_by_side in (False, True):
         model = Failing(robot_format.read("tfish"))
         model.kernels.own, model.kernels.used = fish.kernels.own, side_by_side
-        start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+        start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
         seen = model.run_many([(start, t) for t in trials()])
         assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
 
@@ -306,7 +304,7 @@ def test_memory_is_reused_after_its_results_are_released(
 def test_a_cached_run_outlives_later_batches(fish: MultilinkModel) -> None:
     """The offset of the start pose needs no new simulation. The cached one must be unchanged."""
     own = trials()
-    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    start = np.array([fish.get_file_values().get(p.name, p.start) for p in fish.parameters])
     fish.forget(own)
     before = fish.simulate(start, own[0])
     fish.run_many([(start * (1 + 0.01 * k), own[1 + k % 2]) for k in range(24)])
@@ -317,7 +315,7 @@ def test_a_cached_run_outlives_later_batches(fish: MultilinkModel) -> None:
 
 def test_equal_effects_share_their_runs() -> None:
     """The key of a kept trajectory is the effect, not the object that represents it."""
-    names = {e.name: e for e in effect_catalogue.catalogue()}
+    names = {e.name: e for e in effect_catalogue.list_effects()}
     tether, other = names["tether"], type(names["tether"])()
     assert tether is not other
     assert tether.content() == other.content()
@@ -326,7 +324,7 @@ def test_equal_effects_share_their_runs() -> None:
 
 
 def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) -> None:
-    start = np.array([fish.stated()[name] for name in fish.coefficients])
+    start = np.array([fish.get_file_values()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
     assert fish.kernels.own.fits(tables)
     nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernels.own.fixed["drag"]))[0]
@@ -343,10 +341,10 @@ def test_a_coefficient_of_zero_keeps_the_structure() -> None:
     body = robot.multilink
     assert body is not None
     drag = {"kind": "damping", "link": body.links[0].name, "linear_N_m_s_rad": "c_ma"}
-    changed = Multilink.model_validate(
+    changed = MultilinkRobot.model_validate(
         {**body.model_dump(), "elements": [*body.model_dump()["elements"], drag]}
     )
-    for tree in (PlanarAssembly(changed, robot.fluid), Lifted(changed, robot.fluid)):
+    for tree in (PlanarTree(changed, robot.fluid), Lifted(changed, robot.fluid)):
         kernel = Kernel(tree)
         for k in range(len(tree.names)):
             values = np.full(len(tree.names), 0.8)
@@ -367,10 +365,10 @@ def test_threads_simulate_whole_batches(fish: MultilinkModel, monkeypatch: pytes
     monkeypatch.setattr(fish, "run_many", counted)
     problem = Problem(fish, fish.parameters, trials(), jobs=2)
     problem._typical_s = 1.0
-    problem.simulated([(problem.start, k % 3) for k in range(6)])
+    problem.simulate_points([(problem.start, k % 3) for k in range(6)])
     assert parts == [6]
     problem._typical_s = 1.0
-    problem.simulated([(problem.start, k % 3) for k in range(20)])
+    problem.simulate_points([(problem.start, k % 3) for k in range(20)])
     assert sorted(parts[1:]) == [4, 16]
 
 
@@ -412,7 +410,7 @@ def test_the_environment_alone_chooses_the_engine(
     monkeypatch.setenv("SWIMID_LANES", mode)
     monkeypatch.setattr(lanes, "folder", lambda: tmp_path)
     model = MultilinkModel(robot_format.read("tfish"))
-    assert model.together == together
+    assert model.batch_size == together
     if mode == "never":
         model.prepare(effects=True)
         assert not list(tmp_path.iterdir())
@@ -444,7 +442,7 @@ def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.
         "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
     )
     assert not lanes.on_disk(text)
-    module = lanes.imported(text)
+    module = lanes.load_module(text)
     module.integrate.compile(module.SIGNATURE)
     assert lanes.on_disk(text)
     assert module.integrate(2.0) == 4.0
@@ -457,7 +455,7 @@ def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any)
         "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
         "text += '@numba.njit(cache=True)\\ndef integrate(x):\\n    return x\\n'\n"
         "before = lanes.on_disk(text)\n"
-        "lanes.imported(text).integrate(1.0)\n"
+        "lanes.load_module(text).integrate(1.0)\n"
         "print(before, lanes.on_disk(text))"
     )
     told = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
@@ -479,7 +477,7 @@ def test_the_compiler_vectorises_the_kernel(monkeypatch: pytest.MonkeyPatch) -> 
         "joints": [{"name": "j", "parent": "head", "child": "tail", "passive": {"stiffness_N_m_rad": 1.0}}],
         "elements": [{"kind": "drag", "link": "tail", "normal_area_m2": 0.01, "normal_coefficient": 1.0}],
     }
-    tree = PlanarAssembly(Multilink.model_validate(body), Fluid(density_kg_m3=1000.0))
+    tree = PlanarTree(MultilinkRobot.model_validate(body), Fluid(density_kg_m3=1000.0))
     kernel = Kernel(tree)
     packed, single = lanes_forms.arithmetic(kernel)
     assert packed > 10 * max(single, 1)
@@ -490,7 +488,7 @@ def test_changes_of_a_passive_joint_fit_the_kernel() -> None:
     robot = robot_format.read("tfish")
     body = robot.multilink
     assert body is not None
-    for tree in (PlanarAssembly(body, robot.fluid), Lifted(body, robot.fluid)):
+    for tree in (PlanarTree(body, robot.fluid), Lifted(body, robot.fluid)):
         kernel = Kernel(tree)
         tables = {name: np.copy(t) for name, t in tree.tables(np.ones(len(tree.names))).items()}
         for column in range(5):

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from swimid.diagnosis.remainder import AXES, ResidualForce
+from swimid.diagnosis.remainder import FORCE_AXES, ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
 from swimid.fitting import drives
@@ -25,7 +25,7 @@ from tests import lanes_forms
 
 def opened(name: str) -> MultilinkModel:
     """Return a robot with both kernels, not compiled."""
-    catalogue.catalogue()
+    catalogue.list_effects()
     model = MultilinkModel(robot_format.read(name))
     model.kernels.used = True
     return model
@@ -40,7 +40,7 @@ def fish() -> MultilinkModel:
 
 
 def given(model: MultilinkModel) -> np.ndarray:
-    return np.array([model.stated().get(p.name, p.start) for p in model.parameters])
+    return np.array([model.get_file_values().get(p.name, p.start) for p in model.parameters])
 
 
 def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
@@ -48,7 +48,7 @@ def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
     plain = MultilinkModel(model.robot)
     found = []
     for k in range(2):
-        swim = SwimInput(drives.Beat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k), pose=(0.3, -0.2 * k, 0.4 + k))
+        swim = SwimInput(drives.TailBeat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k), pose=(0.3, -0.2 * k, 0.4 + k))
         trial = Trial(f"run{k}", "fit", np.arange(0.5, 0.5 + duration_s, 0.02), {}, swim=swim)
         found.append(replace(trial, measured=plain.simulate(given(plain), trial)))
     return found
@@ -56,8 +56,8 @@ def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
 
 def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
     """Return every variant of every effect, and artificial forces, that need the wide kernel."""
-    every = catalogue.applicable(catalogue.catalogue(), model, own)
-    every += [ResidualForce(axis, 0.05, 0.3) for axis in AXES]
+    every = catalogue.applicable(catalogue.list_effects(), model, own)
+    every += [ResidualForce(axis, 0.05, 0.3) for axis in FORCE_AXES]
     found = {}
     for effect in every:
         names = [p.name for p in effect.parameters(model, own)]
@@ -83,7 +83,7 @@ def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], cou
     runs = [(values * (1.0 + 0.01 * k), own[k % 2]) for k in range(count)]
     assert model.kernels.wide is not None
     steps = (own[0].time_s[-1] - own[0].time_s[0]) / model.max_step
-    operations = 4 * len(model.kernels.wide.traced.operations) * steps
+    operations = 4 * len(model.kernels.wide.equations.operations) * steps
     model.forget(own)
     for (point, trial), simulated in zip(runs, many.run_many(runs), strict=True):
         for channel, series in one.run(point, trial).items():
@@ -151,7 +151,7 @@ def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel)
 
 
 def test_models_with_another_step_share_the_kernels(fish: MultilinkModel) -> None:
-    assert fish.refined().kernels is fish.kernels
+    assert fish.refine().kernels is fish.kernels
     assert fish.coarser().kernels is fish.kernels
 
 
@@ -172,9 +172,9 @@ def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
 
 def test_effects_do_not_change_the_robots_own_kernel() -> None:
     """The text of the robot's own kernel is the same with and without effects."""
-    text = lanes.source_of(opened("tfish").kernels.own.traced)
+    text = lanes.source_of(opened("tfish").kernels.own.equations)
     assert "exponent" not in text
-    assert text == lanes.source_of(MultilinkModel(robot_format.read("tfish")).kernels.own.traced)
+    assert text == lanes.source_of(MultilinkModel(robot_format.read("tfish")).kernels.own.equations)
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swimid.logs import linkage as links
-from swimid.logs import point_files
-from swimid.logs.linkage import Linkage, State
-from swimid.robots.planar import Multilink
+from swimid.points import linkage as links
+from swimid.points import point_files
+from swimid.points.linkage import Linkage, State
+from swimid.robots.planar import MultilinkRobot
 
 SD = 0.002
 
@@ -19,7 +19,7 @@ def solved(chain: Linkage, seen: np.ndarray, used: np.ndarray) -> tuple[State, l
     """Return states and residuals of frames, from a start that is turned and shifted a little."""
     weight = np.where(used, SD**-2, 0.0)
     angles = np.full((len(seen), len(chain.parent)), 0.05)
-    state = links.solve(chain, seen, weight, State(seen[:, 0] + 0.01j, angles))
+    state = links.solve_linkage(chain, seen, weight, State(seen[:, 0] + 0.01j, angles))
     return state, links.residuals(chain, seen, weight, np.full(seen.shape, SD**2), state)
 
 
@@ -35,7 +35,7 @@ def test_the_angles_of_an_exact_film_are_found() -> None:
     state, left = solved(chain, seen, np.ones(seen.shape, dtype=bool))
     np.testing.assert_allclose(state.angles, np.column_stack([heading, first, second]), atol=1e-6)
     np.testing.assert_allclose(state.position, nose, atol=1e-6)
-    np.testing.assert_allclose(links.predicted(chain, state), seen, atol=1e-6)
+    np.testing.assert_allclose(links.predict_points(chain, state), seen, atol=1e-6)
     assert chain.redundancy == 8 - 5
     assert chain.size == pytest.approx(0.6)
     assert left.known.all()
@@ -81,11 +81,13 @@ def test_an_uncertain_scale_adds_to_the_covariance() -> None:
     chain = links.chain(("nose", "a", "b"), np.array([0.2, 0.3]))
     pixels, sd = replace(chain, scale=400.0, free=frozenset({"scale"})), 0.01
     angles = np.array([[0.3, -0.4]])
-    seen = links.predicted(pixels, State(np.array([50 + 20j]), angles))
+    seen = links.predict_points(pixels, State(np.array([50 + 20j]), angles))
     weight = np.ones(seen.shape)
 
     def at(scale: float) -> np.ndarray:
-        found = links.solve(replace(pixels, scale=scale), seen, weight, State(np.array([50 + 20j]), angles))
+        found = links.solve_linkage(
+            replace(pixels, scale=scale), seen, weight, State(np.array([50 + 20j]), angles)
+        )
         return np.concatenate([found.position.real, found.position.imag, found.angles[0]])
 
     state = State(np.array([50 + 20j]), angles)
@@ -102,7 +104,7 @@ def test_an_uncertain_scale_adds_to_the_covariance() -> None:
 
 def test_points_on_rigid_and_moving_links_of_a_robot() -> None:
     """A nose, a neck fixed to it at 30 degrees, a mast fixed to the neck at 20 more, and a moving tail."""
-    body = Multilink.model_validate(
+    body = MultilinkRobot.model_validate(
         {
             "plane": "horizontal",
             "reference": {"station_m": 0.05, "offset_m": 0.01},
@@ -149,7 +151,7 @@ def test_points_on_rigid_and_moving_links_of_a_robot() -> None:
     reference = -0.05 + 0.01j
     expected = 2 + 3j + (np.array(body_axes) - reference) * np.exp(1j * heading)
     state = State(np.array([2 + 3j]), np.array([[heading, bend]]))
-    np.testing.assert_allclose(links.predicted(found, state)[0], expected, atol=1e-12)
+    np.testing.assert_allclose(links.predict_points(found, state)[0], expected, atol=1e-12)
     assert found.names == ("tip", "top", "end")
     assert found.columns == ("joint1_rad",)
     assert found.links == ("nose", "tail")

@@ -26,7 +26,7 @@ def pair(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 def test_rms_error(pair: tuple[np.ndarray, np.ndarray]) -> None:
     a, b = pair
-    whole = fit_common.score(a, b)
+    whole = fit_common.compute_score(a, b)
     absolute, normalised = whole.rmse, whole.nrmse
     assert absolute == pytest.approx(np.sqrt(np.mean((a - b) ** 2)))
     assert normalised == pytest.approx(absolute / (a.max() - a.min()))
@@ -44,7 +44,7 @@ def test_peak_error_takes_magnitudes() -> None:
 def test_dtw_is_the_least_warping(pair: tuple[np.ndarray, np.ndarray], band: int) -> None:
     a, b = pair
     assert fit_common.dtw_distance(a, b, band=band) == pytest.approx(warped(a, b, band), rel=1e-12)
-    assert fit_common.dtw_distance(a, b, band=band) <= fit_common.score(a, b).rmse * (1 + 1e-12)
+    assert fit_common.dtw_distance(a, b, band=band) <= fit_common.compute_score(a, b).rmse * (1 + 1e-12)
 
 
 def test_dtw_warps_several_series_as_one(rng: np.random.Generator) -> None:
@@ -53,14 +53,16 @@ def test_dtw_warps_several_series_as_one(rng: np.random.Generator) -> None:
 
 
 def test_dtw_without_band_is_the_rmse(pair: tuple[np.ndarray, np.ndarray]) -> None:
-    assert fit_common.dtw_distance(*pair, band=0) == pytest.approx(fit_common.score(*pair).rmse)
+    assert fit_common.dtw_distance(*pair, band=0) == pytest.approx(fit_common.compute_score(*pair).rmse)
 
 
 def test_dtw_forgives_a_delay_within_its_band() -> None:
     bump = np.exp(-(((np.arange(200) - 100) / 15.0) ** 2))
     late = np.roll(bump, 5)
     assert fit_common.dtw_distance(bump, late, band=5) < 1e-9
-    assert fit_common.dtw_distance(bump, late, band=0) == pytest.approx(fit_common.score(bump, late).rmse)
+    assert fit_common.dtw_distance(bump, late, band=0) == pytest.approx(
+        fit_common.compute_score(bump, late).rmse
+    )
     assert fit_common.dtw_distance(bump, late, band=4) > 1e-3
 
 
@@ -87,7 +89,7 @@ def test_phase_error_under_noise(rng: np.random.Generator) -> None:
 def test_nothing_to_compare() -> None:
     nothing = np.full(10, np.nan)
     t = np.arange(10.0)
-    assert np.isnan(fit_common.score(nothing, t).rmse)
+    assert np.isnan(fit_common.compute_score(nothing, t).rmse)
     assert np.isnan(fit_common.peak_error(nothing, t)).all()
     assert np.isnan(fit_common.dtw_distance(nothing, t, band=2))
     assert np.isnan(fit_common.phase_error(nothing, t, t, frequency_hz=0.1))

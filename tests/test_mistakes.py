@@ -7,7 +7,7 @@ import pytest
 
 from swimid.fitting import drives, mistakes
 from swimid.fitting.model import SwimInput, Trial
-from swimid.rig.model import towed
+from swimid.rig.model import make_towed_model
 from swimid.robots import file as robots
 from swimid.swimmer.planar.model import MultilinkModel
 
@@ -27,7 +27,7 @@ def trial() -> Trial:
 
 @pytest.fixture(scope="module")
 def undone(trial: Trial) -> dict[str, Trial | None]:
-    found = mistakes.catalogue(MultilinkModel(robots.read("tfish")), [trial])
+    found = mistakes.list_mistakes(MultilinkModel(robots.read("tfish")), [trial])
     return {one.says: one.undo(trial) for one in found}
 
 
@@ -68,8 +68,8 @@ def test_channels_are_corrected(
 
 def test_the_sign_of_a_measured_force_is_among_the_mistakes() -> None:
     given = Trial("tow", "fit", TIME, {"x_m": TIME}, {"force_N": 2.0 + TIME})
-    model = towed(mass_kg=8.0, force_N=1.0, area_known=False)
-    found = {one.says: one.undo(given) for one in mistakes.catalogue(model, [given])}
+    model = make_towed_model(mass_kg=8.0, force_N=1.0, area_known=False)
+    found = {one.says: one.undo(given) for one in mistakes.list_mistakes(model, [given])}
     turned = found["the sign of force_N changed"]
     assert turned is not None
     np.testing.assert_array_equal(turned.inputs["force_N"], -2.0 - TIME)

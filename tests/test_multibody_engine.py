@@ -12,27 +12,29 @@ from scipy.spatial.transform import Rotation
 from swimid.effects.structure import ComOffset
 from swimid.errors import InputError
 from swimid.fitting import drives
-from swimid.fitting.model import SwimInput, Trial
+from swimid.fitting.model import TRACEABLE, ExternalForce, SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
-from swimid.robots.spatial import Multibody
+from swimid.robots.spatial import MultibodyRobot
 from swimid.swimmer import drive, lanes
+from swimid.swimmer.assembly import spheroid_coefficients
 from swimid.swimmer.drive import joint_motion
-from swimid.swimmer.planar import engine as planar_engine
+from swimid.swimmer.engine import pack_forces, place_frame
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.model import Assembly, MultibodyModel, full, spheroid_coefficients
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE as engine
+from swimid.swimmer.spatial.model import MultibodyModel, SpatialTree, full
 from tests import lanes_forms
 from tests.lifted import Lifted
 
 WATER, G = 1000.0, 9.81
 
 
-def assembly(body: dict[str, Any]) -> Assembly:
-    return Assembly(Multibody.model_validate(body), Fluid(density_kg_m3=WATER, gravity_m_s2=G))
+def assembly(body: dict[str, Any]) -> SpatialTree:
+    return SpatialTree(MultibodyRobot.model_validate(body), Fluid(density_kg_m3=WATER, gravity_m_s2=G))
 
 
-def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+def derivative(model: SpatialTree, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
     """Return the rate of a state; ``motion`` has angle, rate and acceleration of every driven joint."""
     motion = np.zeros((len(model.driven), 3)) if motion is None else motion
     row = np.column_stack([motion, np.cos(motion[:, 0]), np.sin(motion[:, 0])])
@@ -40,26 +42,26 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     rate = np.empty(len(state))
     tables = model.tables(np.zeros(0))
     scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n)
-    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
+    engine.compute_rate(state, row, tuple(tables.values()), None, 0.0, *scratch, rate)
     kernel = lanes.Kernel(model)
     traced = lanes_forms.rate(kernel, state, row, tables)
     assert traced == pytest.approx(rate, rel=1e-9, abs=1e-11 * np.abs(rate).max())
     return rate
 
 
-def at_rest(model: Assembly) -> np.ndarray:
+def at_rest(model: SpatialTree) -> np.ndarray:
     state = np.zeros(13 + 2 * len(model.passive))
     state[3] = 1.0
     return state
 
 
-def random_state(model: Assembly, rng: np.random.Generator) -> np.ndarray:
+def random_state(model: SpatialTree, rng: np.random.Generator) -> np.ndarray:
     state = rng.normal(size=13 + 2 * len(model.passive))
     state[3:7] /= np.linalg.norm(state[3:7])
     return state
 
 
-def integrated(model: Assembly, start: np.ndarray, step: float, duration: float) -> np.ndarray:
+def integrated(model: SpatialTree, start: np.ndarray, step: float, duration: float) -> np.ndarray:
     table = np.zeros((2 * round(duration / step) + 1, len(model.driven), 5))
     table[:, :, 3] = 1.0
     return engine.integrate(start, step, table, tuple(model.tables(np.zeros(0)).values()), None, 0.0)[0]
@@ -139,7 +141,7 @@ def weighed(body: dict[str, Any]) -> dict[str, Any]:
     return {**body, "elements": [{"kind": "hydrostatics", "link": link["name"]} for link in body["links"]]}
 
 
-def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]:
+def put(model: SpatialTree, theirs: Any, data: Any, state: np.ndarray) -> list[int]:
     """Set MuJoCo's state to ours, and return the positions of its velocities for our unknowns."""
     p = len(model.passive)
     turn = Rotation.from_quat(np.roll(state[3:7], -1))
@@ -153,7 +155,7 @@ def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]
     return places
 
 
-def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+def accelerations(model: SpatialTree, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
     """Return accelerations of the base's origin, of its rotation, and of the passive joints."""
     p = len(model.passive)
     rate = derivative(model, state, motion)
@@ -230,7 +232,7 @@ def with_water(body: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]
     return {**body, "elements": elements}
 
 
-def momentum(model: Assembly, state: np.ndarray) -> tuple[np.ndarray, float]:
+def momentum(model: SpatialTree, state: np.ndarray) -> tuple[np.ndarray, float]:
     """Return linear and angular momentum in the world, and kinetic energy, by vector mechanics."""
     p = len(model.passive)
     tables = model.tables(np.zeros(0))
@@ -288,17 +290,17 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     values = np.array([c.value for c in body.coefficients.values()])
     step, steps = 0.005, 4000
     half = 0.5 * step * np.arange(2 * steps + 1)
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4, 0.1))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4, 0.1))
     motions = [joint_motion(axis, k, swim, half, 0.0) for k, axis in enumerate(planar.driven)]
     mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
     n = planar.unknowns
     flat = np.zeros(2 * n)
     flat[n] = 0.1
-    told = drive.table(len(half), motions, mounts)
+    told = drive.drive_table(len(half), motions, mounts)
     expected, _ = planar_engine.integrate(flat, step, told, tuple(planar.tables(values).values()), None, 0.0)
     start = np.zeros(13 + 2 * len(lifted.passive))
     start[3], start[7 + len(lifted.passive)] = 1.0, 0.1
-    table = drive.table(len(half), motions, [0.0] * len(motions))
+    table = drive.drive_table(len(half), motions, [0.0] * len(motions))
     found, _ = engine.integrate(start, step, table, tuple(lifted.tables(values).values()), None, 0.0)
     second = 1 if body.plane == "horizontal" else 2
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-9)
@@ -307,15 +309,51 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     np.testing.assert_allclose(found[:, 7:-6][:, : n - 3], expected[:, 3:n], atol=1e-9)
 
 
+def test_forces_of_effects_act_in_space_as_in_the_plane(rng: np.random.Generator) -> None:
+    """All traceable forces of effects, on a swimmer that moves in the horizontal plane."""
+    robot = robot_format.read("tfish")
+    assert robot.multilink is not None
+    planar, lifted = MultilinkModel(robot).tree, Lifted(robot.multilink, robot.fluid)
+    values = np.array([c.value for c in robot.multilink.coefficients.values()])
+    n, passives = planar.unknowns, len(planar.passive)
+    flat = 0.5 * rng.normal(size=2 * n)
+    state = np.zeros(13 + 2 * passives)
+    state[:2], state[3], state[6] = flat[:2], math.cos(0.5 * flat[2]), math.sin(0.5 * flat[2])
+    state[7 : 7 + passives], state[13 + passives :] = flat[3:n], flat[n + 3 :]
+    state[7 + passives : 9 + passives], state[12 + passives] = flat[n : n + 2], flat[n + 2]
+    motion = rng.normal(size=(len(planar.driven), 3))
+    mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
+    frame = place_frame((0.3, -0.2, 0.7), (0.05, 0.01))
+    for name, known in TRACEABLE.items():
+        constants = rng.uniform(0.3, 1.0, known.constants)
+        force = ExternalForce(
+            known.function, constants, {"base": 0, "hull": 1, "last": -1}[known.on], 0.1, 0.02
+        )
+        rates = []
+        for tree, start, turns in ((planar, flat, mounts), (lifted, state, [0.0] * len(mounts))):
+            angles = motion[:, 0] + turns
+            row = np.column_stack([motion, np.cos(angles), np.sin(angles)])
+            tables, rate = tree.tables(values), np.empty(len(start))
+            scratch = [np.zeros(shape) for shape in tree.engine.shapes(tables)[1]]
+            forced = pack_forces([force], frame, len(tree.links))
+            tree.engine.compute_rate(start, row, tuple(tables.values()), forced, 0.4, *scratch, rate)
+            rates.append(rate)
+        expected, found = rates[0][n:], rates[1][[7 + passives, 8 + passives, 12 + passives]]
+        np.testing.assert_allclose(found, expected[:3], rtol=1e-9, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            rates[1][13 + passives :], expected[3:], rtol=1e-9, atol=1e-9, err_msg=name
+        )
+
+
 # ------------------------------------------------------------ elements
 
 
-def one_body(*elements: dict[str, Any], **link: Any) -> Assembly:
+def one_body(*elements: dict[str, Any], **link: Any) -> SpatialTree:
     own = {"name": "hull", "mass_kg": 2.0, "inertia_kg_m2": [0.02, 0.05, 0.05]} | link
     return assembly({"links": [own], "elements": [{"link": "hull", **e} for e in elements]})
 
 
-def wrench(model: Assembly, **at: Any) -> np.ndarray:
+def wrench(model: SpatialTree, **at: Any) -> np.ndarray:
     """Return force and moment at the origin of a body that moves without rotation."""
     state = at_rest(model)
     state[2] = at.get("z", 0.0)
@@ -475,7 +513,7 @@ def armed(base: str, at: list[float]) -> MultibodyModel:
 
 
 def beaten(model: MultibodyModel, time: np.ndarray, **values: float) -> dict[str, np.ndarray]:
-    swim = SwimInput(drives.Beat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
+    swim = SwimInput(drives.TailBeat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
     known = np.array([values.get(p.name, p.start) for p in model.parameters])
     return model.simulate(known, Trial("t", "fit", time, {}, swim=swim))
 

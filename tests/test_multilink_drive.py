@@ -21,9 +21,9 @@ WAVEFORMS = [("sine", 0.0), ("hopf", 0.0), ("a-cpg", 0.0), ("a-cpg", 0.4), ("a-c
 
 @pytest.mark.parametrize(("waveform", "asymmetry"), WAVEFORMS)
 class TestBeat:
-    def beat(self, waveform: str, asymmetry: float, **others: float) -> drives.Beat:
+    def beat(self, waveform: str, asymmetry: float, **others: float) -> drives.TailBeat:
         given = {"bias_rad": 0.2, "ramp_s": 1.5, **others}
-        return drives.Beat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
+        return drives.TailBeat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
 
     def test_derivatives(self, waveform: str, asymmetry: float) -> None:
         """Rate and acceleration are derivatives of the angle, except where an asymmetric beat turns."""
@@ -108,7 +108,7 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
 
 
 def test_one_time_is_eased_like_many() -> None:
-    assert drives.eased(0.5, 1.0) == drives.eased(np.array([0.5]), 1.0)[0] == 0.5
+    assert drives.ease_in(0.5, 1.0) == drives.ease_in(np.array([0.5]), 1.0)[0] == 0.5
 
 
 def test_smoothstep() -> None:
@@ -140,7 +140,7 @@ class TestMeasured:
         At 50 Hz; nor does it matter whether the beat is slow or the record long.
         """
         times, seen, angle, rate, bend = self.noisy(rng, math.radians(0.5))
-        motion = drive.spline_motion(drive.measured(times, seen))
+        motion = drive.spline_motion(drive.fit_spline(times, seen))
         found = motion(times)
         middle = slice(25, -25)
 
@@ -159,7 +159,7 @@ class TestMeasured:
         times = 1e3 + np.arange(0.0, 10.0, 1 / rate_hz)
         angle, noise = 0.3 * np.sin(2 * math.pi * beat_hz * times), 0.005
         seen = angle + noise * rng.standard_normal(len(times))
-        found = drive.spline_motion(drive.measured(times, seen))(times)[0]
+        found = drive.spline_motion(drive.fit_spline(times, seen))(times)[0]
         assert np.sqrt(np.mean((found - angle) ** 2)) < noise
 
     def test_smoothing_minimises_thecross_validation_score_score(self, rng: np.random.Generator) -> None:
@@ -176,7 +176,7 @@ class TestMeasured:
 
     def test_clean_samples_are_kept(self, rng: np.random.Generator) -> None:
         times, seen, angle, rate, _ = self.noisy(rng, 0.0)
-        found = drive.spline_motion(drive.measured(times, seen))(times)
+        found = drive.spline_motion(drive.fit_spline(times, seen))(times)
         np.testing.assert_allclose(found[0], angle, atol=1e-4)
         # differences of clean samples are wrong by (omega h)^2 / 6 of the rate
         assert (
@@ -186,7 +186,7 @@ class TestMeasured:
 
     def test_angle_rate_and_acceleration_agree(self, rng: np.random.Generator) -> None:
         times, seen, *_ = self.noisy(rng, 0.01)
-        motion = drive.spline_motion(drive.measured(times, seen))
+        motion = drive.spline_motion(drive.fit_spline(times, seen))
         fine = np.linspace(1.0, 10.0, 90_001)
         angle, rate, bend = motion(fine)
         np.testing.assert_allclose(np.gradient(angle, fine)[1:-1], rate[1:-1], atol=1e-5)
@@ -196,20 +196,20 @@ class TestMeasured:
         times, seen, angle, *_ = self.noisy(rng, 0.001)
         seen[100:104] = np.nan
         wrapped = np.angle(np.exp(1j * (seen + math.pi)))
-        found = drive.spline_motion(drive.measured(times, wrapped))(times)[0]
+        found = drive.spline_motion(drive.fit_spline(times, wrapped))(times)[0]
         offset = 2 * math.pi * np.round((found[0] - angle[0] - math.pi) / (2 * math.pi))
         np.testing.assert_allclose(found - math.pi - offset, angle, atol=0.02)
 
     def test_the_angle_is_held_beyond_its_ends(self, rng: np.random.Generator) -> None:
         times, seen, *_ = self.noisy(rng, 0.001)
-        motion = drive.spline_motion(drive.measured(times, seen))
+        motion = drive.spline_motion(drive.fit_spline(times, seen))
         outside, ends = motion(np.array([-1.0, 100.0])), motion(times[[0, -1]])
         np.testing.assert_allclose(outside[0], ends[0], atol=1e-14)
         np.testing.assert_array_equal(outside[1:], 0.0)
 
     def test_too_few_samples(self) -> None:
         with pytest.raises(ValueError, match="at least five"):
-            drive.measured(np.arange(6.0), np.array([0.0, 1.0, np.nan, 2.0, np.nan, 1.0]))
+            drive.fit_spline(np.arange(6.0), np.array([0.0, 1.0, np.nan, 2.0, np.nan, 1.0]))
 
 
 @pytest.mark.kernels
@@ -253,7 +253,7 @@ class TestServo:
         model = MultilinkModel(_two_links({"servo": {"natural_frequency_hz": 4.0, "damping_ratio": 0.6}}))
         times = np.linspace(0.0, 10.0, 1001)
         values = np.array([p.start for p in model.parameters])
-        beat = drives.Beat("sine", 1.5, 0.4)
+        beat = drives.TailBeat("sine", 1.5, 0.4)
         found = model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))["joint1_rad"]
         s = 2j * math.pi * 1.5
         answer = self.OMEGA**2 / (s * s + 2 * self.DAMPING * self.OMEGA * s + self.OMEGA**2)
@@ -283,14 +283,14 @@ class TestInARobot:
 
     def test_share_lag_and_phase(self) -> None:
         model = MultilinkModel(_two_links({"gain": -0.5, "bias_gain": 0.25, "phase_lag_deg": 30.0}))
-        beat = drives.Beat("a-cpg", 0.8, 0.6, bias_rad=0.2, asymmetry=0.3, ramp_s=1.0)
+        beat = drives.TailBeat("a-cpg", 0.8, 0.6, bias_rad=0.2, asymmetry=0.3, ramp_s=1.0)
         found = self.run(model, SwimInput(beat), drive_phase=0.4)["joint1_rad"]
         expected = beat.motion(self.TIMES, gain=-0.5, bias_gain=0.25, phase_rad=0.4 - math.radians(30.0))[0]
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_turning_points_of_an_asymmetric_beat_may_lie_between_steps(self) -> None:
         """The error has second order in the step. Sampled accelerations with jumps would give first."""
-        beat = drives.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
+        beat = drives.TailBeat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
         fine = self.run(MultilinkModel(robot, max_step=1e-4), SwimInput(beat))
         errors = []
@@ -302,9 +302,9 @@ class TestInARobot:
     def test_a_measured_angle_gives_the_motion_of_the_beat(self) -> None:
         """A clean record of a joint, sampled every 10 ms, gives the motion that the command gave."""
         model = MultilinkModel(_two_links({}))
-        beat = drives.Beat("sine", 1.0, 0.5)
+        beat = drives.TailBeat("sine", 1.0, 0.5)
         told = self.run(model, SwimInput(beat))
-        motion = drive.spline_motion(drive.measured(self.TIMES, told["joint1_rad"]))
+        motion = drive.spline_motion(drive.fit_spline(self.TIMES, told["joint1_rad"]))
         seen = self.run(MultilinkModel(_two_links({})), SwimInput(joints=[motion]))
         assert np.abs(told["yaw_rad"]).max() > 0.1
         for name in ("x_m", "y_m", "yaw_rad"):
@@ -316,6 +316,6 @@ class TestInARobot:
 
     def test_table(self) -> None:
         motions = [(np.array([0.1, 0.2]), np.array([1.0, 2.0]), np.array([3.0, 4.0]))]
-        (first, second) = drive.table(2, motions, [0.5])[:, 0]
+        (first, second) = drive.drive_table(2, motions, [0.5])[:, 0]
         np.testing.assert_allclose(first, [0.1, 1.0, 3.0, math.cos(0.6), math.sin(0.6)])
         np.testing.assert_allclose(second, [0.2, 2.0, 4.0, math.cos(0.7), math.sin(0.7)])

@@ -17,10 +17,11 @@ from swimid.fitting import drives
 from swimid.fitting.model import SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid, schema_of
-from swimid.robots.planar import Multilink
+from swimid.robots.planar import MultilinkRobot
+from swimid.swimmer import engine as shared
 from swimid.swimmer import lanes
-from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.model import Assembly, MultilinkModel
+from swimid.swimmer.planar.engine import PLANAR_ENGINE as engine
+from swimid.swimmer.planar.model import MultilinkModel, PlanarTree
 from tests import lanes_forms
 from tests.generators import lagrange
 
@@ -32,15 +33,15 @@ needs_casadi = pytest.mark.skipif(
 )
 
 
-def assembly(body: dict[str, Any], **fluid: float) -> Assembly:
-    return Assembly(Multilink.model_validate(body), Fluid(density_kg_m3=WATER, **fluid))
+def assembly(body: dict[str, Any], **fluid: float) -> PlanarTree:
+    return PlanarTree(MultilinkRobot.model_validate(body), Fluid(density_kg_m3=WATER, **fluid))
 
 
-def defaults(model: Assembly) -> np.ndarray:
+def defaults(model: PlanarTree) -> np.ndarray:
     return np.array([c.value for c in model.body.coefficients.values()])
 
 
-def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+def accelerations(model: PlanarTree, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
     """The engine's acceleration of the base (in its own axes) and of the passive joints.
 
     ``motion`` holds angle, rate and acceleration of each driven joint. The scratch arrays are full of
@@ -55,7 +56,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
     tables = model.tables(defaults(model))
-    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch)
+    engine.compute_rate(state, row, tuple(tables.values()), None, 0.0, *scratch)
     kernel = lanes.Kernel(model)
     traced = lanes_forms.rate(kernel, state, row, tables)
     size = np.abs(scratch[-1]).max()
@@ -64,7 +65,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
 
 
 def integrated(
-    model: Assembly, start: np.ndarray, step: float, duration: float
+    model: PlanarTree, start: np.ndarray, step: float, duration: float
 ) -> tuple[np.ndarray, np.ndarray]:
     steps = round(duration / step)
     table = np.zeros((2 * steps + 1, 0, 5))
@@ -114,7 +115,7 @@ def chain(links: int = 5, *, water: bool = False) -> dict[str, Any]:
     return {"plane": "horizontal", "links": bodies, "joints": joints, "elements": elements}
 
 
-def one_link(*elements: dict[str, Any], plane: str = "horizontal", **link: Any) -> Assembly:
+def one_link(*elements: dict[str, Any], plane: str = "horizontal", **link: Any) -> PlanarTree:
     """Return one link of 0.4 m, 2 kg and 0.03 kg m2 with its centre of mass at its front end."""
     body = {
         "name": "body", "length_m": 0.4, "mass_kg": 2.0, "com_m": 0.0, "inertia_kg_m2": 0.03,
@@ -126,7 +127,7 @@ def one_link(*elements: dict[str, Any], plane: str = "horizontal", **link: Any) 
 
 
 def wrench(
-    model: Assembly, u: float = 0.0, v: float = 0.0, r: float = 0.0, heading: float = 0.0
+    model: PlanarTree, u: float = 0.0, v: float = 0.0, r: float = 0.0, heading: float = 0.0
 ) -> np.ndarray:
     """Return forces along and across the body of :func:`one_link`, and the moment about its front end."""
     u_dot, v_dot, r_dot = accelerations(model, np.array([0.0, 0.0, heading, u, v, r]))
@@ -223,7 +224,7 @@ def swim(
 ) -> np.ndarray:
     """Return the state of the built-in fish at 1.4 Hz and 30 degrees."""
     model = MultilinkModel(robot_format.read("tfish"), max_step=step)
-    beat = drives.Beat("sine", 1.4, math.radians(30.0))
+    beat = drives.TailBeat("sine", 1.4, math.radians(30.0))
     trial = Trial("run", "fit", times, {}, swim=SwimInput(beat, pose=pose))
     found = model.simulate(values_of(model) if values is None else values, trial)
     names = ("x_m", "y_m", "yaw_rad", "joint4_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s", "joint4_rate_rad_s")
@@ -251,7 +252,7 @@ def test_velocities_are_the_derivatives_of_the_pose_of_any_reference_point() -> 
     robot = robot_format.read("tfish").model_copy(deep=True)
     robot.multilink.reference.station_m, robot.multilink.reference.offset_m = 0.15, 0.06
     model, time = MultilinkModel(robot), np.arange(0.0, 2.0, 0.005)
-    beat = SwimInput(drives.Beat("sine", 1.4, math.radians(30.0)), pose=(0.3, -0.2, 0.7))
+    beat = SwimInput(drives.TailBeat("sine", 1.4, math.radians(30.0)), pose=(0.3, -0.2, 0.7))
     begun = {"initial_surge": 0.2, "initial_sway": -0.1, "initial_yaw_rate": 0.5}
     values = [begun.get(p.name, v) for p, v in zip(model.parameters, values_of(model), strict=True)]
     with warnings.catch_warnings():
@@ -296,9 +297,11 @@ class TestTendonFish:
         integrated; all else much better.
         """
         model = MultilinkModel(robot_format.read("tfish"))
-        trial = Trial("run", "fit", GRID, {}, swim=SwimInput(drives.Beat("sine", 1.4, math.radians(30.0))))
+        trial = Trial(
+            "run", "fit", GRID, {}, swim=SwimInput(drives.TailBeat("sine", 1.4, math.radians(30.0)))
+        )
         run = model.trajectory(values_of(model), trial)
-        found = engine.sampled(BETWEEN, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
+        found = shared.interpolate_states(BETWEEN, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
         grid_error = np.abs(run.states[:: round(0.02 / run.grid.step_s)] - reference[0]).max(axis=0)
         between_error = np.abs(found - reference[1]).max(axis=0)
         assert (between_error < np.r_[np.full(7, 1.1), 3.0] * grid_error).all()
@@ -375,7 +378,7 @@ class TestBreakdown:
         assert good[:first].all()
         assert np.isnan(states[first:]).all()
         assert np.isnan(rates[first:]).all()
-        assert np.abs(states[:first]).max() < engine.BROKEN
+        assert np.abs(states[:first]).max() < shared.MAX_STATE
 
     def test_a_robot_without_inertia_is_nan(self) -> None:
         """An apparent inertia that is not positive definite gives NaN, not numbers."""
@@ -496,7 +499,7 @@ class TestMujoco:
         np.testing.assert_allclose(world_rates(states[-1]), data.qvel[order], atol=1e-10)
 
 
-def _coordinates(model: Assembly) -> list[str]:
+def _coordinates(model: PlanarTree) -> list[str]:
     return ["x", "y", "theta", *(axis.joint.name for axis in model.passive)]
 
 
@@ -690,9 +693,9 @@ class TestElements:
 
         for angle in np.linspace(-2.5, 2.5, 21):
             slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
-            found = engine.tendon_torque(angle, spring, pretension, arm, crank)
+            found = shared.tendon_torque(angle, spring, pretension, arm, crank)
             assert found == pytest.approx(-slope, rel=1e-7, abs=1e-9)
-        stiffness = -engine.tendon_torque(1e-6, spring, pretension, arm, crank) / 1e-6
+        stiffness = -shared.tendon_torque(1e-6, spring, pretension, arm, crank) / 1e-6
         assert stiffness == pytest.approx(spring * pretension * arm * crank / (arm - crank), rel=1e-6)
 
 
@@ -735,7 +738,7 @@ def slender(drag_N_s_m: float) -> MultilinkModel:
 def undulate(model: MultilinkModel, speed: float, times: np.ndarray) -> dict[str, np.ndarray]:
     """Simulate the wave with joint angles of up to 4 degrees, from a given speed."""
     values = np.array([speed if p.name == "initial_surge" else p.start for p in model.parameters])
-    beat = drives.Beat("sine", BEAT_HZ, math.radians(4.0))
+    beat = drives.TailBeat("sine", BEAT_HZ, math.radians(4.0))
     return model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))
 
 
@@ -811,7 +814,7 @@ class TestTrailingEdge:
             assert sign * (np.mean(u[-100:]) - np.mean(u[:100])) > 0.0, speed
 
 
-def wrench_of(model: Assembly, u: float, v: float) -> np.ndarray:
+def wrench_of(model: PlanarTree, u: float, v: float) -> np.ndarray:
     """Return the force on a single link with added mass, at a velocity without rotation."""
     a, b, c, d, e, f = model.tables(defaults(model))["inertia"][0]  # type: ignore[index]
     matrix = np.array([[a, b, c], [b, d, e], [c, e, f]])

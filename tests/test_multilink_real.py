@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.fit_common import load_experiment
-from swimid.fitting.model import Array, SwimInput, Trial, chosen
+from swimid.fitting.model import Array, SwimInput, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.swimmer import trials as swimmer
 from tests.conftest import ROOT, Ran
@@ -48,7 +48,7 @@ def test_the_example_robots_move(name: str) -> None:
     _, model = swimmer.robot_model(str(EXAMPLES / f"{name}.yaml"))
     starts = {"initial_angle_hinge1": 0.2, "initial_angle_hinge2": 0.2}
     values = np.array([starts.get(p.name, p.start) for p in model.parameters])
-    trial = Trial("one", "fit", np.linspace(0.0, 4.0, 121), {}, swim=SwimInput(Beat("sine", 2.0, 0.3)))
+    trial = Trial("one", "fit", np.linspace(0.0, 4.0, 121), {}, swim=SwimInput(TailBeat("sine", 2.0, 0.3)))
     simulated = model.simulate(values, trial)
     assert all(np.isfinite(v).all() for v in simulated.values())
     if name == "msu-fish":
@@ -150,7 +150,7 @@ def pendulum(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     windows, published = real_logs.read_pendulum(real_data, 2)
     file = real_logs.write_pendulum(folder, windows, EXAMPLES / "double-pendulum.yaml")
     experiment = load_experiment(file, start_state="estimate")
-    return output_error.fit(experiment.model, experiment.trials), published
+    return output_error.fit_output_error(experiment.model, experiment.trials), published
 
 
 @pytest.fixture(scope="class")
@@ -160,7 +160,7 @@ def viscous(pendulum: tuple[FitResult, Array]) -> FitResult:
     parameters = tuple(
         replace(p, start=0.0, free=False) if p.name in ("f_1", "f_2") else p for p in result.parameters
     )
-    return output_error.fit(result.model, result.trials, parameters=parameters)
+    return output_error.fit_output_error(result.model, result.trials, parameters=parameters)
 
 
 @pytest.mark.slow
@@ -213,7 +213,9 @@ class TestDoublePendulum:
         windows = {t.id: replace(t, role="fit") for t in result.trials}
         early = [windows[f"fit{n:02d}"] for n in range(8, 12)]
         late = [windows[f"validate{n:02d}"] for n in range(4)]
-        first, last = (output_error.fit(result.model, t, parameters=parameters) for t in (early, late))
+        first, last = (
+            output_error.fit_output_error(result.model, t, parameters=parameters) for t in (early, late)
+        )
         for name in ("k_1", "k_2"):
             apart = last.value(name) - first.value(name)
             assert apart > 3 * np.hypot(last.stderr(name) or 0.0, first.stderr(name) or 0.0), name
@@ -241,9 +243,9 @@ def fish(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> FitResult
     experiment = load_experiment(
         file, channels=("u_m_s", "yaw_rate_rad_s"), start_state="estimate", max_step=0.012
     )
-    parameters = chosen(experiment.model.parameters, freed=("drive_phase",))
+    parameters = choose_parameters(experiment.model.parameters, freed=("drive_phase",))
     return output_error.with_held_out(
-        output_error.fit(experiment.model, experiment.trials, parameters=parameters)
+        output_error.fit_output_error(experiment.model, experiment.trials, parameters=parameters)
     )
 
 
@@ -287,14 +289,14 @@ class TestFish:
     def test_surge_of_runs_held_out(self, fish: FitResult) -> None:
         """At most 12 % of the range over all of them, and little above what no model can have."""
         held_out = [s for s in fish.series if s.role == "validate" and s.channel == "u_m_s"]
-        whole = fit_common.score(
+        whole = fit_common.compute_score(
             *(np.concatenate([getattr(s, w) for s in held_out]) for w in ("measured", "simulated"))
         )
         assert whole.nrmse < 0.12
         beats = {t.id: t.swim.beat.frequency_hz for t in fish.trials}
         rest = [beside_trend_and_beat(s.time_s, s.residual, beats[s.trial]) for s in held_out]
         assert whole.rmse < 1.25 * np.sqrt(np.mean(np.square(rest)))
-        each = [fit_common.score(s.measured, s.simulated).nrmse for s in held_out]
+        each = [fit_common.compute_score(s.measured, s.simulated).nrmse for s in held_out]
         assert np.mean(each) < 0.12
 
     def test_the_fish_starts_from_rest(self, fish: FitResult) -> None:
@@ -302,7 +304,7 @@ class TestFish:
         values = np.array([fish.value(p.name) if not p.per_trial else 0.0 for p in fish.parameters])
         speeds = []
         for degrees in real_logs.AMPLITUDES_DEG:
-            beat = Beat("sine", 2.0, np.radians(degrees))
+            beat = TailBeat("sine", 2.0, np.radians(degrees))
             trial = Trial(f"rest{degrees}", "fit", np.linspace(0.0, 10.0, 301), {}, swim=SwimInput(beat))
             speeds.append(fish.model.simulate(values, trial)["u_m_s"][-30:].mean())
         assert 0.05 < speeds[0] < speeds[1] < speeds[2] < 0.4

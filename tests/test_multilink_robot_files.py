@@ -111,8 +111,8 @@ WRONG = {
     "loose link": (
         "    - {name: neck", "    # - {name: neck", "links.trunk", "no joints connect the link 'trunk'", "",
     ),
-    "link name twice": ("name: tail,", "name: trunk,", "links.2", "twice", ""),
-    "joint name twice": ("name: peduncle", "name: neck", "joints.1", "twice", ""),
+    "link name twice": ("name: tail,", "name: trunk,", "links.2", "two links have the name", ""),
+    "joint name twice": ("name: peduncle", "name: neck", "joints.1", "two joints have the name", ""),
     "driven and passive": (
         "driven: {gain: 1", "passive: {}, driven: {gain: 1", "joints.0", "both driven and", "",
     ),
@@ -157,7 +157,7 @@ WRONG = {
     ),
     "sections out of order": ("station_m: 0,", "station_m: 0.3,", "elements.3", "must increase", ""),
     "point on strips": ("from_m: 0.05, to_m: 0.2", "at_m: 0.1", "elements.1", "strips: 1", ""),
-    "no strips": ("from_m: 0.05", "strips: 0, from_m: 0.05", "strips", "greater than or equal to 1", ""),
+    "no strips": ("from_m: 0.05", "strips: 0, from_m: 0.05", "strips", "at least 1", ""),
     "unknown kind": ("kind: foil", "kind: fol", "elements.4", "'fol'", ""),
     "unknown key": (
         "normal_coefficient", "normal_coeficient", "normal_coeficient", "unknown key", "normal_coef",
@@ -303,7 +303,7 @@ def test_driven_joint_without_its_column(tmp_path: Path) -> None:
 def _swim(model: experiment.MultilinkModel) -> np.ndarray:
     time = np.linspace(0.0, 0.2, 11)
     values = np.array([p.start for p in model.parameters])
-    trial = Trial("run", "fit", time, {}, swim=SwimInput(drives.Beat("sine", 1.0, 0.3)))
+    trial = Trial("run", "fit", time, {}, swim=SwimInput(drives.TailBeat("sine", 1.0, 0.3)))
     return np.column_stack(list(model.simulate(values, trial).values()))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.global_search import agreeing, multistart
+from swimid.fitting.global_search import count_agreeing, multistart
 from tests.toy_models import FRICTION, FRICTION_TRUTH, Toy, friction, parameter, trials
 
 
@@ -27,7 +27,7 @@ class TestTwoMinima:
         model = Toy(well, WELL)
         data = trials(model, [TRUTH], {"y": 0.1}, rng)
         # one search, without restarts around its end
-        single = output_error.fit(model, data, tested=False)
+        single = output_error.fit_output_error(model, data, tested=False)
         assert single.value("x") == pytest.approx(-1.0, abs=1e-3)
         best, ends = multistart(model, data, starts=8, seed=1)
         # 600 samples of 0.1 with slope 3 x^2 - 3
@@ -38,7 +38,7 @@ class TestTwoMinima:
         assert all(-1.9 <= e.start[0] <= 3.0 for e in ends)
         good = [e for e in ends if e.end[0] > 0]
         assert 1 <= len(good) < 8
-        assert agreeing(ends) == len(good)
+        assert count_agreeing(ends) == len(good)
         again = multistart(model, data, starts=8, seed=1)[1]
         assert [e.start[0] for e in again] == [e.start[0] for e in ends]
 
@@ -54,7 +54,7 @@ class TestTwoMinima:
         assert ends[0].cost == np.inf
         failed = [e for e in ends if e.start[0] <= 0]
         assert all(np.isinf(e.cost) and np.isnan(e.end).all() for e in failed)
-        assert agreeing(ends) == sum(e.start[0] > 1 for e in ends)
+        assert count_agreeing(ends) == sum(e.start[0] > 1 for e in ends)
 
     def test_no_start_that_can_be_simulated_is_an_error(self, rng: np.random.Generator) -> None:
         data = trials(Toy(well, WELL), [TRUTH], {"y": 0.1}, rng)
@@ -66,7 +66,7 @@ class TestTwoMinima:
 def test_equal_minima_may_differ_in_parameters_without_influence(rng: np.random.Generator) -> None:
     model = Toy(friction, FRICTION)
     _, ends = multistart(model, trials(model, FRICTION_TRUTH, {"y": 0.05}, rng), starts=5)
-    assert agreeing(ends) == 5
+    assert count_agreeing(ends) == 5
     assert np.ptp([e.end[2] for e in ends]) > 0.1
 
 
@@ -78,7 +78,7 @@ def test_a_side_without_a_bound_starts_within_one_scale(rng: np.random.Generator
     assert np.all((a >= 4.5) & (a <= 5.5))
     assert np.all((b >= 0.0) & (b <= 1.2))
     assert np.ptp(a) > 0.5
-    assert agreeing(ends) == 20
+    assert count_agreeing(ends) == 20
 
 
 def test_interrupted_it_keeps_the_best(rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""Net speed of a track: value and interval against ordinary least squares."""
+"""Net path_speed of a track: value and interval against ordinary least squares."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from swimid.logs.tracks import Cleaning, net_speed, speed
+from swimid.kinematics.jumps import Cleaning
+from swimid.kinematics.speed import net_speed, path_speed
 
 #: Residuals that alternate, so that no correlation of successive samples widens the interval.
 SIZE = 1e-4
@@ -80,7 +81,7 @@ def test_the_speed_along_a_swaying_path_is_larger_than_its_net_speed() -> None:
     y = 0.03 * np.sin(np.pi * time) + rng.normal(0, 1e-4, len(time))
     fine = np.linspace(0.0, 2.0, 2001)
     truth = np.mean(np.hypot(0.2, 0.03 * np.pi * np.cos(np.pi * fine)))
-    found = speed(time, [x, y], cleaned(time, [(10.0, 14.0)]), 0.5)
+    found = path_speed(time, [x, y], cleaned(time, [(10.0, 14.0)]), 0.5)
     assert found is not None
     assert found.path.value == pytest.approx(truth, rel=1e-3)
     assert found.path.high - found.path.low < 1e-3

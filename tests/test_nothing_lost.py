@@ -25,9 +25,9 @@ from PIL import Image
 import swimid as package
 from swimid.errors import InputError, UsageError
 from swimid.files import atomic, provenance
-from swimid.files.atomic import Checkpoint, file_names, place
+from swimid.files.atomic import Checkpoint, checkpoint_path, file_names
 from swimid.files.video import open_writer
-from swimid.notices import SwimidWarning, recorded
+from swimid.notices import SwimidWarning, record_warnings
 from tests.conftest import SAMPLES, Ran
 
 Run = Callable[..., Ran]
@@ -75,32 +75,32 @@ class TestCheckpoints:
 
     def test_a_file_of_another_program_is_left_as_it_is(self, tmp_path: Path) -> None:
         out = tmp_path / "map.yaml"
-        place(out).write_text("half of my download\n")
+        checkpoint_path(out).write_text("half of my download\n")
         with pytest.raises(UsageError, match="is not a checkpoint"):
-            Checkpoint.beside(out, "it")
+            Checkpoint.of_output(out, "it")
         assert contents(tmp_path) == {"map.yaml.partial": b"half of my download\n"}
 
     def test_runs_with_other_options_do_not_mix(self, tmp_path: Path) -> None:
         out = tmp_path / "map.yaml"
-        first = Checkpoint.beside(out, {"amplitude_deg": 27})
+        first = Checkpoint.of_output(out, {"amplitude_deg": 27})
         first.put("points 0", np.array([1.0]))
-        second = Checkpoint.beside(out, {"amplitude_deg": 10})
+        second = Checkpoint.of_output(out, {"amplitude_deg": 10})
         first.put("points 1", np.array([2.0]))
-        with recorded() as notices:
-            again = Checkpoint.beside(out, {"amplitude_deg": 10})
+        with record_warnings() as notices:
+            again = Checkpoint.of_output(out, {"amplitude_deg": 10})
         assert second.get("points 0") is None
         assert again.get("points 0") is None
         assert again.get("points 1") is None
         assert [n.code for n in notices] == ["SWM150"]
         assert "2 of 2 lines were ignored: 2 of runs with other inputs or options" in notices[0].text
         again.put("points 0", np.array([3.0]))
-        again.done()
+        again.finish()
         # what the first run computed outlives the second one
-        kept = Checkpoint.beside(out, {"amplitude_deg": 27})
+        kept = Checkpoint.of_output(out, {"amplitude_deg": 27})
         assert kept.get("points 0") == 1.0
         assert kept.get("points 1") == 2.0
         del first, second
-        kept.done()
+        kept.finish()
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.slow
@@ -117,11 +117,11 @@ class TestCheckpoints:
 
         with pytest.raises(KeyboardInterrupt):
             package.performance_map(**DOLPHIN, amplitude_deg=15, output=out, jobs=1, progress=stopping)
-        before = place(out).read_text()
+        before = checkpoint_path(out).read_text()
         with pytest.warns(SwimidWarning, match="SWM150"):
             package.performance_map(**DOLPHIN, amplitude_deg=27, output=out)
         assert out.read_bytes() == alone.read_bytes()
-        assert place(out).read_text() == before
+        assert checkpoint_path(out).read_text() == before
 
     @pytest.mark.parametrize(
         "damage",
@@ -136,50 +136,50 @@ class TestCheckpoints:
     )
     def test_damaged_lines_are_computed_again(self, tmp_path: Path, damage: Any) -> None:
         out = tmp_path / "map.yaml"
-        keep = Checkpoint.beside(out, "it")
+        keep = Checkpoint.of_output(out, "it")
         keep.put("one", np.array([1.5, np.nan]))
         keep.put("two", np.array([2.5, np.inf]))
-        place(out).write_bytes(damage[1](place(out).read_bytes()))
-        with recorded() as notices:
-            again = Checkpoint.beside(out, "it")
+        checkpoint_path(out).write_bytes(damage[1](checkpoint_path(out).read_bytes()))
+        with record_warnings() as notices:
+            again = Checkpoint.of_output(out, "it")
         assert all(n.code == "SWM150" and "damaged" in n.text for n in notices)
         np.testing.assert_array_equal(again.get("one"), [1.5, np.nan])
-        found = again.kept("two", lambda: np.array([2.5, np.inf]))
+        found = again.get_or_compute("two", lambda: np.array([2.5, np.inf]))
         np.testing.assert_array_equal(found, [2.5, np.inf])
-        third = Checkpoint.beside(out, "it")
+        third = Checkpoint.of_output(out, "it")
         np.testing.assert_array_equal(third.get("two"), [2.5, np.inf])
-        third.done()
-        assert not place(out).exists()
+        third.finish()
+        assert not checkpoint_path(out).exists()
 
     def test_a_line_is_not_taken_for_another_piece(self, tmp_path: Path) -> None:
         out = tmp_path / "map.yaml"
-        keep = Checkpoint.beside(out, "it")
+        keep = Checkpoint.of_output(out, "it")
         keep.put("points 1", np.array([1.0]))
-        place(out).write_text(place(out).read_text().replace("points 1", "points 2"))
-        assert {"key", "name", "values"} == set(piece(place(out), 0))
+        checkpoint_path(out).write_text(checkpoint_path(out).read_text().replace("points 1", "points 2"))
+        assert {"key", "name", "values"} == set(piece(checkpoint_path(out), 0))
         with pytest.warns(SwimidWarning, match="SWM150"):
-            assert Checkpoint.beside(out, "it").get("points 2") is None
+            assert Checkpoint.of_output(out, "it").get("points 2") is None
 
     def test_a_folder_in_its_place_is_said(self, tmp_path: Path) -> None:
-        place(tmp_path / "map.yaml").mkdir()
+        checkpoint_path(tmp_path / "map.yaml").mkdir()
         with pytest.raises(UsageError, match="is a folder"):
-            Checkpoint.beside(tmp_path / "map.yaml", "it")
+            Checkpoint.of_output(tmp_path / "map.yaml", "it")
 
     def test_a_full_disk_does_not_stop_the_run(self, tmp_path: Path) -> None:
-        keep = Checkpoint.beside(tmp_path / "map.yaml", "it")
-        place(tmp_path / "map.yaml").unlink(missing_ok=True)
-        place(tmp_path / "map.yaml").symlink_to("/dev/full")
+        keep = Checkpoint.of_output(tmp_path / "map.yaml", "it")
+        checkpoint_path(tmp_path / "map.yaml").unlink(missing_ok=True)
+        checkpoint_path(tmp_path / "map.yaml").symlink_to("/dev/full")
         with pytest.warns(SwimidWarning, match="SWM151"):
-            assert keep.kept("one", lambda: np.ones(1)) == 1.0
+            assert keep.get_or_compute("one", lambda: np.ones(1)) == 1.0
 
     def test_one_output_has_one_run(self, tmp_path: Path) -> None:
         """Another thread of one process stands for another process here."""
-        keep = Checkpoint.beside(tmp_path / "map.yaml", "it")
+        keep = Checkpoint.of_output(tmp_path / "map.yaml", "it")
         refused: list[UsageError] = []
 
         def second() -> None:
             try:
-                Checkpoint.beside(tmp_path / "map.yaml", "another")
+                Checkpoint.of_output(tmp_path / "map.yaml", "another")
             except UsageError as error:
                 refused.append(error)
 
@@ -188,7 +188,7 @@ class TestCheckpoints:
             thread.start()
             thread.join()
             assert len(refused) == expected
-            keep.done()
+            keep.finish()
         assert f"is being written by another run of swimid (process {os.getpid()} on " in str(refused[0])
         assert "map.yaml.lock" in str(refused[0])
 
@@ -274,7 +274,6 @@ class TestFilesOfOthers:
             ("report", out / "c.yaml", "-o", out / "c.md"),
             ("export", LINKS, "--to", "gazebo", "-o", out / "p.sdf"),
             ("export", LINKS, "--to", "json", "-o", out / "p.json"),
-            ("export", out / "track.csv", "--to", "movement", "-o", out / "p.nc"),
             ("schema", "map", "-o", out / "s.json"),
             ("doctor", "-o", out / "d.json"),
         ):
@@ -456,7 +455,7 @@ class TestTogether:
     @staticmethod
     def write(folder: Path, *names: str, last: Callable[[], object] = lambda: None) -> None:
         """Write a group of files, and do something before it ends."""
-        with atomic.together():
+        with atomic.write_together():
             for name in names:
                 atomic.make_folder((folder / name).parent)
                 atomic.write_text(folder / name, "new")
@@ -469,7 +468,7 @@ class TestTogether:
     @pytest.mark.parametrize("names", [(), ("a",), ("a", "made/b")])
     def test_all_or_none(self, tmp_path: Path, names: tuple[str, ...]) -> None:
         (tmp_path / "a").write_text("old")
-        with atomic.noted() as written:
+        with atomic.record_writes() as written:
             with pytest.raises(KeyboardInterrupt):
                 self.write(tmp_path, *names, last=self.press)
             assert written == []
@@ -493,7 +492,7 @@ class TestTogether:
             return rename(self, target)
 
         monkeypatch.setattr(Path, "replace", disturbed)
-        with atomic.noted() as written:
+        with atomic.record_writes() as written:
             with pytest.raises(KeyboardInterrupt):
                 self.write(tmp_path, "a", "b")
             assert written == [tmp_path / "a", tmp_path / "b"]
@@ -628,7 +627,7 @@ def test_the_lock_of_a_killed_process_that_nobody_waits_for_is_replaced(tmp_path
     output = tmp_path / "out.yaml"
     code = (
         "import time; from swimid.files import atomic; from pathlib import Path\n"
-        f"with atomic.locked(Path({str(output)!r})):\n"
+        f"with atomic.hold_lock(Path({str(output)!r})):\n"
         "    print('locked', flush=True); time.sleep(60)\n"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
@@ -639,6 +638,6 @@ def test_the_lock_of_a_killed_process_that_nobody_waits_for_is_replaced(tmp_path
     while "Z" not in Path(f"/proc/{process.pid}/stat").read_text().split() and deadline:
         deadline -= 1
         time.sleep(0.05)
-    with atomic.locked(output):
+    with atomic.hold_lock(output):
         assert (tmp_path / "out.yaml.lock").exists()
     process.wait()

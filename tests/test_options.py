@@ -16,9 +16,9 @@ from click.shell_completion import ShellComplete
 
 import swimid as package
 from swimid.cli.main import main, value_of
-from swimid.commands import CommandSpec, found
+from swimid.commands import COMMAND_SPECS, CommandSpec
 from swimid.errors import UsageError
-from swimid.logs.options import ImportOptions
+from swimid.imports.options import ImportOptions
 from swimid.notices import SwimidWarning
 from swimid.options import Options, Source, option, takes
 from swimid.results import parameters
@@ -26,7 +26,7 @@ from swimid.swimmer.options import FitGrayboxOptions
 from swimid.tracking.options import Pick
 from tests.conftest import ROOT, Ran
 
-SPECS = list(found().values())
+SPECS = list(COMMAND_SPECS.values())
 commands = pytest.mark.parametrize("spec", SPECS, ids=lambda s: s.command)
 
 
@@ -48,7 +48,7 @@ def _options(spec: CommandSpec) -> dict[str, click.Option]:
 def test_the_signature_shows_every_option(spec: CommandSpec) -> None:
     shown = inspect.signature(spec.run()).parameters
     assert "options" not in shown
-    for name, entry in spec.model().declared().items():
+    for name, entry in spec.model().declarations().items():
         assert shown[name].kind is inspect.Parameter.KEYWORD_ONLY
         empty = inspect.Parameter.empty
         assert shown[name].default == (empty if entry.required else entry.default), name
@@ -58,7 +58,7 @@ def test_the_signature_shows_every_option(spec: CommandSpec) -> None:
 def test_the_docstring_and_the_help_describe_every_option(spec: CommandSpec) -> None:
     documented = inspect.getdoc(spec.run()) or ""
     typed = _options(spec)
-    for name, entry in spec.model().declared().items():
+    for name, entry in spec.model().declarations().items():
         assert entry.help, name
         assert f"\n{name} : {entry.type_text()}\n    {entry.help}" in documented, name
         assert typed[name].help == entry.help
@@ -67,7 +67,7 @@ def test_the_docstring_and_the_help_describe_every_option(spec: CommandSpec) -> 
 @commands
 def test_defaults_of_the_command_are_those_of_the_function(spec: CommandSpec) -> None:
     typed = _options(spec)
-    for name, entry in spec.model().declared().items():
+    for name, entry in spec.model().declarations().items():
         assert typed[name].required == entry.required
         if not entry.required:
             default = value_of(entry, typed[name].get_default(click.Context(_command(spec))))
@@ -86,7 +86,7 @@ def test_an_unknown_option_is_refused_with_the_nearest(spec: CommandSpec) -> Non
 @commands
 def test_a_verbs_options_import_nothing_heavy(spec: CommandSpec) -> None:
     code = (
-        f"import sys; import {spec.package}.options; "
+        f"import sys; import {spec.model().__module__}; "
         "heavy = {'numpy', 'scipy', 'pandas', 'numba', 'cv2', 'control', 'matplotlib', 'ruamel'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
@@ -142,9 +142,9 @@ class TestModel:
             ({}, "the option 'params' is missing"),
             (
                 {"params": "a", "method": "bad"},
-                "method: 'bad' is not allowed: input should be 'fast' or 'good'",
+                "method: 'bad' is not allowed: allowed are 'fast' or 'good'",
             ),
-            ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: input should be greater than 0"),
+            ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: it must be greater than 0"),
             ({"params": "a", "names": "ab"}, "names: 'ab' is not allowed"),
             ({"params": "a", "metod": "fast"}, "has no option 'metod'"),
             ({"params": "a", "outptu": "x"}, "has no option 'outptu'"),
@@ -208,7 +208,7 @@ RECORDED = {
 def test_what_the_provenance_records_is_as_ever(spec: CommandSpec) -> None:
     """A key that is renamed or reordered makes files of one run differ, and ends unfinished searches."""
     model = spec.model()
-    required = {name: "a" for name, entry in model.declared().items() if entry.required}
+    required = {name: "a" for name, entry in model.declarations().items() if entry.required}
     assert list(model.of(required).settings()) == RECORDED[spec.command].split()
 
 
@@ -232,7 +232,7 @@ def test_only_what_was_asked_of_an_import_is_recorded() -> None:
         (["fit-graybox", "t.yaml", "--front", "f.csv"], "--front belongs to --method nsga2 or hybrid"),
         (["fit-drag", "t.yaml", "--points", "1"], "--points: '1' should be two numbers with a comma"),
         (["map", "--over", "f=1:2"], "--over: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
-        (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' must look like"),
+        (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' is not a name"),
         (["simulate", "--asymmetry", "1"], "is not in the range -1<x<1"),
         (["export", "a.yaml"], "Missing option '--to'"),
         (["compare", "a.yaml", "--params", "b.yaml", "--dt", "0"], "is not in the range x>0"),
@@ -310,7 +310,7 @@ class TestWording:
 
 
 def test_names_given_together_and_apart_are_the_same() -> None:
-    entry = FitGrayboxOptions.declared()["channels"]
+    entry = FitGrayboxOptions.declarations()["channels"]
     assert value_of(entry, ("u_m_s, x_m", "y_m,")) == ("u_m_s", "x_m", "y_m")
     assert value_of(entry, ()) is None
 

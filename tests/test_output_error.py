@@ -198,7 +198,7 @@ class TestThreads:
         results = []
         for jobs in (1, 3):
             model = Toy(decay, DECAY, ("y", "v"), before=slow)
-            results.append(output_error.fit(model, data, jobs=jobs))
+            results.append(output_error.fit_output_error(model, data, jobs=jobs))
             assert (len(model.threads) > 1) is (jobs > 1)
         one, three = results
         assert np.array_equal(one.estimate, three.estimate)
@@ -208,7 +208,7 @@ class TestThreads:
 
     def test_fast_simulations_use_one_thread(self, rng: np.random.Generator) -> None:
         model = Toy(decay, DECAY, ("y", "v"))
-        output_error.fit(model, trials(model, TRUTH, BOTH, rng), jobs=3)
+        output_error.fit_output_error(model, trials(model, TRUTH, BOTH, rng), jobs=3)
         assert len(model.threads) == 1
 
     def test_nothing_is_simulated_twice(self, rng: np.random.Generator) -> None:
@@ -222,7 +222,7 @@ class TestThreads:
         data = [trials(model, TRUTH, BOTH, rng, count=1, samples=n)[0] for n in (150, 200)]
         seen.clear()
         # the search alone, because restarts simulate again
-        result = output_error.fit(model, data, tested=False)
+        result = output_error.fit_output_error(model, data, tested=False)
         assert result.evaluations == len(seen) == len(set(seen))
         # new weights need no simulation
         problem = Problem(model, DECAY, data)
@@ -273,7 +273,7 @@ class TestInterrupt:
             before()
 
         model = Toy(decay, DECAY, ("y", "v"), before=pause)
-        result = output_error.fit(model, data, jobs=jobs)
+        result = output_error.fit_output_error(model, data, jobs=jobs)
         assert result.interrupted
         assert not result.converged
         assert result.message.startswith("interrupted")
@@ -292,12 +292,12 @@ class TestInterrupt:
         data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
         model = Toy(decay, DECAY, ("y", "v"), before=Interrupting(17, 18))
         with pytest.raises(KeyboardInterrupt):
-            output_error.fit(model, data, jobs=1)
+            output_error.fit_output_error(model, data, jobs=1)
 
     def test_an_interrupt_before_the_first_simulation_is_raised(self, rng: np.random.Generator) -> None:
         data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
         with pytest.raises(KeyboardInterrupt):
-            output_error.fit(Toy(decay, DECAY, ("y", "v"), before=Interrupting(2)), data, jobs=1)
+            output_error.fit_output_error(Toy(decay, DECAY, ("y", "v"), before=Interrupting(2)), data, jobs=1)
 
     def test_progress_shows_the_cost(self, rng: np.random.Generator) -> None:
         said: list[str] = []
@@ -314,7 +314,7 @@ class TestInterrupt:
             yield Bar()
 
         model = Toy(decay, DECAY, ("y", "v"))
-        output_error.fit(model, trials(model, TRUTH, BOTH, rng), progress=progress)
+        output_error.fit_output_error(model, trials(model, TRUTH, BOTH, rng), progress=progress)
         assert said[0].startswith("iteration 0, cost ")
         assert len(said) > 3
 
@@ -325,7 +325,7 @@ class TestWeights:
         """Compare with maximum likelihood under known noise."""
         model = Toy(decay, DECAY, ("y", "v"))
         data = trials(model, TRUTH, sd, rng)
-        result = output_error.fit(model, data)
+        result = output_error.fit_output_error(model, data)
 
         def residuals(x: np.ndarray) -> np.ndarray:
             return np.concatenate(
@@ -344,7 +344,7 @@ class TestWeights:
 
     def test_the_cost_is_the_mean_square_of_one_channel(self, rng: np.random.Generator) -> None:
         model = Toy(decay, DECAY)
-        result = output_error.fit(model, trials(model, TRUTH, {"y": 0.02}, rng))
+        result = output_error.fit_output_error(model, trials(model, TRUTH, {"y": 0.02}, rng))
         squares = np.concatenate([s.residual for s in result.series]) ** 2
         assert result.cost == pytest.approx(np.mean(squares), rel=1e-9)
 
@@ -358,7 +358,7 @@ class TestBounds:
         self, truth: tuple[float, float], rng: np.random.Generator, lower: float = 0.0
     ) -> output_error.FitResult:
         model = Toy(line, (parameter("slope", 1.0), parameter("root", 1.0, lower, 5.0)))
-        return output_error.fit(model, trials(model, truth, {"y": 0.1}, rng))
+        return output_error.fit_output_error(model, trials(model, truth, {"y": 0.1}, rng))
 
     def test_a_bound_holds_an_estimate(self, rng: np.random.Generator) -> None:
         result = self._fit((2.0, -1.0), rng)
@@ -416,14 +416,14 @@ class TestBroken:
         data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
         model = self._model(2.2, self.fail if how == "error" else lambda: np.nan)
         with pytest.raises(NoTrustworthyResult, match=r"breaks down.*t0, t1, t2"):
-            output_error.fit(model, data)
+            output_error.fit_output_error(model, data)
 
     @pytest.mark.parametrize("how", ["nan", "error"])
     def test_a_step_that_cannot_be_simulated_costs(self, rng: np.random.Generator, how: str) -> None:
         data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
         model = self._model(2.05, self.fail if how == "error" else lambda: np.nan)
-        result = output_error.fit(model, data, begin=np.array([1.5, 0.1, 1.8]))
-        whole = output_error.fit(Toy(decay, DECAY, ("y", "v")), data)
+        result = output_error.fit_output_error(model, data, begin=np.array([1.5, 0.1, 1.8]))
+        whole = output_error.fit_output_error(Toy(decay, DECAY, ("y", "v")), data)
         stderr = np.sqrt(np.diag(whole.covariance))
         assert np.all(np.abs(result.estimate - whole.estimate) < 1e-3 * stderr)
 
@@ -453,7 +453,7 @@ def test_blocks_of_trials_are_the_matrix_of_all_derivatives(rng: np.random.Gener
     np.testing.assert_allclose(blocks.normal(), whole.T @ whole)
     chosen = np.array([True, False, True, True, False])
     np.testing.assert_allclose(blocks.columns(chosen).normal(), (whole.T @ whole)[np.ix_(chosen, chosen)])
-    bases, factors = blocks.factored(np.ones(5))
+    bases, factors = blocks.factorise(np.ones(5))
     for basis, factor, part in zip(bases, factors, parts, strict=True):
         np.testing.assert_allclose(basis @ factor, part, atol=1e-12)
 

@@ -147,7 +147,7 @@ def test_lag_delays_each_joint_behind_the_one_before() -> None:
 
 
 def test_there_is_no_checkpoint_without_an_output() -> None:
-    assert Checkpoint.beside(None, []).path is None
+    assert Checkpoint.of_output(None, []).path is None
 
 
 def test_a_robot_that_rests_throughout_is_no_map_rule_or_gait() -> None:

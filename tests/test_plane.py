@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError
-from swimid.logs.plane import camera_matrix, plane_of
-from swimid.logs.scale import Camera, Heights, Scale
+from swimid.points.plane import camera_matrix, plane_of
+from swimid.points.scale import Camera, Heights, Scale
 
 WIDTH, HEIGHT = 641, 481
 #: Points of the picture, px: its corners, its middle and another one.
@@ -38,7 +38,7 @@ def test_a_plane_turned_round_keeps_its_origin_in_a_corner(scale: dict[str, Any]
     plane = plane_of(seen(**scale), WIDTH, HEIGHT)
     assert plane.unit == "m"
     np.testing.assert_allclose(plane.to_world(COLUMN, ROW), 0.002 * np.array([COLUMN, 480.0 - ROW]))
-    turned = plane.turned()
+    turned = plane.flip_x()
     np.testing.assert_allclose(turned.to_world(COLUMN, ROW), 0.002 * np.array([640.0 - COLUMN, 480.0 - ROW]))
     assert turned.faces == "left"
     for one in (plane, turned):
@@ -82,7 +82,7 @@ def test_a_homography_through_known_points() -> None:
     steps = [plane.to_world(here[0] + a, here[1] + b) - [x, y] for a, b in ((1e-3, 0), (0, 1e-3))]
     area = np.abs(steps[0][0] * steps[1][1] - steps[0][1] * steps[1][0]) * 1e6
     np.testing.assert_allclose(plane.size_of_pixel(*here), np.sqrt(area), rtol=0.01)
-    turned = plane.turned()
+    turned = plane.flip_x()
     np.testing.assert_allclose(turned.to_world(*here), [-x, y], atol=1e-6)
 
 
@@ -100,7 +100,7 @@ def test_the_error_of_a_calibration_point_moves_the_map() -> None:
     # the spread is some pixels, of 5 mm
     assert 0.001 < np.sqrt(np.sum(moved**2)) < 0.1
     np.testing.assert_allclose(
-        plane.turned().variations(np.array([[-0.5], [0.5]]))[:, 0], -moved[:, 0], atol=1e-9
+        plane.flip_x().variations(np.array([[-0.5], [0.5]]))[:, 0], -moved[:, 0], atol=1e-9
     )
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import log, plot
+from swimid.kinematics import plot
+from swimid.logs import log
 from tests.conftest import Ran
 from tests.generators.polled_camera import polled
 

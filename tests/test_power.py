@@ -17,27 +17,27 @@ from tests.conftest import ROOT
 RIG = ROOT / "sample_logs" / "rig"
 
 
-@pytest.mark.parametrize("record", [posterior.Record(3000.0, 6, 20), posterior.Record(400.0, 4, 12)])
-def test_the_needed_excess_agrees_with_the_posterior(record: posterior.Record) -> None:
+@pytest.mark.parametrize("record", [posterior.DataSize(3000.0, 6, 20), posterior.DataSize(400.0, 4, 12)])
+def test_the_needed_excess_agrees_with_the_posterior(record: posterior.DataSize) -> None:
     """A single effect that leaves nothing: there being no gap has a tenth of what the two have."""
-    excess = power.needed(record, 1)
+    excess = power.compute_needed_excess(record, 1)
     n = record.samples
     null = posterior.Candidate(names=frozenset(), deviances=np.full(6, (n + excess) / 6))
     effect = posterior.Candidate(names=frozenset("a"), deviances=np.full(6, n / 6), numbers=1)
-    found = posterior.posterior(null, [effect], record=record)
+    found = posterior.compute_posterior_probabilities(null, [effect], record=record)
     told = found.sets[frozenset("a")]
-    assert found.none / (found.none + told) == pytest.approx(posterior.UNSURE, rel=1e-6)
+    assert found.none / (found.none + told) == pytest.approx(posterior.MAX_NO_GAP_PROBABILITY, rel=1e-6)
 
 
 def test_noncentrality_gives_ninety_percent_power() -> None:
-    assert ncx2.sf(30.0, 3, power.noncentrality(30.0, 3)) == pytest.approx(0.9, abs=1e-6)
+    assert ncx2.sf(30.0, 3, power.compute_noncentrality(30.0, 3)) == pytest.approx(0.9, abs=1e-6)
 
 
 def test_equal_changes_are_never_distinguished() -> None:
-    record = posterior.Record(3000.0, 6, 20)
-    assert not power.told_apart(record, 1.0)
-    assert not power.told_apart(record, -1.0)
-    assert power.told_apart(record, 0.95)
+    record = posterior.DataSize(3000.0, 6, 20)
+    assert not power.is_distinguishable(record, 1.0)
+    assert not power.is_distinguishable(record, -1.0)
+    assert power.is_distinguishable(record, 0.95)
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import proposals
-from swimid.diagnosis.proposals import Limits, Proposal, Segment, Swim, protocol_of
+from swimid.diagnosis.proposals import Proposal, Segment, Swim, TrialLimits, protocol_of
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Model, RigInput, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.spatial import Stroke
+from swimid.robots.spatial import HingeStroke
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
 
@@ -27,10 +27,10 @@ USUAL, FASTER, SLOWER, LARGER = (
 )  # fmt: skip
 
 
-def limits(**stated: Any) -> Limits:
+def limits(**stated: Any) -> TrialLimits:
     """Return limits of an experiment with the boxfish."""
     experiment: Any = SimpleNamespace(facts={"waveform": "sine"}, robot=robots.read("boxfish"))
-    return Limits(experiment, **stated)
+    return TrialLimits(experiment, **stated)
 
 
 def proposed(
@@ -186,7 +186,7 @@ def fish() -> MultilinkModel:
 
 
 def beating(hz: float, deg: float, duration_s: float, **more: Any) -> Trial:
-    beat = drives.Beat("sine", hz, math.radians(deg), **more)
+    beat = drives.TailBeat("sine", hz, math.radians(deg), **more)
     swim = SwimInput(beat, pose=(0.3, -0.2, 0.5), coefficients={"c_f": 1.1})
     return Trial(f"{hz} Hz", "fit", 2.0 + np.arange(0.0, duration_s + 0.01, 0.04), {}, swim=swim)
 
@@ -284,7 +284,9 @@ def test_joints_keep_their_own_limits(limit: dict[str, float], deg: float) -> No
 
 
 def test_a_stroke_is_scaled(fish: MultilinkModel) -> None:
-    law = Stroke(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"joint1": [0.0, 30.0, 10.0, 0.0]})
+    law = HingeStroke(
+        period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"joint1": [0.0, 30.0, 10.0, 0.0]}
+    )
     stroke = drives.Cycle("thrust", law, 0.8, 1.2)
     swim = SwimInput(stroke=stroke, coefficients={})
     template = Trial("s", "fit", np.arange(0.0, 10.01, 0.04), {}, swim=swim)

@@ -268,7 +268,7 @@ def test_effects_act_on_an_affected_model_as_beside_its_effects(names: tuple[str
     """One after the other, as both at once: one run, many runs, finer and coarser steps."""
     model = swimmer("tfish")
     trials = [swim(model), coasting(model)]
-    found = {e.name: e for e in effect_catalogue.applicable(effect_catalogue.catalogue(), model, trials)}
+    found = {e.name: e for e in effect_catalogue.applicable(effect_catalogue.list_effects(), model, trials)}
     first, second = (found[name] for name in names)
     both = model.with_effects([first, second], trials)
     nested = model.with_effects([first], trials).with_effects([second], trials)
@@ -278,7 +278,7 @@ def test_effects_act_on_an_affected_model_as_beside_its_effects(names: tuple[str
     )
     for one, other in (
         (both, nested),
-        (both.refined(), nested.refined()),
+        (both.refine(), nested.refine()),
         (both.coarser(), nested.coarser()),
     ):
         wanted = [one.run(values, trial) for trial in trials]
@@ -295,9 +295,9 @@ def test_copies_with_effects_or_another_step_keep_their_simulations_apart() -> N
     trial = swim(swimmer("tfish"))
 
     def models(model: MultilinkModel) -> list[Model]:
-        known = effect_catalogue.applicable(effect_catalogue.catalogue(), model, [trial])
+        known = effect_catalogue.applicable(effect_catalogue.list_effects(), model, [trial])
         affected = model.with_effects([e for e in known if e.name == "linear-drag"], [trial])
-        return [model, affected, model.refined(), affected.refined(), affected.coarser()]
+        return [model, affected, model.refine(), affected.refine(), affected.coarser()]
 
     def values(model: Model) -> np.ndarray:
         return np.array([p.start + p.scale * ("/" in p.name) for p in model.parameters])
@@ -318,7 +318,9 @@ def test_the_torques_of_a_pulled_fish_balance() -> None:
     """The moment on a free base is zero by inverse dynamics, with the forces and masses of effects."""
     model = swimmer("tfish")
     trial = Trial("run", "fit", np.arange(0.0, 3.0, 0.01), {}, swim=SwimInput(swim(model).swim.beat))
-    effects = {e.name: e for e in effect_catalogue.applicable(effect_catalogue.catalogue(), model, [trial])}
+    effects = {
+        e.name: e for e in effect_catalogue.applicable(effect_catalogue.list_effects(), model, [trial])
+    }
     acting = model.with_effects([effects["tether"], effects["water-ingress"]], [trial])
     values = np.concatenate([start(model), [2.0, 0.0, 5.0, 0.1, 0.05, 0.02]])
     hooks = acting.hooks(values, trial)

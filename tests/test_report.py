@@ -9,7 +9,6 @@ import re
 import time
 import warnings
 from collections.abc import Callable
-from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,11 +24,11 @@ from swimid.diagnosis.gap_file import GapFile
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import collect
 from swimid.logs import log
-from swimid.notices import SwimidWarning, recorded
+from swimid.notices import SwimidWarning, record_warnings
 from swimid.results import drawing, evidence, parameters
-from swimid.results.evidence import MAX_POINTS, Check, Evidence, Figure, Panel, Table, Trace, Verdict
+from swimid.results.evidence import MAX_TRACE_POINTS, Check, Evidence, Figure, Panel, Table, Trace, Verdict
 from swimid.results.parameters import Fitted
-from swimid.results.report import render, report
+from swimid.results.report import report
 from swimid.results.result import Result, cell_text, load_result
 from tests import gap_cases
 from tests import report_cases as cases
@@ -76,7 +75,7 @@ def outline(path: Path) -> Outline:
 
 
 def quietly(**options: object) -> Any:
-    with recorded():
+    with record_warnings():
         return report(**options)  # type: ignore[arg-type]
 
 
@@ -178,13 +177,11 @@ def test_bare_log_shows_its_gaps(mixture: Path) -> None:
     assert "bare.csv has no evidence beside it" in outline(mixture).words
 
 
-def test_same_input_same_page(tmp_path: Path) -> None:
+def test_same_input_same_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rendering is deterministic."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767323045")
     path = cases.drag(tmp_path)
-    result = load_result(path)
-    made = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
-    options = {"template": "report.html", "title": "t", "created": made, "digests": {str(path): "0" * 64}}
-    pages = [render([result], [result.content()], **options) for _ in range(2)]  # type: ignore[arg-type]
+    pages = [report([path], format="html").document for _ in range(2)]
     assert pages[0] == pages[1]
 
 
@@ -295,8 +292,8 @@ def test_a_reformatted_file_keeps_its_evidence(tmp_path: Path) -> None:
 
 def test_equal_reasons_count_once_in_a_verdict() -> None:
     reasons = ["a", "a", "b", "c", "d"]
-    checks = [evidence.check("n", "v", False, reason=reason) for reason in reasons]
-    assert evidence.judged("Answer.", checks).text == "Answer. Caution: a; b; c; and 1 more."
+    checks = [evidence.make_check("n", "v", False, reason=reason) for reason in reasons]
+    assert evidence.make_verdict("Answer.", checks).text == "Answer. 5 of 5 checks failed: a; b; c; d."
 
 
 def test_simulated_data_are_named_at_the_top_of_a_result(
@@ -336,7 +333,7 @@ def test_unconverged_without_evidence_is_bad(tmp_path: Path) -> None:
     assert file.fit is not None
     changed = file.model_copy(update={"fit": file.fit.model_copy(update={"converged": False})})
     changed.write(path)
-    with recorded():
+    with record_warnings():
         assert load_result(path).content().verdict.level == "bad"
 
 
@@ -382,7 +379,7 @@ def _uneven_trace(folder: Path) -> Path:
 )
 def test_broken_results_are_one_input_error(make: Callable[[Path], Path], text: str, tmp_path: Path) -> None:
     """Each names the file and what is wrong, and writes nothing."""
-    with pytest.raises(InputError, match=text), recorded():
+    with pytest.raises(InputError, match=text), record_warnings():
         report(inputs=[make(tmp_path)], output=tmp_path / "r.html")
     assert not (tmp_path / "r.html").exists()
 
@@ -445,13 +442,17 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_twenty_full_figures_stay_small_and_quick(tmp_path: Path) -> None:
     """Twenty figures of four traces with the most points allowed: below 3 MB, in seconds."""
     rng = np.random.default_rng(5)
-    time_s = np.linspace(0, 60, MAX_POINTS)
+    time_s = np.linspace(0, 60, MAX_TRACE_POINTS)
     figures = []
     for number in range(20):
         wave = np.sin(2 * np.pi * (0.2 + 0.1 * number) * time_s)
         traces = [
             Trace(
-                x=time_s, y=wave + rng.normal(0, 0.1, MAX_POINTS), style="points", label="measured", group=0
+                x=time_s,
+                y=wave + rng.normal(0, 0.1, MAX_TRACE_POINTS),
+                style="points",
+                label="measured",
+                group=0,
             ),
             Trace(x=time_s, y=wave, label="model", group=0),
             Trace(x=time_s, y=0.9 * wave, style="dashed", label="rival", group=1),
@@ -534,7 +535,7 @@ def test_every_point_of_a_cloud_is_drawn() -> None:
 def test_parquet_logs_are_read(tmp_path: Path) -> None:
     time_s = np.arange(0, 1, 0.1)
     log.write(tmp_path / "a.parquet", {"t_s": time_s, "x_m": time_s**2}, {"source": "rig"})
-    with recorded():
+    with record_warnings():
         assert load_result(tmp_path / "a.parquet").content().facts["Samples"] == "10"
 
 

@@ -40,7 +40,7 @@ from tests import report_cases
 )
 def test_measured(value: float | None, stderr: float | None, unit: str, text: str) -> None:
     """A value is rounded to two digits of its standard error."""
-    assert numbers.measured(value, stderr, unit) == text
+    assert numbers.format_estimate(value, stderr, unit) == text
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_measured(value: float | None, stderr: float | None, unit: str, text: st
 )
 def test_number(value: float | None, text: str) -> None:
     """Four significant digits, no trailing zeros, powers of ten only where needed."""
-    assert numbers.number(value) == text
+    assert numbers.format_number(value) == text
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def _read(text: str) -> float:
 def test_rounding_loses_less_than_a_tenth_of_the_standard_error(value: float, relative: float) -> None:
     """What is printed reads back within 5 % of the standard error, whatever the size."""
     stderr = max(abs(value), 1e-12) * relative
-    text = numbers.measured(value, stderr)
+    text = numbers.format_estimate(value, stderr)
     found = re.fullmatch(r"\(?(−?[\d.]+) ± ([\d.]+)\)?(?: × 10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))?", text)
     assert found, text
     power = 10.0 ** int((found[3] or "⁰").translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")))
@@ -166,5 +166,5 @@ def test_texts_of_probabilities_and_percentages() -> None:
     assert numbers.probability_text(1.0) == "100 %"
     assert numbers.probability_text(0.9999) == "> 99 %"
     assert numbers.probability_text(None) == "–"
-    assert numbers.listed(["a"]) == "a"
-    assert numbers.listed(["a", "b", "c"], "or") == "a, b or c"
+    assert numbers.join_names(["a"]) == "a"
+    assert numbers.join_names(["a", "b", "c"], "or") == "a, b or c"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import re
 import sys
@@ -57,6 +58,15 @@ def _parts() -> tuple[str, str]:
     return first, "## What estimation gains over tuning by hand" + rest
 
 
+def _lines(rows: list[list[str]]) -> str:
+    return "\n".join(" | ".join(row) for row in rows)
+
+
+def _table(name: str) -> str:
+    with (PAGE.parent / "measured" / name).open(encoding="utf-8", newline="") as file:
+        return _lines(list(csv.reader(file)))
+
+
 @pytest.mark.slow
 def test_what_the_page_claims_holds(script: ModuleType) -> None:
     claims = script.checks()
@@ -82,16 +92,18 @@ def test_best_stiffness_rises_with_frequency(script: ModuleType) -> None:
     assert all(b > 1.2 * a for a, b in pairwise(optima))
 
 
-def test_every_reading_of_the_robot_files_is_in_the_page(script: ModuleType) -> None:
-    first, _ = _parts()
+def test_every_reading_of_the_robot_files_is_in_its_table(script: ModuleType) -> None:
     for name in ("tfish", "dolphin"):
+        text = _table(f"reproduction-{name}-readings.csv")
         for key, option, chosen in script.readings_of(name):
-            assert chosen or f"`{key}={option}`" in first
+            assert chosen or f"`{key}={option}`" in text
 
 
 @pytest.mark.slow
 def test_the_page_is_what_the_command_prints(script: ModuleType) -> None:
     assert _differences(script.page(), _parts()[0]) == []
+    for name, rows in script.sheets.items():
+        assert _differences(_lines(rows), _table(name)) == [], name
 
 
 @pytest.mark.slow
@@ -99,4 +111,6 @@ def test_the_page_is_what_the_command_prints(script: ModuleType) -> None:
 def test_the_twin_is_what_the_command_prints() -> None:
     from benchmarks import bench_tuning
 
-    assert _differences(bench_tuning.section(), _parts()[1], relative=0.02) == []
+    text, rows = bench_tuning.section()
+    assert _differences(text, _parts()[1], relative=0.02) == []
+    assert _differences(_lines(rows), _table(bench_tuning.TABLE.name), relative=0.02) == []

@@ -11,7 +11,7 @@ import pytest
 
 from swimid.fitting import global_search, output_error
 from swimid.fitting.fit_common import load_experiment
-from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial, chosen
+from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial, choose_parameters
 from swimid.notices import SwimidWarning
 from swimid.rig import model
 from swimid.rig import model as rig_model
@@ -59,9 +59,9 @@ def _line(rng: np.random.Generator) -> list[Trial]:
 
 def test_a_search_stuck_on_a_step_is_restarted_beside_it(rng: np.random.Generator) -> None:
     trials = _line(rng)
-    alone = output_error.fit(Terrace(0.05), trials, tested=False)
+    alone = output_error.fit_output_error(Terrace(0.05), trials, tested=False)
     with pytest.warns(SwimidWarning, match="SWM073"):
-        found = output_error.fit(Terrace(0.05), trials)
+        found = output_error.fit_output_error(Terrace(0.05), trials)
     assert found.restarts
     assert found.cost < 0.9 * alone.cost
 
@@ -71,8 +71,8 @@ def test_kinks_are_distinguished_from_bends(rng: np.random.Generator) -> None:
     time = np.linspace(0.0, 1.0, 200)
     measured = Valley().simulate(np.array([0.8, 0.6]), Trial("a", "fit", time, {}))["x_m"]
     data = [Trial("a", "fit", time, {"x_m": measured + rng.normal(0, 2.0, 200)})]
-    bent = output_error.fit(Valley(), data, tested=False)
-    stairs = output_error.fit(Terrace(0.05), _line(rng), tested=False)
+    bent = output_error.fit_output_error(Valley(), data, tested=False)
+    stairs = output_error.fit_output_error(Terrace(0.05), _line(rng), tested=False)
     for seed in range(5):
         around = output_error.search_around(bent, seed=seed)
         assert not around.rough
@@ -90,7 +90,7 @@ def test_every_simulation_of_a_fit_is_counted(rng: np.random.Generator) -> None:
             return super().simulate(values, trial)
 
     with pytest.warns(SwimidWarning, match="SWM073"):
-        found = output_error.fit(Counting(0.05), _line(rng))
+        found = output_error.fit_output_error(Counting(0.05), _line(rng))
     assert found.restarts
     assert found.evaluations == counted[0]
     counted[0] = 0
@@ -104,18 +104,18 @@ def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
     counted = [0]
 
     class Counting(rig_model.RigModel):
-        def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
             counted[0] += 1
-            return super().hooked(values, trial, hooks)
+            return super().simulate_hooked(values, trial, hooks)
 
-        def refined(self) -> None:  # type: ignore[override]
+        def refine(self) -> None:  # type: ignore[override]
             return None
 
     plain = experiment.model
     model = Counting(plain.name, plain.parameters, "x_m")
-    alone = output_error.fit(model, experiment.trials, tested=False)
+    alone = output_error.fit_output_error(model, experiment.trials, tested=False)
     once = counted[0]
-    found = output_error.fit(model, experiment.trials)
+    found = output_error.fit_output_error(model, experiment.trials)
     assert found.restarts == 0
     assert found.settled
     assert found.estimate == pytest.approx(alone.estimate, rel=1e-12)
@@ -127,12 +127,12 @@ def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
 def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
     """The likelihood of the answer is at least that of the truth, which is within four standard errors."""
     experiment = load_experiment(generator.write_slide(tmp_path, np.random.default_rng(seed)))
-    choices = chosen(
+    choices = choose_parameters(
         experiment.model.parameters,
         fixed={"quadratic_drag": 0.0},
         freed=("linear_drag", "dry_friction", "force_offset"),
     )
-    found = output_error.fit(experiment.model, experiment.trials, parameters=choices)
+    found = output_error.fit_output_error(experiment.model, experiment.trials, parameters=choices)
     truth = {"added_mass": 10.0, "linear_drag": 200.0, "dry_friction": 20.0, "force_offset": 3.0}
     for name, true in truth.items():
         error = found.stderr(name)
@@ -142,7 +142,7 @@ def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
     first = experiment.trials[0].rig.x0
     known = {**truth, "start_offset[slide.csv]": -first, "initial_speed[slide.csv]": 0.0}
     point = np.array([known[label] for label in found.labels])
-    there = output_error.at(found.model, experiment.trials, point, parameters=choices)
+    there = output_error.evaluate_fit(found.model, experiment.trials, point, parameters=choices)
     assert found.samples * np.log(found.cost / there.cost) < 0.0
     assert found.noise["x_m"].value_sd == pytest.approx(1e-4, rel=0.1)
 
@@ -150,7 +150,7 @@ def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
 @pytest.mark.slow
 def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path) -> None:
     experiment = load_experiment(generator.write_slide(tmp_path, np.random.default_rng(3)))
-    choices = chosen(
+    choices = choose_parameters(
         experiment.model.parameters,
         fixed={"quadratic_drag": 0.0},
         freed=("linear_drag", "dry_friction", "force_offset"),
@@ -158,7 +158,7 @@ def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path)
     ends = []
     for start in (0.0, 5.0, 20.0, 40.0):
         begun = tuple(replace(p, start=start) if p.name == "dry_friction" else p for p in choices)
-        ends.append(output_error.fit(experiment.model, experiment.trials, parameters=begun))
+        ends.append(output_error.fit_output_error(experiment.model, experiment.trials, parameters=begun))
     least = min(end.cost for end in ends)
     for end in ends:
         # twice the log-likelihood may differ by two, less than for two standard errors
@@ -168,7 +168,7 @@ def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path)
 def test_a_body_breaks_away_between_two_steps() -> None:
     """A force that grows by 1 N/s on 1 kg held by 0.505 N moves it as (t - 0.505)^3 / 6 from then on."""
     time = np.linspace(0.0, 1.0, 11)
-    x, _ = model.integrate(time, 0.0, 0.01, time, 0.0, 0.0, (1.0, 0.0, 0.0, 0.505, 0.0, 0.0, 0.0, 0.0))
+    x, _ = model.integrate_rig(time, 0.0, 0.01, time, 0.0, 0.0, (1.0, 0.0, 0.0, 0.505, 0.0, 0.0, 0.0, 0.0))
     assert x == pytest.approx(np.maximum(time - 0.505, 0.0) ** 3 / 6, abs=1e-12)
 
 
@@ -224,7 +224,7 @@ def test_a_real_drive_with_dry_friction(real_data: Path, tmp_path: Path) -> None
         "format: swimid-trials/1\nexperiment: towed\nrobot: cart.yaml\ntrials: [{log: d.csv}]\n"
     )
     experiment = load_experiment(tmp_path / "t.yaml")
-    choices = chosen(
+    choices = choose_parameters(
         experiment.model.parameters,
         fixed={"quadratic_drag": 0.0},
         freed=("linear_drag", "dry_friction", "force_offset"),
@@ -232,7 +232,7 @@ def test_a_real_drive_with_dry_friction(real_data: Path, tmp_path: Path) -> None
     ends = []
     for start in (0.0, 30.0):
         begun = tuple(replace(p, start=start) if p.name == "dry_friction" else p for p in choices)
-        ends.append(output_error.fit(experiment.model, experiment.trials, parameters=begun))
+        ends.append(output_error.fit_output_error(experiment.model, experiment.trials, parameters=begun))
     for found in ends:
         for name, published in (("added_mass", 35.1), ("linear_drag", 203.5), ("dry_friction", 20.4)):
             error = found.stderr(name)

@@ -383,17 +383,17 @@ def test_transfer_function_equals_the_filter(tmp_path):
 
 def test_published_long_fin_models():
     """Poles of Tables II and III; the rotating model is unstable in free run."""
-    sizes = {n: [round(p.magnitude, 3) for p in arma.published(n).poles] for n in arma.published_names()}
+    sizes = {n: [round(p.magnitude, 3) for p in arma.load_published(n).poles] for n in arma.list_published()}
     assert sizes["long-fin-marching-3-2"] == pytest.approx([0.9955, 0.72, 0.20], abs=6e-3)
     assert sizes["long-fin-marching-4-3"] == pytest.approx([0.987, 0.941, 0.614, 0.614], abs=1e-3)
     assert sizes["long-fin-rotating-4-3"] == pytest.approx([1.0013, 0.549, 0.549, 0.272], abs=1e-3)
-    assert [arma.published(n).stable for n in arma.published_names()] == [True, True, False]
+    assert [arma.load_published(n).stable for n in arma.list_published()] == [True, True, False]
     with pytest.raises(KeyError, match="there are"):
-        arma.published("long-fin-receding")
+        arma.load_published("long-fin-receding")
 
 
 def test_a_published_model_runs_from_rest():
-    model = arma.ArxModel(arma.published("long-fin-marching-4-3"))
+    model = arma.ArxModel(arma.load_published("long-fin-marching-4-3"))
     time = np.arange(800) * 0.02375
     trial = Trial("t", "validate", time, {}, {"cmd1_rad": 0.5 * np.sin(2 * np.pi * 1.2 * time)})
     u = model.simulate(np.array([p.start for p in model.parameters]), trial)["u_m_s"]

@@ -14,8 +14,8 @@ from scipy.signal import lfilter
 from swimid.blackbox import arx
 from swimid.blackbox import model as difference
 from swimid.blackbox import rwls as identified
-from swimid.blackbox.arx import estimate, regression
-from swimid.blackbox.model import Orders, Record
+from swimid.blackbox.arx import fit_arx, regression
+from swimid.blackbox.model import ArxRecord, Orders
 from swimid.blackbox.rwls import search_orders
 from swimid.errors import NoTrustworthyResult
 from swimid.logs import sampling
@@ -35,7 +35,7 @@ def simulated(seed, *, n=400, noise=0.1, mean=0.0, a=A, b=B, c=(), offset=0.0, n
     polynomial = np.concatenate(([1.0], a))
     y = lfilter(np.concatenate(([0.0], b)), polynomial, u)
     y += lfilter(np.concatenate(([1.0], c)), polynomial, e) + offset / polynomial.sum()
-    return Record(name, np.arange(n) * 0.1, u[200:], y[200:])
+    return ArxRecord(name, np.arange(n) * 0.1, u[200:], y[200:])
 
 
 def batch(h, z, *, weight=1.0, forgetting=1.0, prior_scale=1e6):
@@ -98,8 +98,8 @@ def test_constant_weight_is_not_forgetting():
 def test_forgetting_follows_a_change_and_weight_does_not():
     before, after = simulated(4, n=1500), simulated(5, n=1500, a=np.array([-1.2, 0.5]))
     both = [before, after]
-    followed = estimate(both, Orders(2, 2), forgetting=0.98).theta
-    averaged = estimate(both, Orders(2, 2), weight=0.98).theta
+    followed = fit_arx(both, Orders(2, 2), forgetting=0.98).theta
+    averaged = fit_arx(both, Orders(2, 2), weight=0.98).theta
     assert followed[0] == pytest.approx(-1.2, abs=0.03)
     assert abs(averaged[0] + 1.2) > 0.08
 
@@ -122,7 +122,7 @@ def test_exact_arx_data_without_offset_give_plain_least_squares():
     record = simulated(7, mean=1.0)
     point = identified.find_working_point([record], Orders(2, 2))
     assert not point.removed
-    found = estimate(identified.shifted([record], point), Orders(2, 2))
+    found = fit_arx(identified.subtract_levels([record], point), Orders(2, 2))
     plain = np.linalg.lstsq(found.data.rows, found.data.outputs, rcond=None)[0]
     np.testing.assert_allclose(found.theta, plain, rtol=1e-8, atol=1e-10)
 
@@ -132,7 +132,7 @@ def test_offset_is_found_and_removed():
     point = identified.find_working_point([record], Orders(2, 2))
     assert point.removed
     assert identified.constant_term(regression([record], Orders(2, 2)))[0] == pytest.approx(2.0, abs=0.1)
-    found = estimate(identified.shifted([record], point), Orders(2, 2))
+    found = fit_arx(identified.subtract_levels([record], point), Orders(2, 2))
     assert np.all(np.abs(found.theta - TRUTH) < 3 * found.stderr + 0.02)
 
 
@@ -140,7 +140,7 @@ def test_subtracting_the_means_removes_a_spurious_pole_at_one():
     rng = np.random.default_rng(9)
     slow = lfilter([1.0], [1.0, -0.97], 0.02 * rng.normal(size=1500))
     record = simulated(10, n=1500, a=np.array([-0.9]), b=np.array([0.1]), noise=0.01)
-    far = Record("far", record.time_s, record.source, record.output + slow + 40.0)
+    far = ArxRecord("far", record.time_s, record.source, record.output + slow + 40.0)
     assert identified.find_working_point([far], Orders(3, 2)).removed
 
 
@@ -150,7 +150,7 @@ def test_a_working_point_near_zero_is_removed_when_the_free_run_gains():
     for seed in range(20):
         record = simulated(60 + seed, n=600, a=np.array([-0.95]), b=np.array([0.05]), noise=0.05)
         level = 2.5 * np.std(record.output)
-        moved = Record("moved", record.time_s, record.source + 3.0, record.output + level)
+        moved = ArxRecord("moved", record.time_s, record.source + 3.0, record.output + level)
         centred += identified.find_working_point([moved], Orders(1, 1)).removed
     assert centred >= 18
 
@@ -166,7 +166,7 @@ def test_slow_systems_without_offset_seldom_lose_their_means():
 
 
 def test_coefficients_within_three_standard_errors():
-    found = estimate([simulated(11, n=3000)], Orders(2, 2))
+    found = fit_arx([simulated(11, n=3000)], Orders(2, 2))
     assert np.all(np.abs(found.theta - TRUTH) < 3 * found.stderr)
     assert found.noise_sd == pytest.approx(0.1, rel=0.05)
     assert not found.robust
@@ -177,7 +177,7 @@ def test_coverage_of_the_95_percent_intervals(forgetting):
     """300 repeats x 4 coefficients: 92 to 98 % of the intervals hold the truth."""
     inside = []
     for seed in range(300):
-        found = estimate([simulated(1000 + seed, n=400)], Orders(2, 2), forgetting=forgetting)
+        found = fit_arx([simulated(1000 + seed, n=400)], Orders(2, 2), forgetting=forgetting)
         inside.append(np.abs(found.theta - TRUTH) <= 1.96 * found.stderr)
     assert 0.92 <= np.mean(inside) <= 0.98
 
@@ -186,14 +186,14 @@ def test_coverage_of_armax_intervals():
     inside = []
     truth = np.concatenate((TRUTH, [0.6]))
     for seed in range(200):
-        found = estimate([simulated(5000 + seed, n=500, noise=0.3, c=(0.6,))], Orders(2, 2, nc=1))
+        found = fit_arx([simulated(5000 + seed, n=500, noise=0.3, c=(0.6,))], Orders(2, 2, nc=1))
         inside.append(np.abs(found.theta - truth) <= 1.96 * found.stderr)
     assert 0.92 <= np.mean(inside) <= 0.98
 
 
 def test_coloured_noise_biases_arx_and_not_armax():
     record = simulated(12, n=8000, noise=0.5, c=(0.8,))
-    plain, extended = estimate([record], Orders(2, 2)), estimate([record], Orders(2, 2, nc=1))
+    plain, extended = fit_arx([record], Orders(2, 2)), fit_arx([record], Orders(2, 2, nc=1))
     assert plain.robust
     assert not extended.robust
     assert np.abs(plain.theta[:2] - A).max() > 10 * np.abs(extended.theta[:2] - A).max()
@@ -216,11 +216,11 @@ def test_gaps_cost_only_the_rows_around_them():
     record = simulated(14, n=2000)
     y, u = record.output.copy(), record.source.copy()
     y[500], u[900:905] = np.nan, np.nan
-    holed = Record("holed", record.time_s, u, y)
+    holed = ArxRecord("holed", record.time_s, u, y)
     data = regression([holed], Orders(2, 2))
     # y(500) is needed by rows 500, 501, 502; u(900..904) by rows 901..906.
     assert data.possible - len(data) == 3 + 6
-    found = estimate([holed], Orders(2, 2))
+    found = fit_arx([holed], Orders(2, 2))
     expected = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
     np.testing.assert_allclose(found.theta, expected, rtol=1e-8, atol=1e-10)
     assert np.all(np.abs(found.theta - TRUTH) < 4 * found.stderr)
@@ -230,7 +230,7 @@ def test_several_logs_are_fitted_together():
     parts = [simulated(15, n=300), simulated(16, n=700)]
     data = regression(parts, Orders(2, 2))
     assert data.fresh.sum() == 2
-    found = estimate(parts, Orders(2, 2))
+    found = fit_arx(parts, Orders(2, 2))
     np.testing.assert_allclose(found.theta, batch(data.rows, data.outputs), rtol=1e-8, atol=1e-8)
 
 
@@ -239,12 +239,12 @@ def test_a_single_sine_leaves_b_undetermined():
     t = np.arange(2000) * 0.05
     u = np.sin(2 * np.pi * t)
     y = lfilter([0, *B], [1, *A], u) + lfilter([1], [1, *A], 0.05 * rng.normal(size=len(t)))
-    found = estimate([Record("sine", t, u, y)], Orders(2, 3))
+    found = fit_arx([ArxRecord("sine", t, u, y)], Orders(2, 3))
     assert found.known.input_rank == 2
     assert found.known.determined.tolist() == [True, True, False, False, False]
     assert np.isnan(found.stderr[2:]).all()
     # The same from a file with six decimals: rounding must not pass for excitation.
-    rounded = estimate([Record("sine", t, np.round(u, 6), np.round(y, 6))], Orders(2, 3))
+    rounded = fit_arx([ArxRecord("sine", t, np.round(u, 6), np.round(y, 6))], Orders(2, 3))
     assert rounded.known.input_rank == 2
 
 
@@ -255,16 +255,16 @@ def test_a_measured_sine_leaves_b_undetermined():
     u = np.sin(2 * np.pi * 0.3 * t)
     y = lfilter([0, 0.05], [1, -0.95], u) + 0.002 * rng.normal(size=len(t))
     for sd in (1e-6, 1e-4):
-        record = Record("sine", t, u + sd * rng.normal(size=len(t)), y)
-        found = estimate([record], Orders(2, 3))
+        record = ArxRecord("sine", t, u + sd * rng.normal(size=len(t)), y)
+        found = fit_arx([record], Orders(2, 3))
         assert found.known.determined.tolist() == [True, True, False, False, False]
         assert found.known.input_rank == 2
-        assert estimate([record], Orders(2, 2)).known.determined.all()
+        assert fit_arx([record], Orders(2, 2)).known.determined.all()
 
 
 def test_a_small_coefficient_known_to_be_small_is_estimated():
     """Order one too many: a3 and b3 are zero within their errors, and determined."""
-    found = estimate([simulated(44, n=800, a=np.array([-1.9, 0.9025]))], Orders(3, 3))
+    found = fit_arx([simulated(44, n=800, a=np.array([-1.9, 0.9025]))], Orders(3, 3))
     assert found.known.determined.all()
     assert found.stderr[2] > 0.5 * abs(found.theta[2])
 
@@ -273,18 +273,18 @@ def test_a_small_coefficient_known_to_be_small_is_estimated():
     "record,orders,match",
     [
         (
-            Record("c", np.arange(50.0), np.sin(np.arange(50.0) ** 2), np.full(50, 3.0)),
+            ArxRecord("c", np.arange(50.0), np.sin(np.arange(50.0) ** 2), np.full(50, 3.0)),
             Orders(2, 2),
             "constant",
         ),
         (simulated(18, n=6), Orders(3, 3), "usable rows"),
         (
-            Record("z", np.arange(50.0), np.zeros(50), simulated(19, n=50).output),
+            ArxRecord("z", np.arange(50.0), np.zeros(50), simulated(19, n=50).output),
             Orders(2, 2),
             "does not move",
         ),
         (
-            Record("s", np.arange(500.0), np.sin(0.3 * np.arange(500)), np.cos(0.3 * np.arange(500))),
+            ArxRecord("s", np.arange(500.0), np.sin(0.3 * np.arange(500)), np.cos(0.3 * np.arange(500))),
             Orders(3, 3),
             "singular",
         ),
@@ -292,7 +292,7 @@ def test_a_small_coefficient_known_to_be_small_is_estimated():
 )
 def test_data_without_information_are_refused(record, orders, match):
     with pytest.raises(NoTrustworthyResult, match=match):
-        estimate([record], orders)
+        fit_arx([record], orders)
 
 
 def test_one_step_predictions_against_a_direct_loop():
@@ -317,13 +317,13 @@ def test_free_run_equals_a_filter_and_restarts_after_gaps():
     assert np.isnan(run[:2]).all()
     u = record.source.copy()
     u[100:110] = np.nan
-    run = difference.simulate(Record("g", record.time_s, u, record.output), Orders(2, 2), TRUTH)
+    run = difference.simulate(ArxRecord("g", record.time_s, u, record.output), Orders(2, 2), TRUTH)
     assert np.isnan(run[101:112]).all()
     np.testing.assert_allclose(run[112:], record.output[112:], rtol=1e-9, atol=1e-9)
     # A gap of the output alone does not stop a free run.
     y = record.output.copy()
     y[50:200] = np.nan
-    run = difference.simulate(Record("g", record.time_s, record.source, y), Orders(2, 2), TRUTH)
+    run = difference.simulate(ArxRecord("g", record.time_s, record.source, y), Orders(2, 2), TRUTH)
     np.testing.assert_allclose(run[2:], record.output[2:], rtol=1e-9, atol=1e-9)
 
 
@@ -351,14 +351,14 @@ def test_stamps_rounded_to_few_decimals_are_a_constant_rate(hertz, decimals):
 
 def test_the_output_level_of_other_data_is_found():
     record = simulated(24, n=400, noise=0.0)
-    moved = Record("m", record.time_s, record.source, record.output + 3.0)
+    moved = ArxRecord("m", record.time_s, record.source, record.output + 3.0)
     assert identified.about_own_level([moved], Orders(2, 2), TRUTH)[1] == pytest.approx(3.0, abs=1e-9)
 
 
 def test_pole_uncertainty_matches_repeats():
     sizes, errors = [], []
     for seed in range(200):
-        found = estimate([simulated(3000 + seed, n=500, a=np.array([-1.3, 0.4]))], Orders(2, 2))
+        found = fit_arx([simulated(3000 + seed, n=500, a=np.array([-1.3, 0.4]))], Orders(2, 2))
         pole = difference.find_poles(found.theta[:2], found.covariance[:2, :2])[0]
         sizes.append(pole.magnitude)
         errors.append(pole.stderr_magnitude)
@@ -370,10 +370,10 @@ def test_integrating_and_unstable_poles():
     near = difference.find_poles(np.array([-0.99]), np.array([[1e-4]]))[0]
     inside = difference.find_poles(np.array([-0.9]), np.array([[1e-4]]))[0]
     outside = difference.find_poles(np.array([-1.1]), np.array([[1e-4]]))[0]
-    assert (on.integrating, on.state) == (True, "unstable")
-    assert (near.integrating, near.state) == (True, "integrating")
-    assert (inside.integrating, inside.state) == (False, "stable")
-    assert (outside.integrating, outside.state) == (False, "unstable")
+    assert (on.is_integrating, on.state) == (True, "unstable")
+    assert (near.is_integrating, near.state) == (True, "integrating")
+    assert (inside.is_integrating, inside.state) == (False, "stable")
+    assert (outside.is_integrating, outside.state) == (False, "unstable")
 
 
 def test_order_search_finds_the_truth():
@@ -382,7 +382,7 @@ def test_order_search_finds_the_truth():
     best, bic = found[0]
     assert best == Orders(2, 2, 2)
     assert len(found) == 5 * 4 * 4
-    direct = estimate([record], best)
+    direct = fit_arx([record], best)
     rows = len(regression([record], Orders(4, 7, 0)))
     rmse = np.exp((bic - np.log(rows) * best.count) / (2 * rows))
     assert rmse == pytest.approx(np.sqrt(np.mean(direct.residuals**2)), rel=1e-2)
@@ -417,7 +417,7 @@ def _halves(name, step_s):
     half = len(table) // 2
     time = np.arange(len(table)) * step_s
     cut = (slice(0, half), slice(half, None))
-    return [Record(name, time[s], table[s, 0].copy(), table[s, 1].copy()) for s in cut]
+    return [ArxRecord(name, time[s], table[s, 0].copy(), table[s, 1].copy()) for s in cut]
 
 
 @needs_data
@@ -426,8 +426,8 @@ def test_hair_dryer_free_run_on_the_second_half():
     orders = Orders(4, 4)
     point = identified.find_working_point([first], orders)
     assert point.removed
-    found = estimate(identified.shifted([first], point), orders)
-    moved, _ = identified.about_own_level(identified.shifted([second], point), orders, found.theta)
+    found = fit_arx(identified.subtract_levels([first], point), orders)
+    moved, _ = identified.about_own_level(identified.subtract_levels([second], point), orders, found.theta)
     assert (
         identified.score(moved[0].output, difference.simulate(moved[0], orders, found.theta)).fit_percent
         >= 89.0
@@ -437,9 +437,9 @@ def test_hair_dryer_free_run_on_the_second_half():
 @needs_data
 def test_ball_beam_is_an_integrator():
     first, _ = _halves("ballbeam", 0.1)
-    found = estimate([first], Orders(4, 4))
+    found = fit_arx([first], Orders(4, 4))
     poles = difference.find_poles(found.theta[:4], found.covariance[:4, :4])
-    assert poles[0].integrating or poles[0].state == "unstable"
+    assert poles[0].is_integrating or poles[0].state == "unstable"
 
 
 def test_the_search_with_weights_ends_where_the_weighted_gradient_vanishes():

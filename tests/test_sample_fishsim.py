@@ -189,7 +189,7 @@ def test_every_listed_sample_is_valid() -> None:
     lists = list(SAMPLES.glob("*/download.yaml"))
     assert SAMPLES / "fishsim/download.yaml" in lists
     for path in lists:
-        assert yamlio.validated(path, RemoteFiles).files
+        assert yamlio.read_document(path, RemoteFiles).files
 
 
 def test_all_samples_need_no_network(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
@@ -228,7 +228,7 @@ def test_the_plan_finds_the_robot_beside_itself(tmp_path: Path, swimid: Callable
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::swimid.notices.SwimidWarning")
 def test_speeds_of_the_fish(fish: Path, swimid: Callable[..., Ran]) -> None:
-    """The commands of docs/learn/11-real-fish.md, on the films that are there."""
+    """The commands of docs/real-fish.md, on the films that are there."""
     assert swimid("batch", fish / "plan.yaml", "-o", fish / "run").status == 0
     fitted = swimid(
         "fit-graybox", fish / "trials.yaml", "--free", "camera_rotation", "-o", fish / "fish.yaml"

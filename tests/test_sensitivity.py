@@ -130,11 +130,11 @@ class TestSobol:
             indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
         # a line is a batch of points
-        assert 49 - indices.BATCH <= kept * indices.BATCH < 64 * 4
+        assert 49 - indices.ROWS_PER_BATCH <= kept * indices.ROWS_PER_BATCH < 64 * 4
         before = count
         again = indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         whole = indices.sobol(each(ishigami), -SIDE, SIDE, samples=64)
-        assert count == before + whole.evaluations - kept * indices.BATCH
+        assert count == before + whole.evaluations - kept * indices.ROWS_PER_BATCH
         for name, value in vars(whole).items():
             assert np.array_equal(getattr(again, name), value), name
 
@@ -255,7 +255,7 @@ class TestCommand:
     ) -> None:
         options = ("--samples", "4", "--coefficients", "c_d4,c_ma")
         whole = _run(swimid, tfish, tmp_path / "whole.yaml", *options)
-        plain, calls = sensitivity.Run.outputs, 0
+        plain, calls = sensitivity.StudyRun.outputs, 0
 
         def stopping(*given: Any) -> Any:
             nonlocal calls
@@ -265,7 +265,7 @@ class TestCommand:
             return plain(*given)
 
         out = tmp_path / "again.yaml"
-        monkeypatch.setattr(sensitivity.Run, "outputs", stopping)
+        monkeypatch.setattr(sensitivity.StudyRun, "outputs", stopping)
         ran = swimid("sensitivity", tfish, "-o", out, "--jobs", "1", *options)
         assert ran.status == 130
         assert f"{out}.partial keeps what was computed: the same command goes on from there" in ran.err

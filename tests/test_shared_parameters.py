@@ -45,7 +45,7 @@ def test_a_fit_estimates_the_shared_value(rng: np.random.Generator) -> None:
         time = np.linspace(0, 3, 200)
         exact = model.simulate(truth, replace(TRIAL, time_s=time))["y"]
         trials.append(Trial(name, "fit", time, {"y": exact + 1e-3 * rng.normal(size=200)}))
-    result = output_error.fit(model, trials, parameters=share(FRICTION, {"c_f": MEMBERS}))
+    result = output_error.fit_output_error(model, trials, parameters=share(FRICTION, {"c_f": MEMBERS}))
     assert result.labels == ["thrust", "c_f"]
     assert abs(result.value("c_f") - 0.7) < 4 * (result.stderr("c_f") or 0.0)
     assert result.values("a").tolist() == [result.value("thrust"), *[result.value("c_f")] * 3]

@@ -9,13 +9,13 @@ import pytest
 from click.testing import CliRunner
 from scipy.interpolate import CubicSpline
 
-from swimid.cli.main import track
+from swimid.cli.main import track_group
 from swimid.errors import InputError
 from swimid.files import yamlio
-from swimid.logs import kinematics
+from swimid.kinematics.cycles import CYCLE_QUANTITIES, cycle_quantities, whole_cycles
 from swimid.logs import log as log_format
-from swimid.logs.plane import plane_of
-from swimid.notices import recorded
+from swimid.notices import record_warnings
+from swimid.points.plane import plane_of
 from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
@@ -32,7 +32,7 @@ MOUNT = math.atan2(FRONT[1] - REAR[1], FRONT[0] - REAR[0])
 
 
 def run(*arguments, status=0):
-    result = CliRunner().invoke(track, [str(a) for a in arguments])
+    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
     assert result.exit_code == status, result.output
     return result
 
@@ -69,11 +69,11 @@ def test_each_cycle_of_the_stroke_is_measured(starboard):
     time = log.t_s.to_numpy()
     truth = side_video.motion(time)
     measured = {name: log[name].to_numpy() for name in truth}
-    windows = kinematics.whole_cycles(time, 1 / PERIOD_S)
+    windows = whole_cycles(time, 1 / PERIOD_S)
     assert len(windows) == 3
-    exact = [kinematics.cycle_quantities(time, truth, w) for w in windows]
-    found = [kinematics.cycle_quantities(time, measured, w) for w in windows]
-    for name in kinematics.CYCLE_QUANTITIES:
+    exact = [cycle_quantities(time, truth, w) for w in windows]
+    found = [cycle_quantities(time, measured, w) for w in windows]
+    for name in CYCLE_QUANTITIES:
         wanted = np.array([q[name] for q in exact])
         error = np.array([q[name] for q in found]) - wanted
         assert np.all(abs(error) <= 0.03 * abs(wanted)), (name, error / wanted)
@@ -117,11 +117,9 @@ def test_a_simulated_stroke_goes_through_film_and_tracking_to_the_table_of_its_c
     assert ran.status == 0, ran.err
     (profile,) = ComparisonFile.read(tmp_path / "c.yaml").profiles
     columns = {n: true[n].to_numpy() for n in true.columns}
-    exact = [
-        kinematics.cycle_quantities(clock, columns, w) for w in kinematics.whole_cycles(clock, 1 / PERIOD_S)
-    ]
+    exact = [cycle_quantities(clock, columns, w) for w in whole_cycles(clock, 1 / PERIOD_S)]
     assert len(profile.cycles) == len(exact) == 3
-    for name in kinematics.CYCLE_QUANTITIES:
+    for name in CYCLE_QUANTITIES:
         wanted = np.array([q[name] for q in exact])
         error = np.array([c.measured[name] for c in profile.cycles]) - wanted
         print(f"{name}: true {np.round(wanted, 4)}, off by {np.round(100 * error / np.abs(wanted), 2)} %")
@@ -230,8 +228,8 @@ def posed(view, changes, *, places=True):
         }
     )
     track, truth = seen(view)
-    with recorded() as notices:
-        ground = pose.facing(track, rules, plane_of(rules, view.width, view.height))
+    with record_warnings() as notices:
+        ground = pose.orient_plane(track, rules, plane_of(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
         found = {c.name: c for c in checks_of(track, result, rules)}
     return result, truth, found, [n.code for n in notices]
@@ -378,14 +376,14 @@ def test_speeds_of_a_cycle_are_the_logs_own():
         "w_m_s": truth["vz_m_s"] * cos - truth["vx_m_s"] * sin,
         "pitch_rate_rad_s": truth["pitch_rate_rad_s"],
     }
-    (window,) = kinematics.whole_cycles(time, 1 / PERIOD_S)
-    exact = kinematics.cycle_quantities(time, truth, window)
-    told = kinematics.cycle_quantities(time, noisy | body, window)
+    (window,) = whole_cycles(time, 1 / PERIOD_S)
+    exact = cycle_quantities(time, truth, window)
+    told = cycle_quantities(time, noisy | body, window)
     for name in ("max_speed_m_s", "path_speed_m_s", "max_pitch_rate_rad_s"):
         assert told[name] == pytest.approx(exact[name], rel=1e-9), name
     # 2 mm at 30 Hz are 0.042 m/s in a central difference.
-    assert kinematics.cycle_quantities(time, noisy, window)["max_speed_m_s"] > 1.1 * exact["max_speed_m_s"]
-    turned = kinematics.cycle_quantities(
+    assert cycle_quantities(time, noisy, window)["max_speed_m_s"] > 1.1 * exact["max_speed_m_s"]
+    turned = cycle_quantities(
         time, truth | body | {"yaw_rad": 0 * time, "roll_rad": 0 * time, "v_m_s": 0 * time}, window
     )
     assert turned == pytest.approx(exact)

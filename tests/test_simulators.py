@@ -12,7 +12,7 @@ import pytest
 import yaml
 from scipy.integrate import solve_ivp
 
-from swimid.effects.catalogue import applicable, catalogue
+from swimid.effects.catalogue import applicable, list_effects
 from swimid.errors import InputError
 from swimid.fitting.fit_common import load_experiment
 from swimid.simulators.repaired import edit
@@ -221,7 +221,7 @@ class TestEffects:
             written(tmp_path, FISH, "fish.xml", fish_model(), [log], start_state="rest")
         )
         model, (trial,) = experiment.model, experiment.trials
-        effects = [e for e in catalogue() if e.name == effect]
+        effects = [e for e in list_effects() if e.name == effect]
         forms = applicable(effects, model, [trial])
         form = next(f for f in forms if getattr(f, "joint", "fin") == "fin")
         acted = model.with_effects([form], [trial])
@@ -237,7 +237,7 @@ class TestEffects:
 
     def test_those_without_a_form_are_named(self, tmp_path):
         experiment = load_experiment(written(tmp_path, FISH, "fish.xml", fish_model(), [swum(FISH, 1.0)]))
-        found = {e.name for e in applicable(catalogue(), experiment.model, experiment.trials)}
+        found = {e.name for e in applicable(list_effects(), experiment.model, experiment.trials)}
         assert {
             "servo-backlash",
             "servo-lag",
@@ -250,7 +250,7 @@ class TestEffects:
 
     def test_forms_of_mujoco_do_not_act_on_other_models(self):
         experiment = load_experiment("sample_logs/tfish/trials.yaml")
-        found = applicable(catalogue(), experiment.model, experiment.trials)
+        found = applicable(list_effects(), experiment.model, experiment.trials)
         assert all(effect.of_model is None for effect in found)
 
 
@@ -258,7 +258,7 @@ class TestRepaired:
     def test_it_compiles_to_the_model_and_keeps_the_text(self, tmp_path):
         model = fish_model(k_fin="joint/fin/stiffness", blunt="geom/fin/fluidcoef[0]", kp="actuator/servo/kp")
         experiment = load_experiment(written(tmp_path, FISH, "fish.xml", model, [swum(FISH, 1.0)]))
-        effects = [e for e in catalogue() if e.name in ("water-ingress", "current", "joint-friction")]
+        effects = [e for e in list_effects() if e.name in ("water-ingress", "current", "joint-friction")]
         chosen = [
             f
             for f in applicable(effects, experiment.model, experiment.trials)

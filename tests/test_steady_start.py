@@ -5,26 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import SwimInput, Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
 from tests.generators import three_link
+from tests.lifted import Lifted, LiftedModel
 
-BEAT = Beat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
+BEAT = TailBeat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
 
 
 def _model(folder: Path, **drag: float) -> tuple[swimmer.Swimmer, np.ndarray]:
     _, model = swimmer.robot_model(str(three_link.robot(folder, **drag)))  # type: ignore[arg-type]
     values = np.array(
-        [{**{p.name: p.start for p in model.parameters}, **model.stated()}[p.name] for p in model.parameters]
+        [
+            {**{p.name: p.start for p in model.parameters}, **model.get_file_values()}[p.name]
+            for p in model.parameters
+        ]
     )
     return model, values
 
@@ -34,7 +39,9 @@ def test_a_run_from_rest_settles_on_the_steady_run(tmp_path: Path) -> None:
     time = np.arange(0.0, 60.0, 0.02)
     rest = model.simulate(values, Trial("rest", "fit", time, {}, swim=SwimInput(BEAT)))
     late = time > 58.0
-    steady = model.simulate(values, Trial("steady", "fit", time[late], {}, swim=SwimInput(BEAT).begun()))
+    steady = model.simulate(
+        values, Trial("steady", "fit", time[late], {}, swim=SwimInput(BEAT).make_steady())
+    )
     for name in ("u_m_s", "v_m_s", "yaw_rate_rad_s", "joint1_rad"):
         np.testing.assert_allclose(steady[name], rest[name][late], atol=1e-5)
     cruise = model.cruise(values, Trial("any", "fit", time[:2], {}, swim=SwimInput(BEAT)))
@@ -47,7 +54,7 @@ def test_a_run_from_rest_settles_on_the_steady_run(tmp_path: Path) -> None:
 def test_the_phase_of_the_drive_moves_a_steady_run_along_its_cycle(tmp_path: Path) -> None:
     model, values = _model(tmp_path, c_d=2.0, c_f=0.2)
     time = np.arange(0.0, 2.0, 0.02)
-    first = Trial("first", "fit", time, {}, swim=SwimInput(BEAT).begun())
+    first = Trial("first", "fit", time, {}, swim=SwimInput(BEAT).make_steady())
     later = replace(first, id="later", time_s=time + 0.2)
     moved = values.copy()
     moved[model.index("drive_phase")] = 2.0 * np.pi * BEAT.frequency_hz * 0.2
@@ -55,9 +62,44 @@ def test_the_phase_of_the_drive_moves_a_steady_run_along_its_cycle(tmp_path: Pat
     np.testing.assert_allclose(a["u_m_s"], b["u_m_s"], atol=1e-6)
 
 
+class Damped(Lifted):
+    """A planar robot in the tables of the engine in space, with linear drag and damping off the plane."""
+
+    def tables(self, values: np.ndarray) -> dict[str, Any]:
+        found = super().tables(values)
+        drag = found["drag"].copy()
+        drag[:, 6 + self.across] = 0.5
+        found["drag"] = drag
+        found["damping_link"] = np.append(found["damping_link"], 0)
+        found["damping"] = np.vstack([found["damping"], [0.0, 0.0, 0.0, 0.02, 0.02, 0.0]])
+        return found
+
+
+class DampedModel(LiftedModel):
+    def _tree(self) -> Damped:  # type: ignore[override]
+        assert self.robot.multilink is not None
+        return Damped(self.robot.multilink, self.robot.fluid)
+
+
+def test_steady_swimming_in_space_is_that_of_the_plane(tmp_path: Path) -> None:
+    planar, values = _model(tmp_path, c_d=2.0, c_f=0.2)
+    spatial = DampedModel(planar.robot)
+    known = dict(zip((p.name for p in planar.parameters), values, strict=True))
+    others = np.array([known.get(p.name, p.start) for p in spatial.parameters])
+    trial = Trial("steady", "fit", np.arange(0.0, 2.0, 0.02), {}, swim=SwimInput(BEAT).make_steady())
+    (a, b) = (m.cruise(v, trial) for m, v in ((planar, values), (spatial, others)))
+    assert a is not None
+    assert b is not None
+    assert b.speed_m_s == pytest.approx(a.speed_m_s, rel=1e-6)
+    assert b.settling_s == pytest.approx(a.settling_s, rel=1e-3)
+    expected, found = planar.simulate(values, trial), spatial.simulate(others, trial)
+    for name in ("x_m", "y_m", "yaw_rad", "u_m_s", "yaw_rate_rad_s", "joint1_rad"):
+        np.testing.assert_allclose(found[name], expected[name], atol=1e-6, err_msg=name)
+
+
 def test_without_drag_there_is_no_steady_swimming(tmp_path: Path) -> None:
     model, values = _model(tmp_path, c_d=0.0, c_f=0.0)
-    trial = Trial("steady", "fit", np.arange(0.0, 1.0, 0.02), {}, swim=SwimInput(BEAT).begun())
+    trial = Trial("steady", "fit", np.arange(0.0, 1.0, 0.02), {}, swim=SwimInput(BEAT).make_steady())
     assert not np.isfinite(model.simulate(values, trial)["u_m_s"]).any()
     cruise = model.cruise(values, trial)
     assert cruise is not None

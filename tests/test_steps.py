@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 from swimid.fitting import drives, output_error
-from swimid.fitting.model import SwimInput, Trial, chosen
+from swimid.fitting.model import SwimInput, Trial, choose_parameters
 from swimid.fitting.steps import choose_step
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.test_simulate import LIGHT_FIN
 
 pytestmark = pytest.mark.kernels
-SWIM = SwimInput(drives.Beat("sine", 2.0, math.radians(20.0)), pose=(0.0, 0.0, 0.0))
+SWIM = SwimInput(drives.TailBeat("sine", 2.0, math.radians(20.0)), pose=(0.0, 0.0, 0.0))
 TRIAL = Trial("swim", "fit", np.arange(0.0, 3.0, 0.02), {}, swim=SWIM)
 
 
 def given(model: MultilinkModel) -> np.ndarray:
-    return np.array([model.stated().get(p.name, p.start) for p in model.parameters])
+    return np.array([model.get_file_values().get(p.name, p.start) for p in model.parameters])
 
 
 def test_a_smaller_noise_takes_a_smaller_step() -> None:
@@ -62,8 +62,10 @@ def test_a_fit_whose_step_breaks_down_at_its_start_takes_a_smaller_one(tmp_path:
     assert not np.isfinite(model.run(given(model), TRIAL)["x_m"]).all()
     rng = np.random.default_rng(1)
     measured = {n: seen[n] + rng.normal(0.0, 2e-4, len(seen[n])) for n in ("x_m", "y_m", "yaw_rad")}
-    held = chosen(model.parameters, fixed={"k_t": 0.1}, freed=["c_d"])
-    fit = output_error.fit(model, [replace(TRIAL, measured=measured)], parameters=held, jobs=1, tested=False)
+    held = choose_parameters(model.parameters, fixed={"k_t": 0.1}, freed=["c_d"])
+    fit = output_error.fit_output_error(
+        model, [replace(TRIAL, measured=measured)], parameters=held, jobs=1, tested=False
+    )
     assert fit.model.swimmer.max_step < 0.01
     assert fit.step_error <= 0.1
     assert fit.value("c_d") == pytest.approx(1.2, abs=4 * (fit.stderr("c_d") or 0.0))

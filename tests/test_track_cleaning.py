@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import beat, log, tracks
+from swimid.kinematics.jumps import clean_track
+from swimid.kinematics.speed import path_speed
+from swimid.kinematics.stroke import find_stroke
+from swimid.logs import log
 from swimid.logs.sampling import find_held
 from tests.conftest import Ran
 from tests.generators.polled_camera import Polled, polled
@@ -65,8 +68,8 @@ def test_speed_within_two_percent(seed: int, swimid: Run, tmp_path: Path) -> Non
 def test_repeats_and_jumps_of_other_tracks(changes: dict[str, float]) -> None:
     made = polled(11, **changes)  # type: ignore[arg-type]
     time, x, y, _ = np.array(made.rows).T
-    cleaning = tracks.clean(time, [x, y])
-    speed = tracks.speed(time, [x, y], cleaning)
+    cleaning = clean_track(time, [x, y])
+    speed = path_speed(time, [x, y], cleaning)
     assert cleaning.jumps == made.jumps
     assert speed is not None
     assert abs(speed.path.value / made.path_m_s - 1) < 0.02
@@ -76,7 +79,7 @@ def test_repeats_and_jumps_of_other_tracks(changes: dict[str, float]) -> None:
 def test_a_clean_track_stays_whole(seed: int) -> None:
     made = polled(seed, jumps=0, repeat_share=0.0, gap_s=0.0)
     time, x, y, _ = np.array(made.rows).T
-    cleaning = tracks.clean(time, [x, y])
+    cleaning = clean_track(time, [x, y])
     assert cleaning.good.all()
     assert not cleaning.gaps
 
@@ -87,7 +90,7 @@ def test_the_interval_of_the_speed_covers_the_truth() -> None:
     for seed in range(8):
         made = polled(100 + seed, duration_s=20.0)
         time, x, y, _ = np.array(made.rows).T
-        speed = tracks.speed(time, [x, y], tracks.clean(time, [x, y]))
+        speed = path_speed(time, [x, y], clean_track(time, [x, y]))
         assert speed is not None
         misses += not speed.line.low <= made.line_m_s <= speed.line.high
     assert misses <= 2
@@ -107,11 +110,11 @@ def test_a_rest_is_no_repeat_and_a_frozen_picture_is(rng: np.random.Generator) -
     """The same pose for a second: kept where the robot goes on from there, else left out."""
     time = np.arange(300) / 30
     x = np.maximum(time - 2.0, 0.0) * 0.2  # at rest for 2 s, without noise
-    still = tracks.clean(time, [x, 0 * x])
+    still = clean_track(time, [x, 0 * x])
     assert not still.repeated.any()
     moving = 0.2 * time + 0.0005 * rng.normal(size=300)
     moving[100:130] = moving[100]
-    frozen = tracks.clean(time, [moving, 0 * moving])
+    frozen = clean_track(time, [moving, 0 * moving])
     assert frozen.repeated.sum() == 29
     assert len(frozen.gaps) == 1
 
@@ -147,17 +150,17 @@ def test_harmonics_and_surge_at_twice_the_stroke(rng: np.random.Generator) -> No
         "yaw_rad": 0.2 * np.sin(phase) + 0.02 * np.sin(3 * phase) + 0.002 * rng.normal(size=2000),
         "u_m_s": 0.2 + 0.05 * np.cos(2 * phase) + 0.002 * rng.normal(size=2000),
     }
-    found = beat.find_stroke(time, columns)
+    found = find_stroke(time, columns)
     assert found is not None
     assert abs(found.beat.frequency_hz - 1.5) < 4 * found.beat.stderr_hz + 1e-3
-    alone = beat.find_stroke(time, {"u_m_s": columns["u_m_s"]})
+    alone = find_stroke(time, {"u_m_s": columns["u_m_s"]})
     assert alone is not None
     assert alone.maybe_double
     assert abs(alone.beat.frequency_hz - 3.0) < 0.01
 
 
 def test_noise_has_no_stroke(rng: np.random.Generator) -> None:
-    assert beat.find_stroke(np.arange(500) / 30, {"yaw_rad": rng.normal(size=500)}) is None
+    assert find_stroke(np.arange(500) / 30, {"yaw_rad": rng.normal(size=500)}) is None
 
 
 # ---------------------------------------------------------------- written faster than measured

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import main, track
+from swimid.cli.main import main, track_group
 from swimid.results import evidence
 from tests.generators import clutter_video as clutter
 from tests.generators.clutter_video import RED, YELLOW, Pool
@@ -21,7 +21,7 @@ HSV = {
 
 
 def run(*arguments, status=0):
-    result = CliRunner().invoke(track, [str(a) for a in arguments])
+    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
     assert result.exit_code == status, result.output
     return result
 

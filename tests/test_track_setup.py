@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import track
+from swimid.cli.main import track_group
 from swimid.results import evidence
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import scene_shifts
@@ -18,7 +18,7 @@ ACROSS = clutter.straight(20, 118, 93, 0)
 
 
 def run(*arguments, status=0):
-    result = CliRunner().invoke(track, [str(a) for a in arguments])
+    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
     assert result.exit_code == status, result.output
     return result
 

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from swimid.cli.main import track as track_command
+from swimid.cli.main import track_group as track_command
 from swimid.results import evidence
 from swimid.tracking.setup import Setup
 from swimid.tracking.tracker import Follower
@@ -55,7 +55,7 @@ CROWD = Film(
 def test_things_in_ignored_boxes_do_not_hide_the_marker():
     """Thirty things larger than the marker are where the setup does not allow a search."""
     track = followed(CROWD, ONE_RED + "ignore_px: [[0, 0, 320, 60]]\n")
-    assert track.found.all()
+    assert track.is_whole.all()
     assert np.nanmax(errors(track, CROWD)) < 0.3
 
 
@@ -69,7 +69,7 @@ def test_a_marker_lost_in_a_crowd_is_found_again_by_its_size():
     film = Film((Disc(there_and_back, radius=5), *crowd), duration_s=3.0)
     track = followed(film, ONE_RED + "max_gap_s: 0.5\n")
     there = np.isfinite(film.places()[:, 0])
-    assert track.found[0][there].all()
+    assert track.is_whole[0][there].all()
     assert np.nanmax(errors(track, film)) < 0.3
 
 
@@ -84,18 +84,18 @@ def test_a_marker_that_swims_in_is_found_once_it_is_whole(speed):
     film = Film((Disc(straight(-15, 120, speed, 4), radius=12),), duration_s=min(300 / speed, 3.0))
     track = followed(film)
     # a blurred rim that touches the edge counts as cut too, for a frame or two more than the disc itself
-    late = np.flatnonzero(track.found[0])[0] - np.flatnonzero(whole(film))[0]
+    late = np.flatnonzero(track.is_whole[0])[0] - np.flatnonzero(whole(film))[0]
     assert 0 <= late <= 2 + 60 / speed
-    assert track.found[0][np.flatnonzero(track.found[0])[0] : whole(film).nonzero()[0][-1] + 1].all()
-    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+    assert track.is_whole[0][np.flatnonzero(track.is_whole[0])[0] : whole(film).nonzero()[0][-1] + 1].all()
+    assert np.nanmax(errors(track, film)[track.is_whole[0]]) < 0.3
 
 
 def test_a_marker_that_waits_at_the_edge_is_found_when_it_enters():
     """A small part is visible for two seconds, then the marker enters."""
     film = Film((Disc(lambda t: (-9.0 + 80 * max(t - 2, 0), 120.0), radius=12),), duration_s=4.0)
     track = followed(film)
-    assert track.found[0][whole(film)].mean() > 0.95
-    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+    assert track.is_whole[0][whole(film)].mean() > 0.95
+    assert np.nanmax(errors(track, film)[track.is_whole[0]]) < 0.3
 
 
 def test_equal_markers_that_enter_one_after_the_other_keep_their_names():
@@ -103,7 +103,7 @@ def test_equal_markers_that_enter_one_after_the_other_keep_their_names():
     film = Film((Disc(straight(-55, 120, 60, 4), 12), Disc(straight(-15, 120, 60, 4), 12)), duration_s=3.0)
     track = followed(film, ONE_RED + "    number: 2\nhead: red1\ntail: red2\n")
     for marker in (0, 1):
-        found = track.found[marker]
+        found = track.is_whole[marker]
         assert found[whole(film, 0)].mean() > 0.95
         away = np.hypot(*(np.array([track.x[marker], track.y[marker]]) - film.places(marker).T))
         assert np.nanmax(away[found]) < 0.3
@@ -133,7 +133,7 @@ def test_equal_markers_are_told_apart_by_their_distances_from_another():
     if errors(track, film, 0)[0] > 30:
         names = [1, 0]  # the names are given by chance
     for marker, disc in zip(names, (0, 1), strict=True):
-        found = track.found[marker]
+        found = track.is_whole[marker]
         away = np.hypot(*(np.array([track.x[marker], track.y[marker]]) - film.places(disc).T))
         assert found[-10:].all()
         assert np.nanmax(away[found]) < 0.5
@@ -148,8 +148,8 @@ def test_the_marker_replaces_a_reflection_that_was_tracked_first():
     marker = Disc(lambda t: (60 + 50 * t, 150.0) if t > 0.3 else None, radius=12)
     film = Film((marker, Disc(reflection, radius=3)), duration_s=3.0)
     track = followed(film)
-    assert track.found[0][whole(film)].mean() > 0.95
-    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+    assert track.is_whole[0][whole(film)].mean() > 0.95
+    assert np.nanmax(errors(track, film)[track.is_whole[0]]) < 0.3
     count, area = track.mistaken["red"]
     assert 6 <= count <= 9
     assert area < 60
@@ -161,8 +161,8 @@ def test_the_marker_replaces_a_thing_at_the_edge():
         (Disc(lambda t: (100.0, 150.0) if t > 0.5 else None), Disc(still(-2, 60), 12)), duration_s=2.0
     )
     track = followed(film)
-    assert track.found[0][whole(film)].mean() > 0.95
-    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+    assert track.is_whole[0][whole(film)].mean() > 0.95
+    assert np.nanmax(errors(track, film)[track.is_whole[0]]) < 0.3
     assert not track.mistaken
 
 
@@ -177,7 +177,7 @@ def test_a_thing_that_comes_after_the_marker_is_not_tracked(later):
         duration_s=5.0,
     )
     track = followed(film)
-    assert (track.found[0] == np.isfinite(film.places()[:, 0])).all()
+    assert (track.is_whole[0] == np.isfinite(film.places()[:, 0])).all()
     assert not track.mistaken
 
 

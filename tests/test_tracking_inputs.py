@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import track
+from swimid.cli.main import track_group
 from tests.generators import pool_video
 from tests.generators.pool_video import Scene
 
@@ -21,7 +21,7 @@ markers:
 
 
 def run(*arguments):
-    return CliRunner().invoke(track, [str(a) for a in arguments])
+    return CliRunner().invoke(track_group, [str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

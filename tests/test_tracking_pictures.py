@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import track
+from swimid.cli.main import track_group
 from swimid.results import evidence
 from swimid.tracking.frames import Video
 from tests.generators.disc_film import ONE_RED, Disc, Film, straight
@@ -35,7 +35,7 @@ def run(tmp_path):
 
     def run(film, *options, status=0, output=tmp_path / "run.csv"):
         command = ["video", film, "--setup", setup, "-o", output, *options]
-        result = CliRunner().invoke(track, [str(part) for part in command])
+        result = CliRunner().invoke(track_group, [str(part) for part in command])
         assert result.exit_code == status, result.output
         return (None if status else pd.read_csv(output, comment="#")), result.output
 
@@ -125,7 +125,7 @@ def test_a_series_that_is_no_film_is_refused_with_a_hint(pictures, run, tmp_path
 
 def test_a_setup_is_drafted_from_pictures(pictures, tmp_path):
     result = CliRunner().invoke(
-        track,
+        track_group,
         ["setup", str(pictures), "-o", str(tmp_path / "s.yaml"), "--fps", "30", "--marker", "red@40,120"],
     )
     assert result.exit_code == 0, result.output

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import track
+from swimid.cli.main import track_group
 
 DATA = os.environ.get("SWIMID_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="SWIMID_DATA is not set")
@@ -23,7 +23,7 @@ BY_HAND = {
 
 
 def run(*arguments, status=0):
-    result = CliRunner().invoke(track, [str(a) for a in arguments])
+    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
     assert result.exit_code == status, result.output
     return result
 

@@ -73,7 +73,7 @@ def test_a_diffuse_start_does_not_lose_digits(order, missing):
     values = np.sin(times) + rng.normal(0, 0.02, 80)
     values[[*range(30, 42), *missing]] = np.nan
     variances, q = rng.uniform(1, 4, 80) * 4e-4, 0.7
-    start = module._start(order, 4e-4, 0.03)
+    start = module.make_start_covariance(order, 4e-4, 0.03)
     means, covariances, _ = module.kalman(times, values, variances, q, order, start)
     means, covariances = module.rts(times, means, covariances, q, order)
     # the information of all states is the sum over start, steps and measurements
@@ -82,7 +82,7 @@ def test_a_diffuse_start_does_not_lose_digits(order, missing):
     wanted = np.zeros(80 * order)
     information[:order, :order] = np.linalg.inv(start)
     wanted[:order] = information[:order, 0] * values[seen[0]]
-    for k, (transition, noise) in enumerate(zip(*module._steps(times, q, order), strict=True)):
+    for k, (transition, noise) in enumerate(zip(*module.compute_steps(times, q, order), strict=True)):
         both = np.hstack([-transition, np.eye(order)])
         here = slice(k * order, (k + 2) * order)
         information[here, here] += both.T @ np.linalg.inv(noise) @ both
@@ -104,7 +104,7 @@ def test_the_noise_is_recovered_and_errors_agree_with_it():
     times = np.cumsum(rng.choice([0.02, 0.033, 0.05], 3000))
     x, v = _white_acceleration(rng, times, 0.5)
     values = x + rng.normal(0, 0.01, len(times))
-    out = module.smooth(times, values[None], np.ones(len(times)), [(0, len(times))])
+    out = module.smooth_path(times, values[None], np.ones(len(times)), [(0, len(times))])
     assert out.order == 2
     assert out.measurement_sd == pytest.approx(0.01, rel=0.2)
     assert out.process_noise == pytest.approx(0.5, rel=0.35)
@@ -123,7 +123,7 @@ def test_the_band_widens_in_a_gap_and_segments_are_separate():
     values = np.sin(times) + rng.normal(0, 0.005, 400)
     values[100:115] = np.nan
     values[200:260] = np.nan
-    out = module.smooth(times, values[None], np.ones(400), [(0, 200), (260, 400)])
+    out = module.smooth_path(times, values[None], np.ones(400), [(0, 200), (260, 400)])
     assert out.position_sd[0, 107] > 2 * out.position_sd[0, 90]
     assert np.isnan(out.position[0, 200:260]).all()
     assert np.isfinite(out.position[0, 260:]).all()
@@ -138,13 +138,13 @@ def test_a_measurement_of_large_variance_has_little_weight():
     values = 0.2 * times + rng.normal(0, 0.001, 100)
     values[50] += 0.1
     weights = np.ones(100)
-    trusted = module.smooth(times, values[None], weights, [(0, 100)])
+    trusted = module.smooth_path(times, values[None], weights, [(0, 100)])
     weights[50] = 1e6
-    doubted = module.smooth(times, values[None], weights, [(0, 100)])
+    doubted = module.smooth_path(times, values[None], weights, [(0, 100)])
     truth = 0.2 * times[50]
     # the path without the measurement
     values[50] = np.nan
-    without = module.smooth(times, values[None], np.ones(100), [(0, 100)])
+    without = module.smooth_path(times, values[None], np.ones(100), [(0, 100)])
     assert abs(doubted.position[0, 50] - without.position[0, 50]) < 1e-4
     assert abs(doubted.position[0, 50] - truth) < abs(trusted.position[0, 50] - truth) + 0.001
 
@@ -158,8 +158,8 @@ def test_a_smoothed_path_does_not_depend_on_units(longer, slower):
     truth = np.where(times % 3 < 2, 0.0, np.sin(4 * np.pi * times))
     values = truth + rng.normal(0, 0.01, (1, 300))
     values[:, 100:104] = values[:, 250:270] = np.nan
-    plain = module.smooth(times, values, np.ones(300), [(0, 150), (150, 300)])
-    found = module.smooth(slower * times, longer * values, np.ones(300), [(0, 150), (150, 300)])
+    plain = module.smooth_path(times, values, np.ones(300), [(0, 150), (150, 300)])
+    found = module.smooth_path(slower * times, longer * values, np.ones(300), [(0, 150), (150, 300)])
     np.testing.assert_allclose(found.position, longer * plain.position, rtol=1e-5, atol=1e-6 * longer)
     np.testing.assert_allclose(found.position_sd, longer * plain.position_sd, rtol=1e-4)
     np.testing.assert_allclose(found.velocity_sd, longer / slower * plain.velocity_sd, rtol=1e-4)

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import track
-from swimid.logs.plane import plane_of
+from swimid.cli.main import track_group
+from swimid.points.plane import plane_of
 from swimid.results import evidence
 from swimid.tracking import setup as setup_format
 from tests.generators import pool_video
@@ -19,7 +19,7 @@ PLAIN = Scene(duration_s=2.0, dropout_s=None)
 
 
 def run(*arguments, status=0):
-    result = CliRunner().invoke(track, [str(a) for a in arguments])
+    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
     assert result.exit_code == status, result.output
     return result
 

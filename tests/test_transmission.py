@@ -18,7 +18,7 @@ from swimid.effects.base import Effect
 from swimid.effects.structure import JointLocked
 from swimid.errors import InputError
 from swimid.files import yamlio
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.fit_common import load_experiment
 from swimid.fitting.model import SwimInput, Trial
 from swimid.notices import SwimidWarning
@@ -117,7 +117,7 @@ def moved(model: Swimmer, swim: SwimInput, time: np.ndarray) -> np.ndarray:
 
 class TestMotion:
     time = 2.0 + np.arange(4001) * 5e-4
-    swim = SwimInput(Beat("sine", 1.1, 1.0, 0.1))
+    swim = SwimInput(TailBeat("sine", 1.1, 1.0, 0.1))
 
     def actuator(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         omega = 2 * math.pi * 1.1
@@ -272,7 +272,7 @@ class TestEffects:
     def swim(self, folder: Path) -> tuple[Any, Trial]:
         laws = [*by_ratio(0.2, 0.3), *by_table(crank_deg(141))]
         _, model = experiment.robot_model(str(fish(folder, laws, {"tendon": {}})))
-        swim = SwimInput(Beat("sine", 1.0, 0.8), pose=(0.0, 0.0, 0.0))
+        swim = SwimInput(TailBeat("sine", 1.0, 0.8), pose=(0.0, 0.0, 0.0))
         return model, Trial("run", "fit", self.time, {}, swim=swim)
 
 
@@ -287,7 +287,7 @@ def test_the_load_of_an_actuator_is_that_of_all_its_joints(tmp_path: Path) -> No
     speeds = fronts + turns * tail.com[behind]
     expected = mass @ speeds**2 + tail.inertia[behind] @ turns**2
     assert model.body is not None
-    inertia, drag = model.body.carried(model.body.tables(), 0)
+    inertia, drag = model.body.compute_actuator_load(model.body.tables(), 0)
     assert inertia == pytest.approx(expected, rel=1e-6)
     points = tail.water.across > 0
     link, place = tail.water.link[points] - 1, tail.water.behind[points]
@@ -299,7 +299,7 @@ def test_the_load_of_an_actuator_is_that_of_all_its_joints(tmp_path: Path) -> No
 def test_the_power_of_joints_on_one_actuator_is_added(tmp_path: Path) -> None:
     """Joints on one actuator exchange energy: without recovery it supplies less than own actuators."""
     time = np.arange(401) / 100
-    trial = Trial("run", "fit", time, {}, swim=SwimInput(Beat("sine", 1.0, 0.6), pose=(0.0, 0.0, 0.0)))
+    trial = Trial("run", "fit", time, {}, swim=SwimInput(TailBeat("sine", 1.0, 0.6), pose=(0.0, 0.0, 0.0)))
     powers = []
     for laws, actuators in ((by_ratio(0.6, -0.3, 0.5), {"tendon": {}}), ([0.6, -0.3, 0.5], None)):
         own = [law if actuators else {"gain": law} for law in laws]
@@ -318,7 +318,7 @@ def test_an_actuator_beyond_a_table_follows_its_tangent_with_a_warning(tmp_path:
     table = [[-30, -12], [0, 0], [30, 10]]
     path = fish(tmp_path, [*by_ratio(0.2, 0.3), *by_table(table)], {"tendon": {}})
     _, model = experiment.robot_model(str(path))
-    swim, time = SwimInput(Beat("sine", 1.0, math.radians(45.0))), 2.0 + np.arange(2001) * 5e-4
+    swim, time = SwimInput(TailBeat("sine", 1.0, math.radians(45.0))), 2.0 + np.arange(2001) * 5e-4
     with pytest.warns(SwimidWarning, match=r"'tendon'.*-45 to 45 deg.*'joint3', -30 to 30 deg") as seen:
         found = moved(model, swim, time)[:, 2]
     assert [w.message.code for w in seen] == ["SWM077"]
@@ -331,7 +331,7 @@ def test_an_actuator_beyond_a_table_follows_its_tangent_with_a_warning(tmp_path:
     _, other = experiment.robot_model(str(path))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        moved(other, SwimInput(Beat("sine", 1.0, math.radians(30.0))), time)
+        moved(other, SwimInput(TailBeat("sine", 1.0, math.radians(30.0))), time)
 
 
 TABLE = [[-30, -12], [0, 0], [30, 10]]
@@ -374,7 +374,7 @@ class TestErrors:
 
     def test_name_of_a_joint(self, tmp_path: Path) -> None:
         path = fish(tmp_path, [{"actuator": "joint4"}], {"joint4": {}})
-        with pytest.raises(InputError, match="a joint is called 'joint4'") as caught:
+        with pytest.raises(InputError, match="an actuator and a joint have the name 'joint4'") as caught:
             experiment.robot_model(str(path))
         assert caught.value.line is not None
 

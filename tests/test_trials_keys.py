@@ -23,7 +23,7 @@ from swimid.experiments.free_swim import FreeSwim
 from swimid.fitting.fit_common import load_experiment
 from swimid.logs.experiments import FreeSwimTrial, find_experiments
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import record_warnings
 from swimid.results.parameters import ParameterFile
 from swimid.simulators.model import SimulatorModel
 
@@ -391,7 +391,7 @@ class TestEveryKey:
     def test_is_used_or_refused(self, tmp_path, name, key):
         reader = READERS[name]
         path = write_case(tmp_path, changed(reader.document, key, reader.values[key]))
-        with recorded():
+        with record_warnings():
             if key in reader.refused:
                 with pytest.raises(SwimidError, match=reader.refused[key]):
                     reader.load(path)
@@ -433,7 +433,7 @@ class TestStretchesOfOneLog:
 
     def test_rows_fitted_twice_are_told(self, tmp_path):
         path = write_case(tmp_path, self.document("fit"))
-        with recorded() as notices:
+        with record_warnings() as notices:
             arma.read([path], RwlsOptions())
         assert [n.text for n in notices if n.code == "SWM074"] == [
             "trials.yaml: the trials 'a' and 'b' are of the same log and share its rows to 8 s, which count "
@@ -442,7 +442,7 @@ class TestStretchesOfOneLog:
 
     def test_neighbours_stand_apart(self, tmp_path):
         path = write_case(tmp_path, self.document("validate", start_s=8.0))
-        with recorded() as notices:
+        with record_warnings() as notices:
             found = arma.read([path], RwlsOptions())
         assert not [n for n in notices if n.code == "SWM074"]
         assert found.fit[0].time_s[-1] == 8.0 == found.held_out["b"][0].time_s[0]
@@ -454,5 +454,5 @@ class TestStretchesOfOneLog:
             held_out=(tmp_path / "one.csv",), input_column="cmd1_rad", output_column="u_m_s"
         )
         for fitted in (path, tmp_path / "one.csv"):
-            with recorded(), pytest.raises(InputError, match="what is held out must not be fitted"):
+            with record_warnings(), pytest.raises(InputError, match="what is held out must not be fitted"):
                 arma.read([fitted], options)

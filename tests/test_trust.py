@@ -14,7 +14,7 @@ from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.study import Performance
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import drawn
+from swimid.simulation.draws import draw_parameters
 
 VALUES = {
     "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
@@ -91,7 +91,7 @@ def test_the_goal_has_an_interval(tmp_path: Path) -> None:
         package.simulate(
             params=path, frequency_hz=3.0, chosen={**found.at, "c_d2": float(vector[index])}, **BEAT
         ).quantities["mean_speed_m_s"].value
-        for vector in drawn(applied, 20, 0)[0]
+        for vector in draw_parameters(applied, 20, 0)[0]
     ]  # fmt: skip
     ends = np.quantile(speeds, [0.025, 0.975], method="weibull")
     # the windows' samples differ by part of an integration step
@@ -132,7 +132,7 @@ def test_a_gait_that_swims_tail_first_is_bad() -> None:
         **BEAT,
     )
     found.file.quantities["mean_surge_from_start_m_s"] = -0.1
-    assert optimise_gait.evidence_of(found.file, [], {}).verdict.level == "bad"
+    assert optimise_gait.make_gait_evidence(found.file, [], {}).verdict.level == "bad"
     assert study.forwards_check([0.1, None])[0].verdict == "pass"
     assert study.forwards_check([None]) == []
 

@@ -16,4 +16,4 @@ def test_the_tutorial_shows_what_its_commands_print(tmp_path: Path) -> None:
         assert block.partition("\n")[2].rstrip("\n") == printed, f"{page.name}: swimid {command}"
         number += 1
     assert number > 8
-    assert "EXPLAINED: servo-backlash" in (tutorial.ROOT / "docs/learn/07-diagnose.md").read_text()
+    assert "EXPLAINED: servo-backlash" in (tutorial.ROOT / "docs/learn/04-diagnose.md").read_text()

@@ -129,7 +129,7 @@ def test_thrust_that_falls_with_the_speed_of_advance(kind):
         loss = ADVANCING.slope * vehicle.DIAMETER_M * np.sqrt(1000.0 / vehicle.K_0)
         hooks = ThrustLoss().hooks(np.array([loss]), trial, model)
 
-    found = model.hooked(values, trial, hooks)
+    found = model.simulate_hooked(values, trial, hooks)
 
     for name in model.pose:
         # the thrust has corners where it changes its sign, between the steps of the integration

@@ -7,16 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.diagnosis.gap_file import Facts, HeldOutTrial, Proposed
-from swimid.diagnosis.posterior import UNSURE
+from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Proposed
+from swimid.diagnosis.posterior import MAX_NO_GAP_PROBABILITY
 from swimid.diagnosis.verdict import (
-    SURE,
-    carrying_part,
+    MIN_SURE_PROBABILITY,
+    compute_decrease_probability,
+    compute_refit_share,
+    compute_remaining_share,
     decide,
-    probability_of_decrease,
-    refit_share,
-    remaining_share,
-    rows,
+    find_carrying_part,
+    format_interval,
+    list_rows,
 )
 from tests.gap_cases import facts, held_out, replace
 
@@ -102,9 +103,9 @@ def test_a_gap_is_explained_only_by_a_sure_cause_that_closes_it(many: list[Facts
     assert len(found) >= 10
     for known in found:
         assert known.no_gap is not None
-        assert known.no_gap <= UNSURE
-        assert next(iter(known.proposed.values())).alone >= SURE
-        left = [remaining_share(known, as_given=given) for given in (False, True)]
+        assert known.no_gap <= MAX_NO_GAP_PROBABILITY
+        assert next(iter(known.proposed.values())).alone >= MIN_SURE_PROBABILITY
+        left = [compute_remaining_share(known, as_given=given) for given in (False, True)]
         assert min(share for share in left if share is not None) <= 0.3
 
 
@@ -179,7 +180,7 @@ def test_a_held_out_trial_above_its_limit_has_a_gap() -> None:
     """It has one with a probable model without a gap, too."""
     known = facts(no_gap=0.9, held_out=held_out(100.0, 105.0, 171.0, before=100.0))
     assert decide(known).verdict == "unexplained"
-    (row,) = (row for row in rows(known) if not row.passed)
+    (row,) = (row for row in list_rows(known) if not row.passed)
     assert row.question == "held-out trials"
     assert "f10a30" in row.reason
 
@@ -226,7 +227,7 @@ def test_a_refit_imitates_a_cause_only_if_it_closes_the_gap(
     """The cause closes no more than the refit, which leaves a share of the squared gap as given."""
     held = held_out(before + 2.0, before, before - 2.0, before=before, as_given=900.0)
     known = facts("waves", held_out=held)
-    assert refit_share(known) == pytest.approx(left)
+    assert compute_refit_share(known) == pytest.approx(left)
     found = decide(known)
     assert (found.verdict, found.causes) == (verdict, causes)
 
@@ -277,54 +278,56 @@ def test_a_question_may_be_left_out() -> None:
 
 
 def test_errors_that_fall_alike_in_all_parts_fall_clearly() -> None:
-    assert probability_of_decrease(facts("waves", held_out=parts(400.0, 390.0, 405.0))) > 0.999
+    assert compute_decrease_probability(facts("waves", held_out=parts(400.0, 390.0, 405.0))) > 0.999
 
 
 def test_a_cause_that_acts_at_some_settings_lowers_their_errors_only() -> None:
     """A drag of the head acts in the two trials that turn, and noise decides the sign of the others."""
     known = facts("waves", held_out=parts(133.0, -2.0, 5.0, -1.0, 228.0, 2.0))
-    assert probability_of_decrease(known) > 0.95
+    assert compute_decrease_probability(known) > 0.95
 
 
 def test_no_part_carries_the_decrease_alone() -> None:
     """The part of the largest decrease is left out, and the others fall by as much as they grow."""
     known = facts("waves", held_out=parts(51598.0, -0.2, -2.5, -4.4, -35.0, -677.0))
-    assert probability_of_decrease(known) < 0.05
+    assert compute_decrease_probability(known) < 0.05
     known = facts("waves", held_out=parts(5000.0, 80.0, -75.0))
-    assert probability_of_decrease(known) <= 0.5
+    assert compute_decrease_probability(known) <= 0.5
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6])
 def test_noise_alone_rarely_decreases_the_errors(count: int, rng: np.random.Generator) -> None:
     """Two parameters without meaning change a deviance by the difference of two chi-squared variables."""
     draws = rng.chisquare(2, (400, count)) - rng.chisquare(2, (400, count))
-    passed = [probability_of_decrease(facts("waves", held_out=parts(*d.tolist()))) >= 0.95 for d in draws]
+    passed = [
+        compute_decrease_probability(facts("waves", held_out=parts(*d.tolist()))) >= 0.95 for d in draws
+    ]
     assert np.mean(passed) < 0.05
 
 
 def test_errors_that_grow_do_not_fall() -> None:
     held = held_out(560.0, 540.0, 590.0, before=500.0)
-    assert probability_of_decrease(facts("waves", held_out=held)) < 0.05
+    assert compute_decrease_probability(facts("waves", held_out=held)) < 0.05
 
 
 def test_errors_above_those_of_the_parameters_as_given_do_not_fall() -> None:
     """The refit is worse than the parameters as given, and the cause closes a part of that only."""
     held = held_out(560.0, 540.0, 590.0, before=900.0, as_given=400.0)
     known = facts("waves", held_out=held)
-    assert probability_of_decrease(known) == 0.0
+    assert compute_decrease_probability(known) == 0.0
     assert decide(known).causes == ()
 
 
 def test_one_part_shows_no_variation() -> None:
     known = facts("waves", held_out=parts(400.0))
-    assert probability_of_decrease(known) == 0.5
+    assert compute_decrease_probability(known) == 0.5
     assert decide(known).verdict != "explained"
 
 
 def test_a_decrease_is_relative_to_the_errors_as_given_or_refitted() -> None:
     known = facts("waves", held_out=held_out(104.0, 100.0, 102.0, before=100.0, as_given=900.0))
-    assert probability_of_decrease(known) < 0.2
-    assert probability_of_decrease(known, as_given=True) > 0.99
+    assert compute_decrease_probability(known) < 0.2
+    assert compute_decrease_probability(known, as_given=True) > 0.99
 
 
 def test_a_decrease_that_one_part_carries_is_not_clear() -> None:
@@ -335,39 +338,54 @@ def test_a_decrease_that_one_part_carries_is_not_clear() -> None:
         )
     }
     known = facts("waves", held_out=held)
-    assert probability_of_decrease(known) < 0.95
-    assert carrying_part(known) == "part 3"
+    assert compute_decrease_probability(known) < 0.95
+    assert find_carrying_part(known) == "part 3"
     found = decide(known)
     assert found.verdict == "ambiguous"
-    (row,) = (row for row in rows(known) if row.question == "held-out errors fall")
+    (row,) = (row for row in list_rows(known) if row.question == "held-out errors fall")
     assert row.reason == "held-out errors fall with waves in part 3 only"
 
 
 def test_no_part_carries_a_decrease_that_several_share() -> None:
-    assert carrying_part(facts("waves", held_out=parts(400.0, 390.0, 405.0))) == ""
-    assert carrying_part(facts("waves", held_out=parts(400.0, -600.0, -700.0, after=800.0))) == ""
+    assert find_carrying_part(facts("waves", held_out=parts(400.0, 390.0, 405.0))) == ""
+    assert find_carrying_part(facts("waves", held_out=parts(400.0, -600.0, -700.0, after=800.0))) == ""
 
 
 # ---------------------------------------------------------------- closed share
 
 
 def test_nothing_remains_where_noise_explains_the_errors() -> None:
-    assert remaining_share(facts("waves", held_out=held_out(140.0, before=500.0))) == 0.0
-    assert remaining_share(facts("waves", held_out=held_out(90.0, before=100.0))) is None
+    assert compute_remaining_share(facts("waves", held_out=held_out(140.0, before=500.0))) == 0.0
+    assert compute_remaining_share(facts("waves", held_out=held_out(90.0, before=100.0))) is None
 
 
 def test_a_gap_within_the_noise_has_no_remaining_share() -> None:
     """The standard deviation of chi-squared of 300 degrees of freedom is 24.5."""
     worse = held_out(200.0, 90.0, 90.0, before=110.0)
-    assert remaining_share(facts("waves", held_out=worse)) is None
+    assert compute_remaining_share(facts("waves", held_out=worse)) is None
     more = held_out(200.0, 90.0, 90.0, before=120.0)
-    assert remaining_share(facts("waves", held_out=more)) == pytest.approx(80.0 / 60.0)
+    assert compute_remaining_share(facts("waves", held_out=more)) == pytest.approx(80.0 / 60.0)
 
 
 def test_a_refit_that_is_worse_than_the_model_as_given_is_no_measure() -> None:
     """The error goes from 3.4 as given and 5 refitted to 2.5 times its expectation."""
     errors = held_out(250.0, 251.0, 249.0, before=500.0, as_given=340.0)
     known = facts("waves", outside=0.9, catalogue=0.1, held_out=errors)
-    assert remaining_share(known) == pytest.approx(150.0 / 240.0)
+    assert compute_remaining_share(known) == pytest.approx(150.0 / 240.0)
     assert decide(known).verdict == "unexplained"
     assert decide(known).causes == ()
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (0.999937, 1.0, "(at least 99.9 %)"),
+        (0.9941, 1.0, "(99.4 … 100.0 %)"),
+        (0.81, 0.94, "(81 … 94 %)"),
+        (None, None, ""),
+    ],
+)
+def test_the_interval_of_a_closed_share_has_at_most_one_decimal(
+    low: float | None, high: float | None, text: str
+) -> None:
+    assert format_interval(Closed(before=9.0, after=1.0, share=0.9, ci95=(low, high))) == text

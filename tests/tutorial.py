@@ -1,8 +1,8 @@
 """The tutorial as a user walks it: ``python -m tests.tutorial`` runs its commands and writes what they print.
 
-A page shows a command as ``$ swimid ...`` at the beginning of a block, and what it prints after it. Blocks of
-the language ``diff`` are edits of the file that the page names last before them. The pictures show the
-results of the walk.
+A page shows a command as ``$ swimid ...`` at the beginning of a block, and what it prints after it. A line of
+dots stands for lines that the page leaves out. Blocks of the language ``diff`` are edits of the file that the
+page names last before them. The pictures show the results of the walk.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs/learn").glob("[0-9]*.md"))
 FIGURES = ROOT / "docs/figures"
+#: Line of a block that stands for lines that the page leaves out.
+LEFT_OUT = "  ..."
 BLOCK = re.compile(r"```(\w*)\n(.*?)```\n", re.S)
 #: Picture of a page: result, figure.
 PICTURES = {
@@ -40,6 +42,16 @@ def run(words: list[str], folder: Path) -> str:
     return ran.stdout
 
 
+def shorten(printed: str, block: str) -> str:
+    """Return the printed text, without the lines that a block of a page leaves out."""
+    shown, lines = block.splitlines()[1:], printed.splitlines()
+    if LEFT_OUT not in shown:
+        return printed
+    head = shown.index(LEFT_OUT)
+    tail = len(lines) - (len(shown) - head - 1)
+    return "\n".join([*lines[:head], LEFT_OUT, *lines[tail:]])
+
+
 def walk(folder: Path) -> Iterator[tuple[Path, str, str, str]]:
     """Run all commands of the pages in order; yield page, shown block, command and what it printed."""
     here = folder
@@ -57,7 +69,7 @@ def walk(folder: Path) -> Iterator[tuple[Path, str, str, str]]:
                 file.write_text(content.replace(old, new, 1))
             elif block.startswith("$ swimid "):
                 command = block.splitlines()[0].removeprefix("$ swimid ")
-                yield page, block, command, run(shlex.split(command), here).rstrip("\n")
+                yield page, block, command, shorten(run(shlex.split(command), here).rstrip("\n"), block)
 
 
 def draw(project: Path) -> None:

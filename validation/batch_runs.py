@@ -1,7 +1,7 @@
 """Runs of one plan in several ways, which must leave the same folder: ``python -m validation.batch_runs``.
 
-The run is undisturbed, killed several times, on a cluster that loses a worker, and in shards. Every file but
-those with times and memory, and the logs of libraries, must have the same content.
+The run is undisturbed, killed several times, and in shards. Every file but
+the times of inputs and the logs must have the same content.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.conftest import ROOT
 from tests.generators import archive
 
 #: Files with times, memory and hosts, and what libraries print, with addresses in memory.
-COSTS = ("usage.csv", "usage.json", "log.txt")
+COSTS = ("stamps.json", "log.txt")
 #: Time of results, and the engine: the batched kernel agrees with the scalar one to fourteen digits only.
 FIXED = {"SOURCE_DATE_EPOCH": "1700000000", "SWIMID_LANES": "never", "PYTHONPATH": str(ROOT)}
 ENVIRONMENT = {**os.environ, **FIXED}
@@ -90,22 +90,6 @@ def sharded(plan: Path, run: Path, count: int) -> None:
     undisturbed(plan, run, "--collect")
 
 
-def on_cluster(plan: Path, run: Path, *, kill_after_s: float | None) -> float:
-    """Do a run on two worker processes of a cluster, of which one may be killed. Return its time in s."""
-    from distributed import LocalCluster
-
-    os.environ |= FIXED
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        began = time.perf_counter()
-        address = ("--cluster", cluster.scheduler_address)
-        process = subprocess.Popen(command(plan, run, *address), env=ENVIRONMENT, stdout=-3, stderr=-3)
-        if kill_after_s is not None:
-            time.sleep(kill_after_s)
-            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
-        assert process.wait() in (0, 4)
-        return time.perf_counter() - began
-
-
 @click.command(help=__doc__)
 @click.option("--items", default=60, show_default=True, help="Number of items.")
 @click.option("--kills", default=5, show_default=True, help="Number of kills.")
@@ -136,10 +120,6 @@ def main(items: int, kills: int, jobs: int) -> None:
         show(f"killed {count} times", "killed")
         sharded(plan, folder / "shards", 4)
         show("in 4 shards", "shards")
-        seconds = on_cluster(plan, folder / "cluster", kill_after_s=None)
-        show(f"local cluster of 2 workers: {seconds:.0f} s, throughput {one / seconds:.2f}", "cluster")
-        on_cluster(plan, folder / "lost", kill_after_s=0.3 * seconds)
-        show("local cluster that loses a worker", "lost")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from scipy.optimize import minimize
 
 from swimid.diagnosis import posterior
-from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, Record
+from swimid.diagnosis.posterior import Candidate, DataSize, Posterior, PosteriorConstants
 from validation.blind import runner
 
 #: What an effect must lower the score by for its case to tell anything of it.
@@ -51,14 +51,16 @@ class Truth:
 
     null: Candidate
     candidates: list[Candidate]
-    record: Record
+    record: DataSize
     true: tuple[frozenset[str], ...]
     hidden: bool = False
     small: bool = False
 
-    def probability(self, known: Calibration) -> float:
+    def probability(self, known: PosteriorConstants) -> float:
         """What the truth is given."""
-        found = posterior.posterior(self.null, self.candidates, record=self.record, calibration=known)
+        found = posterior.compute_posterior_probabilities(
+            self.null, self.candidates, record=self.record, calibration=known
+        )
         p = sum(self.answers(found).get(names, 0.0) for names in self.true) if self.true else found.outside
         return p + (self.small and frozenset() not in self.true) * found.none
 
@@ -92,12 +94,12 @@ def read(folders: Iterable[Path]) -> list[Truth]:
                 )
                 for h in gap["hypotheses"]
             ]
-            record = Record(gap["samples"], len(rows[0].deviances), gap["tried"])
+            record = DataSize(gap["samples"], len(rows[0].deviances), gap["tried"])
             found += truths(rows, label["kind"], label["effects"], record)
     return found
 
 
-def truths(rows: Sequence[Candidate], kind: str, effects: Sequence[str], record: Record) -> list[Truth]:
+def truths(rows: Sequence[Candidate], kind: str, effects: Sequence[str], record: DataSize) -> list[Truth]:
     """What one case tells."""
     null, *rest = rows
     true = frozenset(effects)
@@ -131,7 +133,7 @@ def weights(cases: Sequence[Truth]) -> np.ndarray:
     return np.where(foreign, max(float(share), 1.0 / len(cases)), 1.0)
 
 
-def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
+def calibrated(cases: Sequence[Truth], start: PosteriorConstants) -> PosteriorConstants:
     """The constants under which what is true is likeliest."""
     begin = np.array([np.log(start.directions), np.log(start.form), start.outside])
     weight = weights(cases)
@@ -147,17 +149,19 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
     return _constants(minimize(loss, begin, method="Nelder-Mead", options=options).x)
 
 
-def _constants(x: np.ndarray) -> Calibration:
+def _constants(x: np.ndarray) -> PosteriorConstants:
     """Positive ones by their logarithms."""
     directions, form = (float(v) for v in np.exp(x[:2]))
-    return Calibration(directions, form, float(x[2]))
+    return PosteriorConstants(directions, form, float(x[2]))
 
 
-def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
+def bins(cases: Sequence[Truth], known: PosteriorConstants) -> list[tuple[float, float, int]]:
     """Probability given to the likeliest answer on average, how often it was the truth, and of how many."""
     edges, given = (0.0, 0.5, 0.8, 0.95, 1.01), []
     for c, weight in zip(cases, weights(cases), strict=True):
-        found = posterior.posterior(c.null, c.candidates, record=c.record, calibration=known)
+        found = posterior.compute_posterior_probabilities(
+            c.null, c.candidates, record=c.record, calibration=known
+        )
         answers = c.answers(found)
         said = max(answers, key=lambda a: answers[a])
         given.append((answers[said], c.right(said), weight))
@@ -170,27 +174,29 @@ def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float,
     return rows
 
 
-def told(case: Truth, known: Calibration) -> tuple[str, frozenset[str]]:
+def told(case: Truth, known: PosteriorConstants) -> tuple[str, frozenset[str]]:
     """The answer in short: whether there is a gap, whether from outside, and the effects named."""
-    found = posterior.posterior(case.null, case.candidates, record=case.record, calibration=known)
-    if found.none > posterior.UNSURE:
+    found = posterior.compute_posterior_probabilities(
+        case.null, case.candidates, record=case.record, calibration=known
+    )
+    if found.none > posterior.MAX_NO_GAP_PROBABILITY:
         return ("unexplained" if found.outside > found.none else "none"), frozenset()
     outside = found.outside > sum(found.sets.values())
     return ("unexplained" if outside else "explained"), found.best
 
 
-def sensitivity(cases: Sequence[Truth], known: Calibration) -> list[tuple[str, float, float]]:
+def sensitivity(cases: Sequence[Truth], known: PosteriorConstants) -> list[tuple[str, float, float]]:
     """Share of the answers that are others with half of a constant, and with half as much again."""
     plain = [told(c, known) for c in cases]
 
-    def changed(other: Calibration) -> float:
+    def changed(other: PosteriorConstants) -> float:
         return float(np.mean([told(c, other) != p for c, p in zip(cases, plain, strict=True)]))
 
     rows = []
     for field in fields(known):
         value = getattr(known, field.name)
         rows.append((field.name, *(changed(replace(known, **{field.name: f * value})) for f in (0.5, 1.5))))
-    for name in ("TENTH", "FURTHER", "UNSURE"):
+    for name in ("MODEL_ERROR_SHARE", "FURTHER_CAUSE_ODDS", "MAX_NO_GAP_PROBABILITY"):
         value, shares = getattr(posterior, name), []
         for f in (0.5, 1.5):
             setattr(posterior, name, f * value)
@@ -203,7 +209,7 @@ def sensitivity(cases: Sequence[Truth], known: Calibration) -> list[tuple[str, f
 def main() -> None:
     """Print the constants, how they do on the very cases, and what changing each by half does."""
     cases = read(Path(a) for a in sys.argv[1:])
-    known = calibrated(cases, Calibration(8.0, 0.2, -3.0))
+    known = calibrated(cases, PosteriorConstants(8.0, 0.2, -3.0))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")

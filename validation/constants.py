@@ -88,22 +88,22 @@ def _of(module: str, *names: str, **how: bool) -> list[Constant]:
 
 
 CONSTANTS = (
-    *_of("posterior", "TENTH", "FURTHER", "UNSURE"),
-    *_of("answer", "CREDIBLE", rest=True, after=True),
-    *_of("answer", "ASTRAY", after=True),
-    *_of("verdict", "SURE", "CLEAR", rest=True, after=True),
-    *_of("verdict", "MOST", after=True),
-    *_of("held_out", "CHANCE", "WIDEST", "LEAST_GAP", after=True),
+    *_of("posterior", "MODEL_ERROR_SHARE", "FURTHER_CAUSE_ODDS", "MAX_NO_GAP_PROBABILITY"),
+    *_of("answer", "MIN_EQUIVALENT_PROBABILITY", rest=True, after=True),
+    *_of("answer", "MAX_RELATIVE_ERROR", after=True),
+    *_of("verdict", "MIN_SURE_PROBABILITY", "MIN_DECREASE_PROBABILITY", rest=True, after=True),
+    *_of("verdict", "MIN_CLOSED_SHARE", after=True),
+    *_of("held_out", "FALSE_ALARM_RATE", "MAX_INTERVAL_WIDTH", "LEAST_GAP", after=True),
     *_of("dropouts", "FAILED_MISFIT", after=True),
-    *_of("dropouts", "JUMP", "MOVED", "OFF"),
+    *_of("dropouts", "JUMP", "MOVED", "MIN_OFFSET_SD"),
     *_of("remainder", "PER_SAMPLE", "LEAST_GAIN", "LEAST_OF_FEW", "MOST_USED"),
     *_of("remainder", "QUANTILE", rest=True),
-    *_of("noise", "MIN_LIKELIHOOD", "MIN_FREE", "LARGEST_SD", "BESIDE_GAP"),
-    *_of("odd", "ODDS"),
-    *_of("study", "EFFECT_PRIOR", "START_PRIOR", "DISTORTED", "LOOSE"),
-    *_of("nominal", "OWN_PRIOR", "OTHER_PRIOR", "OTHER_DAY", "DERIVED"),
+    *_of("noise", "MIN_LOG_LIKELIHOOD_GAIN", "MIN_FREE_SHARE", "LARGEST_SD", "BESIDE_GAP"),
+    *_of("odd", "MIN_ODDS_RATIO"),
+    *_of("priors", "EFFECT_PRIOR", "START_PRIOR", "MAX_PRIOR_DISTANCE_SD", "MAX_INFORMATIVE_SHARE"),
+    *_of("nominal", "OWN_PRIOR", "OTHER_PRIOR", "OTHER_DAY", "MAX_RATE_CORRELATION"),
     *_of("crossval", "SHRINKAGE"),
-    *_of("candidates", "SOUND"),
+    *_of("screening", "MIN_SOUND_SHARE"),
 )
 
 
@@ -119,17 +119,21 @@ def answers(folder: Path, constants: Sequence[Constant]) -> dict[str, list[Any]]
     for step in fit:
         subprocess.run([sys.executable, "-m", "swimid", *step], cwd=folder, capture_output=True, check=False)
     params = folder / told[told.index("--params") + 1]
-    kept: list[search.Search] = []
-    run = search.run
+    kept: list[search.SearchResult] = []
+    run = search.search_causes
 
-    def searched(*given: Any, **options: Any) -> search.Search:
+    def searched(*given: Any, **options: Any) -> search.SearchResult:
         kept.append(run(*given, **options))
         return kept[-1]
 
-    with mock.patch.object(search, "run", searched):
+    with mock.patch.object(search, "search_causes", searched):
         found = {"": answer(folder, params)}
     for constant in constants:
-        known = mock.patch.object(search, "run", return_value=kept[0]) if constant.after else nullcontext()
+        known = (
+            mock.patch.object(search, "search_causes", return_value=kept[0])
+            if constant.after
+            else nullcontext()
+        )
         for factor in FACTORS:
             with constant.at(factor), known:
                 found[f"{constant.module}.{constant.name} {factor}"] = answer(folder, params)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from swimid.diagnosis.gap_file import GapFile
-from swimid.diagnosis.verdict import decide, rows
+from swimid.diagnosis.verdict import decide, list_rows
 from validation.blind import figures as shown
 from validation.blind import runner, score
 
@@ -84,7 +84,7 @@ HEAD = (
 def table(out: Path) -> str:
     """The score with every row, and without each of them."""
     found = cases(out)
-    questions = list(dict.fromkeys(row.question for _, file, _ in found for row in rows(file.facts)))
+    questions = list(dict.fromkeys(row.question for _, file, _ in found for row in list_rows(file.facts)))
     lines = [["–", *figures(found)], *([question, *figures(found, question)] for question in questions)]
     head = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     return "\n".join([*head, *("| " + " | ".join(line) + " |" for line in lines)])

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.gapbench.peers import Case, verdict
 from swimid.diagnosis.noise import NoiseModel
-from swimid.diagnosis.study import FINE, Hypothesis, Study
+from swimid.diagnosis.study import FINE, GapStudy, Hypothesis
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
 from swimid.fitting import uncertainty as sample_noise
@@ -33,8 +33,8 @@ def diagnose(case: Case) -> dict[str, Any]:
 
 def rounds(case: Case) -> list[dict[str, float]]:
     """BIC of the model, under ``""``, and with each effect; then beside the best; and so on."""
-    bench = Study(case.model, case.model.parameters, case.trials, case.prior)
-    effects = catalogue.applicable(catalogue.catalogue(), case.model, case.trials)
+    bench = GapStudy(case.model, case.model.parameters, case.trials, case.prior)
+    effects = catalogue.applicable(catalogue.list_effects(), case.model, case.trials)
     found: list[dict[str, float]] = []
     with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
         bench, fit = _nominal(bench)
@@ -57,7 +57,7 @@ def rounds(case: Case) -> list[dict[str, float]]:
     return found
 
 
-def _nominal(bench: Study) -> tuple[Study, Hypothesis]:
+def _nominal(bench: GapStudy) -> tuple[GapStudy, Hypothesis]:
     """The trials with the noise that their own residuals show, and the model refitted."""
     problem = bench.problem(())
     sample_noise.weigh_first(problem)
@@ -67,14 +67,14 @@ def _nominal(bench: Study) -> tuple[Study, Hypothesis]:
         bench = bench.with_noise(NoiseModel([list(sds) for sds in problem.sd]))
         fit = bench.fit((), [theta], others=bench.begins(problem, theta))
         theta = fit.theta
-        sizes = sample_noise.estimate(problem, theta, dict(sizes))
+        sizes = sample_noise.estimate_noise(problem, theta, dict(sizes))
     return bench, fit
 
 
-def _beside(bench: Study, base: Hypothesis, effect: Effect) -> Hypothesis:
+def _beside(bench: GapStudy, base: Hypothesis, effect: Effect) -> Hypothesis:
     """The optimum with one more effect, from the best of the sizes it is tried at."""
     effects = (*base.effects, effect)
-    own = bench.affected(effects).acting[-1].parameters
+    own = bench.build_model(effects).acting[-1].parameters
     starts = []
     for point in [*effect.tries(own), np.array([p.start for p in own])]:
         named = {f"{effect.name}/{p.name}": float(v) for p, v in zip(own, point, strict=False)}

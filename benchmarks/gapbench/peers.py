@@ -43,7 +43,7 @@ class Case(NamedTuple):
 def case(trials: Path, params: Path) -> Case:
     """What files tell, as ``swimid diagnose`` takes them."""
     loaded = experiments.load(trials, DiagnoseOptions(params=params))
-    begun = nominal.begun(loaded)
+    begun = nominal.prepare_diagnosis(loaded)
     return Case(loaded.experiment.model, [t for t in begun.trials if t.role == "fit"], begun.prior)
 
 

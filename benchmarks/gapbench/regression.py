@@ -82,7 +82,7 @@ def equations(case: Case) -> Rows:
         rows = [_rig(case, trial) for trial in case.trials]
     else:
         raise SystemExit(f"no equation of forces for the model '{case.model.name}'")
-    known = {e.name for e in catalogue.applicable(catalogue.catalogue(), case.model, case.trials)}
+    known = {e.name for e in catalogue.applicable(catalogue.list_effects(), case.model, case.trials)}
     left = np.concatenate([r.left for r in rows])
     base = np.concatenate([r.nominal for r in rows])
     terms = {

@@ -1,4 +1,4 @@
-"""Print the tables of docs/learn/imu.md: errors of a path from an inertial log, by rests, camera and lever.
+"""Print the tables of docs/imu.md: errors of a path from an inertial log, by rests, camera and lever.
 
 Run ``python -m docs.learn.imu`` in the root of the repository. The runs are simulated by
 ``tests/generators/imu.py``, which shares no code with swimid, with the noise of a 3DM-GX1: 18 s at 0.3 m/s.

@@ -39,7 +39,7 @@ from functools import cached_property
 
 import numpy as np
 
-from swimid.blackbox.model import Orders, Record, lagged
+from swimid.blackbox.model import ArxRecord, Orders, delay_series
 from swimid.errors import NoTrustworthyResult
 from swimid.files.kernels import numba
 from swimid.fitting import uncertainty as rt
@@ -59,14 +59,14 @@ MAX_STEPS, MAX_HALVINGS = 100, 30
 EXACT = 1e-9
 #: Limit below which a singular value of the scaled regression matrix counts as zero, as a fraction of the
 #: largest singular value.
-RANK_RTOL = 1e-10
+REGRESSOR_RTOL = 1e-10
 #: Limit above which a singular value of the scaled regression matrix counts as information even if the data
 #: are coarsely rounded, as a fraction of the largest singular value.
 MAX_ROUNDING = 0.01
 #: Minimum share of a coefficient in the directions about which the data have no information, at which the
 #: coefficient is not identifiable. The share is the sum of its squared components in these directions. It is
 #: 1 if the data have no information about the coefficient at all.
-MIN_SHARE = 1e-3
+MIN_COMBINATION_SHARE = 1e-3
 #: Minimum variance inflation factor at which a column of a regression counts as nearly dependent on the other
 #: columns. The standard error of its coefficient is then 100 times that of an independent column.
 NEARLY_DEPENDENT = 1e4
@@ -240,16 +240,16 @@ class Regression:
         return rt.lag_matrix(self.on_grid(residuals), lags)
 
 
-def regression(records: Sequence[Record], orders: Orders) -> Regression:
+def regression(records: Sequence[ArxRecord], orders: Orders) -> Regression:
     """Return the regression for the coefficients of A and B from records with the same sample time.
 
     Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the long-fin paper). Rows with a
     missing sample are left out.
     """
-    y = rt.joined([r.output for r in records], gap=orders.lag + GAP)
-    u = rt.joined([r.source for r in records], gap=orders.lag + GAP)
-    past = [-lagged(y, lag) for lag in range(1, orders.na + 1)]
-    h = np.column_stack(past + [lagged(u, orders.nk + j) for j in range(orders.nb)])
+    y = rt.join_series([r.output for r in records], gap=orders.lag + GAP)
+    u = rt.join_series([r.source for r in records], gap=orders.lag + GAP)
+    past = [-delay_series(y, lag) for lag in range(1, orders.na + 1)]
+    h = np.column_stack(past + [delay_series(u, orders.nk + j) for j in range(orders.nb)])
     k = np.flatnonzero(np.isfinite(y) & np.isfinite(h).all(axis=1))
     possible = sum(max(len(r) - orders.lag, 0) for r in records)
     return Regression(orders, h[k], y[k], k, u, possible)
@@ -388,12 +388,12 @@ def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
     singular = np.append(singular, np.zeros(p - len(singular)))
     largest = max(singular[0], 1e-300)
     noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), MAX_ROUNDING * largest)
-    empty = singular <= np.maximum(RANK_RTOL * largest, noise)
+    empty = singular <= np.maximum(REGRESSOR_RTOL * largest, noise)
     condition = np.inf
     if not empty.all():
         condition = float(singular[0] / singular[~empty][-1])
     share = np.sum(vectors[empty] ** 2, axis=0)
-    return Identifiability(share < MIN_SHARE, int(np.count_nonzero(~empty)), condition, factor)
+    return Identifiability(share < MIN_COMBINATION_SHARE, int(np.count_nonzero(~empty)), condition, factor)
 
 
 def _lengths(rows: np.ndarray) -> np.ndarray:
@@ -508,8 +508,8 @@ def check_enough(data: Regression, orders: Orders) -> None:
         raise NoTrustworthyResult(f"{text}: there is nothing to identify")
 
 
-def estimate(
-    records: Sequence[Record],
+def fit_arx(
+    records: Sequence[ArxRecord],
     orders: Orders,
     *,
     weight: float = 1.0,
@@ -520,7 +520,7 @@ def estimate(
 
     Parameters
     ----------
-    records : sequence of Record
+    records : sequence of ArxRecord
         Records with one sample time. A working point must already be subtracted
         (:func:`swimid.blackbox.rwls.find_working_point`).
     weight, forgetting, prior_scale
@@ -560,7 +560,7 @@ def estimate(
         theta = refine(theta, data, weights)
         residuals, jacobian = errors_and_gradient(theta, data)
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
-    tested, absorbed = residuals, rt.absorbed(data.on_grid(jacobian), data.past_errors(residuals))
+    tested, absorbed = residuals, rt.count_absorbed(data.on_grid(jacobian), data.past_errors(residuals))
     if forgetting < 1 and not orders.nc:
         # A prediction does not depend on the sample that it predicts.
         absorbed = 0.0
@@ -568,8 +568,8 @@ def estimate(
         tested = np.where(np.arange(len(data)) < skipped, np.nan, run.innovations)
     exact = bool(np.sqrt(np.mean(residuals**2)) <= EXACT * np.std(data.outputs))
     white = rt.ljung_box(data.on_grid(tested), fitted=absorbed)
-    robust = not (white.passed or exact)
-    matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data, robust=robust)
+    robust = not (white.is_passed or exact)
+    matrix, noise_sd = compute_arx_covariance(jacobian, residuals, weights, prior, data, robust=robust)
     stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     known = exclude_collinear(known, data, theta, stderr, noise_sd)
     _check_determined(known, orders)
@@ -590,7 +590,7 @@ def _check_determined(known: Identifiability, orders: Orders) -> None:
         raise NoTrustworthyResult(text, hint="check the input column, or give --input-sine")
 
 
-def covariance(
+def compute_arx_covariance(
     jacobian: np.ndarray,
     residuals: np.ndarray,
     weights: np.ndarray,
@@ -609,7 +609,7 @@ def covariance(
     data : Regression
         Regression to which the rows belong.
     robust : bool
-        Whether to allow for correlated residuals; see the notes of :func:`estimate`.
+        Whether to allow for correlated residuals; see the notes of :func:`fit_arx`.
     """
     n, p = jacobian.shape
     root = np.sqrt(weights)[:, None]

@@ -29,7 +29,7 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
 from swimid.fitting import uncertainty as rt
-from swimid.fitting.fit_common import read_log
+from swimid.fitting.fit_common import read_trial_log
 from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.logs import sampling
 from swimid.logs import trials as trials_format
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 #: Name that ARX and ARMAX models have in parameter files.
 NAME = "arma"
 #: Keys of the amplitude, frequency and phase of a sine that replaces an input column, in parameter files.
-SINE = ("amplitude", "frequency_hz", "phase_rad")
+SINE_SETTINGS = ("amplitude", "frequency_hz", "phase_rad")
 #: Citation of the long-fin paper, the source of the model equations.
 PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
@@ -73,11 +73,11 @@ REGULAR_SHARE = 0.9
 #: equal samples.
 MIN_CHANGE = 5.0
 #: Maximum fraction of an averaging interval of the input in which samples may be missing.
-MAX_MISSING = 1e-3
+MAX_MISSING_INPUT = 1e-3
 
 
 @dataclass(frozen=True)
-class Record:
+class ArxRecord:
     """Samples of input and output of a model on a time grid, shape (n,). Missing samples are NaN."""
 
     #: Name of the log from which the record was read.
@@ -131,14 +131,14 @@ class Orders:
         return f"na={self.na}, nb={self.nb}, nk={self.nk}{noise}"
 
 
-class Pole(parameters_format.Pole):
+class ArxPole(parameters_format.Pole):
     """Pole of an ARX or ARMAX model in the z plane.
 
     The standard error of its magnitude is None for a repeated pole.
     """
 
     @property
-    def integrating(self) -> bool:
+    def is_integrating(self) -> bool:
         """Whether the pole is integrating, because its magnitude is 1 within two standard errors.
 
         A magnitude that is very close to 1 also counts, whatever its standard error is.
@@ -152,10 +152,10 @@ class Pole(parameters_format.Pole):
         """Class of the pole: unstable (on or outside the unit circle), integrating (near 1), or stable."""
         if self.magnitude >= 1.0:
             return "unstable"
-        return "integrating" if self.integrating else "stable"
+        return "integrating" if self.is_integrating else "stable"
 
 
-def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
+def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[ArxPole]:
     """Return the poles of an ARX model, the roots of its polynomial A, sorted by descending magnitude.
 
     Parameters
@@ -173,7 +173,7 @@ def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
     polynomial = np.concatenate(([1.0], a))
     result = []
     for z in np.roots(polynomial):
-        pole = Pole(real=float(z.real), imag=float(z.imag), magnitude=float(abs(z)), stderr_magnitude=None)
+        pole = ArxPole(real=float(z.real), imag=float(z.imag), magnitude=float(abs(z)), stderr_magnitude=None)
         slope = np.polyval(np.polyder(polynomial), z)
         if abs(z) > 0 and abs(slope) > 1e-12:
             gradient = -(z ** np.arange(len(a) - 1, -1, -1)) / slope
@@ -183,12 +183,12 @@ def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
     return sorted(result, key=lambda pole: (-pole.magnitude, -pole.imag))
 
 
-def lagged(x: np.ndarray, lag: int) -> np.ndarray:
+def delay_series(x: np.ndarray, lag: int) -> np.ndarray:
     """Return a copy of a series that is delayed by ``lag`` samples. Its first ``lag`` samples are NaN."""
     return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
 
 
-def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+def simulate(record: ArxRecord, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """Simulate the output of an ARX model from the input and the first measured outputs of a record.
 
     Returns
@@ -213,10 +213,10 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
         limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
     driven = np.zeros(len(record))
     for j, value in enumerate(b):
-        driven = driven + value * lagged(record.source, orders.nk + j)
+        driven = driven + value * delay_series(record.source, orders.nk + j)
     started = np.isfinite(driven)
     for i in range(1, na + 1):
-        started &= np.isfinite(lagged(measured, i))
+        started &= np.isfinite(delay_series(measured, i))
     result = np.full(len(record), np.nan)
     for piece in np.ma.clump_unmasked(np.ma.masked_invalid(driven)):
         first = piece.start + int(np.argmax(started[piece]))
@@ -231,7 +231,7 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
 
 
 def simulate_all(
-    records: Sequence[Record], orders: Orders, theta: np.ndarray
+    records: Sequence[ArxRecord], orders: Orders, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the measured outputs of all records as one array, and their simulated outputs as another."""
     runs = [simulate(r, orders, theta) for r in records]
@@ -297,7 +297,7 @@ class ArxModel(Model):
         #: Amplitude, frequency (Hz) and phase (rad) of the sine that is the input; None for an input column.
         self.sine: tuple[float, float, float] | None = None
         if settings.get("input_model"):
-            self.sine = tuple(settings["input_model"][key] for key in SINE)
+            self.sine = tuple(settings["input_model"][key] for key in SINE_SETTINGS)
         places = [f"past output, z^-{i + 1}" for i in range(na)]
         places += [f"input, z^-{delay + j}" for j in range(nb)]
         source = f"{PAPER}, Eq 5"
@@ -310,7 +310,7 @@ class ArxModel(Model):
         unit = str(settings.get("output_unit", "1"))
         self.channels = (Channel(self.output, unit, "output of the model"),)
 
-    def commanded(self, trial: Trial) -> bool:
+    def is_commanded(self, trial: Trial) -> bool:
         """Return whether the input column of the model holds commands instead of measured joint angles."""
         return not self.source.startswith("joint")
 
@@ -362,7 +362,9 @@ class ArxModel(Model):
                 y = np.where(np.arange(len(u)) < max(self.orders.lag, 1), 0.0, np.nan)
             else:
                 y = piece.take(np.asarray(measured, dtype=float)) - self.output_level
-            run = simulate(Record(trial.id, piece.time_s, u, y), self.orders, np.asarray(values, dtype=float))
+            run = simulate(
+                ArxRecord(trial.id, piece.time_s, u, y), self.orders, np.asarray(values, dtype=float)
+            )
             first = np.flatnonzero(np.isfinite(run))
             if len(first):
                 run[: first[0]] = y[: first[0]]
@@ -388,23 +390,24 @@ class ArxModel(Model):
         moved.output_level = level
         return moved
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the free run of a trial with effects on the input column, on the clock and on the output.
 
-        See :meth:`Model.hooked`. A delay of the clock is applied to the output by linear interpolation.
+        See :meth:`Model.simulate_hooked`. A delay of the clock is applied to the output by linear
+        interpolation.
         """
         time = np.asarray(trial.time_s, dtype=float)
         if hooks.command:
-            column = hooks.actuated(time, self.input_of(trial, time))
+            column = hooks.actuate(time, self.input_of(trial, time))
             trial = replace(trial, inputs={**trial.inputs, self.source: column})
         channels = self.simulate(values, trial)
         if hooks.late:
             run = channels[self.output]
             known = np.isfinite(run)
             if known.any():
-                late = np.interp(hooks.happened(time), time[known], run[known])
+                late = np.interp(hooks.compute_event_times(time), time[known], run[known])
                 channels[self.output] = np.where(known, late, np.nan)
-        return hooks.seen(channels, trial.time_s)
+        return hooks.sense(channels, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
         """Return the samples of the input of a trial at ``time`` (s), NaN where a sample is missing.
@@ -447,17 +450,17 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
     return control.TransferFunction(numerator, denominator, model.sample_time_s)
 
 
-def published(name: str) -> ParameterFile:
-    """Return the parameter file of a model that the long-fin paper published (:func:`published_names`).
+def load_published(name: str) -> ParameterFile:
+    """Return the parameter file of a model that the long-fin paper published (:func:`list_published`).
 
     The models have no standard errors. The model of the rotating motion is unstable.
     """
-    if name not in published_names():
-        raise KeyError(f"no published model {name!r}; there are {', '.join(published_names())}")
+    if name not in list_published():
+        raise KeyError(f"no published model {name!r}; there are {', '.join(list_published())}")
     return parameters_format.read(PUBLISHED / f"{name}.yaml")
 
 
-def published_names() -> tuple[str, ...]:
+def list_published() -> tuple[str, ...]:
     """Return the names of the models that the long-fin paper published."""
     return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))
 
@@ -489,19 +492,17 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     as it is.
     """
     repeats, even, columns = [], None, dict(log.columns)
-    for column in [c for c in (output, source) if c is not None]:
+    for column in filter(None, (output, source)):
         values = log[column]
         held, empty = find_held(log.time_s, [values]), np.isnan(values)
         # Accept the repeated samples of an input whose levels are independent, because it is a random
         # command.
-        if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
+        if column == source and rt.ljung_box(values[~held.repeated & ~empty]).is_passed:
             continue
         own = _even_times(log.time_s, values, held)
         if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
             continue
-        what = "are empty"
-        if held.repeated.any():
-            what = "repeat the measurement before"
+        what = ("are empty", "repeat the measurement before")[bool(held.repeated.any())]
         text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
         if own is None:
             columns[column] = np.where(held.repeated, np.nan, values)
@@ -549,7 +550,8 @@ def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.
 def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return the mean of a piecewise constant signal over the interval from each of ``times`` to the next.
 
-    ``times`` are in s. The mean is NaN if too many samples are missing in an interval (:data:`MAX_MISSING`).
+    ``times`` are in s. The mean is NaN if too many samples are missing in an interval
+    (:data:`MAX_MISSING_INPUT`).
     """
     steps, missing = np.diff(time_s), np.isnan(values)
     held = np.column_stack([np.where(missing, 0.0, values), missing])
@@ -558,7 +560,7 @@ def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndar
     row = np.clip(np.searchsorted(time_s, ends + 1e-6 * steps.min(), side="right") - 1, 0, None)
     integral = total[row] + held[row] * (ends - time_s[row])[:, None]
     mean, empty = (np.diff(integral, axis=0) / np.diff(ends)[:, None]).T
-    return np.where(empty > MAX_MISSING, np.nan, mean)
+    return np.where(empty > MAX_MISSING_INPUT, np.nan, mean)
 
 
 def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:
@@ -598,7 +600,7 @@ class Columns:
         return "/".join(re.sub(r"(.*[/ ].*)", r"(\1)", unit) for unit in (self.unit, source))
 
     @property
-    def measured_source(self) -> str | None:
+    def input_column(self) -> str | None:
         """Name of the input column in the logs; None if a sine replaces the input column."""
         return None if self.sine else self.source
 
@@ -609,9 +611,9 @@ class Data:
 
     columns: Columns
     sample_time_s: float
-    fit: list[Record]
+    fit: list[ArxRecord]
     #: Held-out records. The key is the name of a held-out log, or of the held-out part of a log.
-    held_out: dict[str, list[Record]]
+    held_out: dict[str, list[ArxRecord]]
     #: Names of the logs to which the model is fitted.
     logs: list[str]
     #: Paths or objects of all input files, which the provenance of the result lists.
@@ -643,55 +645,75 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
         A file is unreadable, columns are missing, the rate is not constant, or held-out rows are also fitted.
     """
     share, held_out = _split_held_out(options.held_out)
-    entries: list[TrialEntry] = []
-    origins: list[int] = []
-    files: list[Input] = []
-    listed: Any = None
-    for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
-        file = isinstance(source, str | Path)
-        if isinstance(source, TrialSet) or (file and Path(source).suffix.lower() in (".yaml", ".yml")):
-            if listed is not None:
-                raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
-            path = trials_format.place(source)
-            listed = trials_format.read(source, "rwls")
-            files += [path] * (not listed._in_memory)
-            found = [e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials]
-        else:
-            found = [_single(source, role, f"table {number + 1}")]
-        entries += found
-        origins += [number] * len(found)
-    for same in trials_format.same_recordings([(entry, Path(entry.log)) for entry in entries]):
-        for first, second in itertools.combinations(same, 2):
-            if origins[first] != origins[second]:  # the reader of a trials file has checked its own trials
-                trials_format.check_apart(entries[first], entries[second], Path(entries[first].log))
+    listed, groups, files = _list_entries(logs, held_out)
+    entries = [entry for group in groups for entry in group]
+    _refuse_repeats(groups)
     columns = _columns(options, listed)
     if all(entry.role == "validate" for entry in entries):
         raise UsageError("every trial is a validation trial; at least one must be fitted")
     ids = [entry.id for entry in entries]
     names = [entry.id if ids.count(entry.id) == 1 else entry.log for entry in entries]
-    required = tuple(name for name in (columns.measured_source, columns.output) if name)
+    required = tuple(name for name in (columns.input_column, columns.output) if name)
     contents, repeats = [], []
     for entry in entries:
-        log = read_log(entry, Path(), required=required)
+        log = read_trial_log(entry, Path(), required=required)
         _check_distinct(log, columns)
-        log, found_repeats = at_own_rate(log, columns.measured_source, columns.output)
+        log, found_repeats = at_own_rate(log, columns.input_column, columns.output)
         contents.append(log)
         repeats += found_repeats
     step_s = _common_step(names, contents)
-    fitted = [name for name, entry in zip(names, entries, strict=True) if entry.role == "fit"]
-    fit: list[Record] = []
-    held: dict[str, list[Record]] = {}
-    for name, entry, log in zip(names, entries, contents, strict=True):
-        cut = len(log) - round(share * len(log))
-        if entry.role == "validate":
+    fitted = {
+        name: log for name, entry, log in zip(names, entries, contents, strict=True) if entry.role == "fit"
+    }
+    fit: list[ArxRecord] = []
+    held: dict[str, list[ArxRecord]] = {}
+    for name, log in zip(names, contents, strict=True):
+        if name not in fitted:
             held[name] = _records(log, name, columns, step_s, slice(None))
             continue
+        cut = len(log) - round(share * len(log))
         fit += _records(log, name, columns, step_s, slice(0, cut))
         if share:
             label = "held-out part" + f" of {name}" * (len(fitted) > 1)
             held[label] = _records(log, name, columns, step_s, slice(cut, None))
     files += [Path(entry.log) if entry._held is None else entry._held.source for entry in entries]
-    return Data(columns, step_s, fit, held, fitted, files, getattr(listed, "robot", None), repeats)
+    return Data(columns, step_s, fit, held, list(fitted), files, getattr(listed, "robot", None), repeats)
+
+
+def _list_entries(
+    logs: Sequence[Source], held_out: Sequence[Source]
+) -> tuple[Any, list[list[TrialEntry]], list[Input]]:
+    """Return the trials file if there is one, the trials of each source, and the files besides the logs."""
+    groups: list[list[TrialEntry]] = []
+    files: list[Input] = []
+    listed: Any = None
+    for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
+        is_file = isinstance(source, str | Path)
+        if not (
+            isinstance(source, TrialSet) or (is_file and Path(source).suffix.lower() in (".yaml", ".yml"))
+        ):
+            groups.append([_single(source, role, f"table {number + 1}")])
+            continue
+        if listed is not None:
+            raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
+        path = trials_format.place(source)
+        listed = trials_format.read(source, "rwls")
+        files += [path] * (not listed._in_memory)
+        groups.append([e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials])
+    return listed, groups, files
+
+
+def _refuse_repeats(groups: Sequence[Sequence[TrialEntry]]) -> None:
+    """Refuse rows of one recording that are both fitted and held out.
+
+    The reader of a trials file has checked its own trials.
+    """
+    pairs = [(number, entry) for number, group in enumerate(groups) for entry in group]
+    entries = [entry for _, entry in pairs]
+    for same in trials_format.same_recordings([(entry, Path(entry.log)) for entry in entries]):
+        for first, second in itertools.combinations(same, 2):
+            if pairs[first][0] != pairs[second][0]:
+                trials_format.check_apart(entries[first], entries[second], Path(entries[first].log))
 
 
 def _single(source: Source, role: Any, name: str) -> TrialEntry:
@@ -777,7 +799,7 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
     return first_s
 
 
-def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
+def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[ArxRecord]:
     """Return the given rows of a log as records of input and output, with a new record after a long gap."""
     time = log.time_s[rows]
     if len(time) < 2:
@@ -789,5 +811,5 @@ def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) 
             u = sine_input(piece.time_s, *columns.sine)
         else:
             u = piece.take(log[columns.source][rows])
-        records.append(Record(name, piece.time_s, u, y))
+        records.append(ArxRecord(name, piece.time_s, u, y))
     return records

@@ -12,14 +12,7 @@ from swimid.errors import UsageError
 from swimid.options import Options, option
 
 
-class RwlsOptions(
-    Options,
-    command="rwls",
-    section="Identify",
-    argument="LOG...",
-    output_flags=("-o", "--result"),
-    makes="parameters",
-):
+class RwlsOptions(Options, argument="LOG...", output_flags=("-o", "--result"), makes="parameters"):
     r"""Identify an ARX or ARMAX model by recursive weighted least squares.
 
     A(z^-1) y = B(z^-1) u + C(z^-1) e with A = 1 + a1 z^-1 + ..., B = b1 z^-nk + ..., with one-step

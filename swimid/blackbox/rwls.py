@@ -24,21 +24,21 @@ from swimid.blackbox.arx import (
     ArxEstimate,
     Regression,
     check_enough,
-    covariance,
+    compute_arx_covariance,
     errors_and_gradient,
-    estimate,
     find_directions,
+    fit_arx,
     regression,
 )
 from swimid.blackbox.model import (
     INTEGRATING,
     NAME,
     PAPER,
-    SINE,
+    SINE_SETTINGS,
+    ArxPole,
+    ArxRecord,
     Data,
     Orders,
-    Pole,
-    Record,
     best_level,
     find_poles,
     read,
@@ -49,8 +49,8 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import uncertainty as rt
-from swimid.fitting.fit_common import VALIDATION_RATIO, Score, is_still, score
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.fitting.fit_common import VALIDATION_RATIO, SeriesScore, compute_score, is_still
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers, parameters
@@ -65,18 +65,18 @@ CLEAR_T = 5.0
 #: constant term reach both thresholds by chance, also for slow systems.
 LIKELY_T = 3.5
 #: Minimum absolute t value of a constant term in the regression at which the means of the data are subtracted
-#: if the output is far from zero (:data:`FAR`) and the free run improves at all. The t value can be small
-#: because a spurious pole near 1 replaces the constant term.
+#: if the output is far from zero (:data:`FAR_LEVEL`) and the free run improves at all. The t value can be
+#: small because a spurious pole near 1 replaces the constant term.
 WEAK_T = 2.0
 #: Minimum relative reduction of the root-mean-square error of the free run that counts as a clear improvement
 #: when the means of the data are subtracted.
 CLEAR_GAIN = 0.1
 #: Minimum ratio of the absolute mean of the output to its standard deviation at which the output counts as
 #: far from zero.
-FAR = 3.0
+FAR_LEVEL = 3.0
 #: Code of the warning for each check that issues one if it does not pass. The key is the name of the check.
 #: The text of the warning is the reason that the check gives.
-CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
+WARNING_CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
 #: Minimum NRMSE fit (100 % minus the normalised root-mean-square error), %, at which a free run counts as
 #: reproducing the output.
 MIN_FIT_PERCENT = 50.0
@@ -120,11 +120,8 @@ def rwls(
     Fitted
         ``.parameters`` has ``a1``, ... (1), ``b1``, ... (unit of the output divided by that of the input) and
         ``c1``, ... (1). ``.tables()`` has the ``errors`` of the predictions and the ``modes`` of the model.
-        ``.data["orders_tried"]`` has the orders of an order search with their BIC, lowest first.
-
-        The errors contain ``fit_percent``, the NRMSE fit ``100 (1 - ||y - yhat|| / ||y - mean(y)||)`` as the
-        System Identification Toolbox defines it. The mean is taken over the compared samples of the measured
-        output in all records of a data set.
+        ``.data["orders_tried"]`` has the orders of an order search with their BIC, lowest first. The errors
+        contain ``fit_percent`` as the System Identification Toolbox defines it.
 
     Raises
     ------
@@ -134,17 +131,6 @@ def rwls(
         The options contradict each other.
     NoTrustworthyResult
         There are too few rows, input or output are constant, or the search for ``c1``, ... does not converge.
-
-    References
-    ----------
-    .. [1] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic underwater
-       vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159.
-       Eq 3: the substitute input; Eqs 4 to 7: the model; Eqs 6 to 9: the recursion.
-    .. [2] G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation* (1977), ch. 5: UD
-       factors.
-    .. [3] L. Ljung, *System Identification: Theory for the User*, 2nd ed. (1999), section 11.7: forgetting.
-    .. [4] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65
-       (1978) 297-303, doi:10.1093/biomet/65.2.297: the test of whiteness.
 
     Examples
     --------
@@ -162,7 +148,7 @@ def rwls(
     >>> fit["b1"].unit
     '(m/s)/rad'
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         data = read(logs, options)
         if output is not None:
             atomic.check_writable(output, inputs=data.files)
@@ -170,28 +156,33 @@ def rwls(
         checks = _checks(m)
         for code, text in _warnings(m, checks):
             warn(code, text)
+    return _make_result(m, checks, notices).write_output(output)
+
+
+def _make_result(m: Identified, checks: list[Check], notices: Sequence[Notice]) -> Fitted:
+    """Return the parameter file of an identified model with its evidence."""
     file = _parameter_file(m)
-    columns, where = data.columns, "held-out" if m.held_out else "fitted"
-    least = min(part.free_run.fit_percent for part in m.judged.values())
+    columns, where = m.data.columns, "held-out" if m.held_out else "fitted"
+    least = min(part.free_run.fit_percent for part in m.assess_parts.values())
     answer = f"The free run does not reproduce the {where} output."
     if least >= 0:
         answer = f"The free run reproduces {least:.1f} % of the {where} output."
     evidence = Evidence(
         command="rwls",
         title=f"{m.kind} model, {columns.source} to {columns.output}",
-        verdict=ev.judged(answer, checks),
+        verdict=ev.make_verdict(answer, checks),
         facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
         checks=checks,
         tables=[_errors(m), _modes(m)],
         figures=[_free_run(m), _residuals(m)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(m),
         references=REFERENCES,
         provenance=file.provenance,
     )
     made = Fitted.of(file, evidence)
     made.data["orders_tried"] = [{**asdict(orders), "bic": bic} for orders, bic in m.candidates]
-    return made.saved(output)
+    return made
 
 
 # ---------------------------------------------------------------- checks and warnings
@@ -200,21 +191,29 @@ def rwls(
 def _checks(m: Identified) -> list[Check]:
     fitted, pole, count = m.estimate, m.critical_pole, m.estimate.orders.count
     checks = [
-        ev.check(
+        ev.make_check(
             "Held-out data", str(len(m.held_out)), bool(m.held_out), "some", reason="no data were held out"
         ),
-        ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
+        ev.make_check(
+            "Repeated samples",
+            "; ".join(m.data.repeats),
+            not m.data.repeats,
+            "none",
+            reason=f"the log repeats samples: {'; '.join(m.data.repeats)}",
+        ),
     ]
     otherwise: Literal["warn", "fail"] = "warn"
     if pole is not None:
-        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr_magnitude)}"
+        size = f"|z| = {numbers.format_estimate(pole.magnitude, pole.stderr_magnitude)}"
         reason, passed = f"the model integrates ({size}), so that a free run drifts", pole.state == "stable"
         if pole.state == "unstable":
             otherwise, reason = "fail", f"the model is unstable ({size}) and cannot be simulated"
         checks.append(
-            ev.check("Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason)
+            ev.make_check(
+                "Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason
+            )
         )
-    runs, ratio = m.judged, f"{VALIDATION_RATIO:g} times that of the fit"
+    runs, ratio = m.assess_parts, f"{VALIDATION_RATIO:g} times that of the fit"
     if m.fit.diverged:
         runs["the fitted part"] = m.fit
     for name, part in runs.items():
@@ -231,19 +230,21 @@ def _checks(m: Identified) -> list[Check]:
             passed = fit >= MIN_FIT_PERCENT
             reason = f"the free run reproduces less than half of {name} ({value})"
         limit = f"at least {MIN_FIT_PERCENT:g} %, and an error below {ratio}"
-        checks.append(ev.check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason))
+        checks.append(
+            ev.make_check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason)
+        )
     for name, test, reason in (
         ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
         ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
     ):
-        p, passed = ev.p_text(test.p_value), test.passed or fitted.exact
+        p, passed = ev.p_text(test.p_value), test.is_passed or fitted.exact
         checks.append(
-            ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
+            ev.make_check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
         )
-    lost = m.undetermined
+    lost = m.indeterminate
     value, reason = f"{count - len(lost)} of {count}", f"the data do not determine {', '.join(lost)}"
     excited = f"the input excites {fitted.known.input_rank} of the {fitted.orders.nb} coefficients of B"
-    return [*checks, ev.check("Coefficients determined", value, not lost, "all", excited, reason=reason)]
+    return [*checks, ev.make_check("Coefficients determined", value, not lost, "all", excited, reason=reason)]
 
 
 def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
@@ -267,8 +268,8 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
             "deviations from them",
         )
     for check in checks:
-        if check.name in CODES and check.verdict != "pass":
-            yield CODES[check.name], check.reason
+        if check.name in WARNING_CODES and check.verdict != "pass":
+            yield WARNING_CODES[check.name], check.reason
     source = np.concatenate([record.source for record in data.fit])
     regressions = {
         "the input is constant: B is an offset of the output and says nothing of the input": np.nanmin(source)
@@ -300,29 +301,8 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
     Its settings have the orders, the input and output columns, and the levels of the working point.
     """
     fitted, data, columns = m.estimate, m.data, m.data.columns
-    orders, names, lost = fitted.orders, fitted.orders.names, m.undetermined
-    unit, channel = columns.unit, columns.output
-    settings: dict[str, Any] = {
-        "orders": asdict(orders),
-        "order": "least BIC" if m.candidates else "given",
-        "input": columns.source,
-        "output": channel,
-        "output_unit": unit,
-        **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre"}),
-        "input_level": m.point.source,
-        "output_level": m.point.output,
-    }
-    if columns.sine:
-        settings["input_model"] = {"kind": "sine", **dict(zip(SINE, columns.sine, strict=True))}
-    units = {"a": "1", "b": columns.gain_unit, "c": "1"}
-    estimates = {
-        name: parameters.Estimate(
-            value=float(value), stderr=_finite(stderr), unit=units[name[0]], status="estimated"
-        )
-        for name, value, stderr in zip(names, fitted.theta, fitted.stderr, strict=True)
-    }
-    for name in lost:
-        estimates[name].status = "unidentifiable"
+    orders, names, lost = fitted.orders, fitted.orders.names, m.indeterminate
+    unit, channel, settings = columns.unit, columns.output, _list_settings(m)
     words = (
         f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
         f"{', '.join(lost)} are determined."
@@ -330,7 +310,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
     validation: dict[str, Any] = {}
     if m.held_out:
         held_out = [record for part in m.held_out.values() for record in part.records]
-        together = score(*simulate_all(held_out, orders, fitted.theta))
+        together = compute_score(*simulate_all(held_out, orders, fitted.theta))
         by_set = {name: part.as_dict(unit) for name, part in m.held_out.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     # The provenance names held-out data by the fraction of each log, by a file, or by the name of a log in
@@ -341,7 +321,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
     return parameters.ParameterFile(
         model=NAME,
         robot=data.robot,
-        parameters=estimates,
+        parameters=_list_estimates(m),
         identifiability=[words] * bool(lost),
         correlation=parameters.Correlation(
             names=[name for name in names if name not in lost], matrix=fitted.correlation.tolist()
@@ -359,17 +339,47 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
             noise={
                 "sd": fitted.noise_sd,
                 "unit": unit,
-                "white": fitted.whiteness.passed,
+                "white": fitted.whiteness.is_passed,
                 "white_p": fitted.whiteness.p_value,
-                "input_independent": m.independent.passed,
+                "input_independent": m.independent.is_passed,
                 "input_independent_p": m.independent.p_value,
                 "standard_errors": "sandwich" if fitted.robust else "sigma^2 (H'H)^-1",
             },
             rows=len(fitted.data),  # type: ignore[call-arg]
-            integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
+            integrating=any(p.is_integrating for p in m.poles),  # type: ignore[call-arg]
         ),
         provenance=provenance.collect(data.files, settings={**settings, "validate": shares}),
     )
+
+
+def _list_settings(m: Identified) -> dict[str, Any]:
+    """Return the settings of a parameter file: orders, columns, and levels of the working point."""
+    columns = m.data.columns
+    settings: dict[str, Any] = {
+        "orders": asdict(m.estimate.orders),
+        "order": "least BIC" if m.candidates else "given",
+        "input": columns.source,
+        "output": columns.output,
+        "output_unit": columns.unit,
+        **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre"}),
+        "input_level": m.point.source,
+        "output_level": m.point.output,
+    }
+    if columns.sine:
+        settings["input_model"] = {"kind": "sine", **dict(zip(SINE_SETTINGS, columns.sine, strict=True))}
+    return settings
+
+
+def _list_estimates(m: Identified) -> dict[str, parameters.Estimate]:
+    """Return the coefficients of a model as entries of the parameter file."""
+    fitted, units = m.estimate, {"a": "1", "b": m.data.columns.gain_unit, "c": "1"}
+    estimates = {}
+    for name, value, stderr in zip(fitted.orders.names, fitted.theta, fitted.stderr, strict=True):
+        status = "unidentifiable" if name in m.indeterminate else "estimated"
+        estimates[name] = parameters.Estimate(
+            value=float(value), stderr=_finite(stderr), unit=units[name[0]], status=status
+        )
+    return estimates
 
 
 def _finite(value: float) -> float | None:
@@ -409,7 +419,7 @@ def _modes(m: Identified) -> Table:
     """
     rows: list[list[ev.Cell]] = []
     for p in m.poles:
-        size = numbers.measured(p.magnitude, p.stderr_magnitude)
+        size = numbers.format_estimate(p.magnitude, p.stderr_magnitude)
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.log(np.complex128(complex(p.real, p.imag))) / m.data.sample_time_s
             damping = -rate.real / abs(rate)
@@ -441,7 +451,7 @@ def _methods(m: Identified) -> list[str]:
 
 def _free_run(m: Identified) -> Figure:
     """Return the figure of measured output and free run over time, for the worst and the best data set."""
-    parts = m.judged
+    parts = m.assess_parts
     ranked = sorted(parts, key=lambda name: parts[name].free_run.fit_percent)
     panels = []
     for name in dict.fromkeys([ranked[0], ranked[-1]]):
@@ -450,7 +460,7 @@ def _free_run(m: Identified) -> Figure:
         for record in parts[name].records:
             run = simulate(record, m.estimate.orders, m.estimate.theta)
             for group, (label, y) in enumerate({"measured": record.output, "free run": run}.items()):
-                x, shown = ev.thinned(record.time_s, y + level)
+                x, shown = ev.thin_curve(record.time_s, y + level)
                 traces.append(Trace(x=x, y=shown, label=label * (len(traces) < 2), group=group))
         y_label = numbers.column_title(m.data.columns.output)
         title = name.removesuffix(".csv") * (len(parts) > 1)
@@ -483,7 +493,7 @@ class WorkingPoint:
     removed: bool
 
 
-def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
+def find_working_point(records: Sequence[ArxRecord], orders: Orders, mode: str = "auto") -> WorkingPoint:
     """Decide whether the means of the fitted records must be subtracted, and return the working point.
 
     Parameters
@@ -492,9 +502,9 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
         ``none`` never subtracts the means, ``mean`` always does. ``auto`` subtracts them in four cases, where
         t is the t value of a constant term that is fitted together with A and B. (1) |t| is above
         :data:`CLEAR_T`. (2) |t| is above :data:`LIKELY_T`, and the free run improves by :data:`CLEAR_GAIN`.
-        (3) The mean of the output is more than :data:`FAR` standard deviations from zero, and the free run
-        improves by :data:`CLEAR_GAIN`, or at all if |t| is above :data:`WEAK_T`. (4) The mean of the output
-        is that far from zero, and a pole at 1 disappears.
+        (3) The mean of the output is more than :data:`FAR_LEVEL` standard deviations from zero, and the free
+        run improves by :data:`CLEAR_GAIN`, or at all if |t| is above :data:`WEAK_T`. (4) The mean of the
+        output is that far from zero, and a pole at 1 disappears.
 
     Raises
     ------
@@ -507,12 +517,12 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     output = float(np.nanmean(np.concatenate([r.output for r in records])))
     constant, t = constant_term(data)
     size = abs(t) * bool(abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2)))
-    far = bool(abs(output) > FAR * np.std(data.outputs))
+    far = bool(abs(output) > FAR_LEVEL * np.std(data.outputs))
     point = WorkingPoint(source, output, t, True)
     removed = mode == "mean" or (mode == "auto" and size > CLEAR_T)
     if mode == "auto" and not removed and (far or size > LIKELY_T):
         before, pole_before = _simulate_fit(records, orders)
-        after, pole_after = _simulate_fit(shifted(records, point), orders)
+        after, pole_after = _simulate_fit(subtract_levels(records, point), orders)
         needed_gain = CLEAR_GAIN
         if far and size > WEAK_T:
             needed_gain = 0.0
@@ -523,7 +533,7 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     return WorkingPoint(0.0, 0.0, t, False)
 
 
-def _simulate_fit(records: Sequence[Record], orders: Orders) -> tuple[float, float]:
+def _simulate_fit(records: Sequence[ArxRecord], orders: Orders) -> tuple[float, float]:
     """Fit an ARX model by least squares, and return the error of its free run and its largest pole.
 
     The error is a root mean square, and infinite if the free run has no samples. The pole is a magnitude.
@@ -550,23 +560,23 @@ def constant_term(data: Regression) -> tuple[float, float]:
         return float("nan"), 0.0
     theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
     residuals = data.outputs - rows @ theta
-    absorbed = rt.absorbed(data.on_grid(rows), data.past_errors(residuals))
-    white = rt.ljung_box(data.on_grid(residuals), fitted=absorbed).passed
-    spread, _ = covariance(rows, residuals, np.ones(n), 0.0, data, robust=not white)
+    absorbed = rt.count_absorbed(data.on_grid(rows), data.past_errors(residuals))
+    white = rt.ljung_box(data.on_grid(residuals), fitted=absorbed).is_passed
+    spread, _ = compute_arx_covariance(rows, residuals, np.ones(n), 0.0, data, robust=not white)
     constant, stderr = float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
     if stderr > 0:
         return constant, constant / stderr
     return constant, 0.0 if constant == 0 else float("inf")
 
 
-def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
+def subtract_levels(records: Sequence[ArxRecord], point: WorkingPoint) -> list[ArxRecord]:
     """Return copies of records with the levels of a working point subtracted from input and output."""
     if not point.removed:
         return list(records)
     return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
 
 
-def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+def predict(record: ArxRecord, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """Predict the output of a record one sample ahead from past samples; NaN where one of them is missing."""
     data = regression([record], orders)
     errors, _ = errors_and_gradient(theta, data)
@@ -574,8 +584,8 @@ def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
 
 
 def about_own_level(
-    records: Sequence[Record], orders: Orders, theta: np.ndarray
-) -> tuple[list[Record], float]:
+    records: Sequence[ArxRecord], orders: Orders, theta: np.ndarray
+) -> tuple[list[ArxRecord], float]:
     """Subtract from the outputs of records the level that minimises the free-run error of a model.
 
     Return the records and this level. Held-out data can have another working point than the fitted data. The
@@ -591,16 +601,16 @@ def about_own_level(
 class Part:
     """Set of records and the prediction errors of a model on it. The working point is subtracted."""
 
-    records: list[Record]
-    one_step: Score
-    free_run: Score
+    records: list[ArxRecord]
+    one_step: SeriesScore
+    free_run: SeriesScore
     #: Whether the free run of a model that is not stable diverges from the measured output.
     diverged: bool
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
     #: Free-run error of held-out records about the output level of the fitted data. It is None for fitted
     #: records, and if no means were subtracted. All other errors are about the own level of the records.
-    strict: Score | None = None
+    strict: SeriesScore | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """Return the prediction errors as nested dictionaries for the parameter file."""
@@ -610,7 +620,7 @@ class Part:
         return {"one_step": self.one_step.as_dict(unit), "free_run": free}
 
 
-def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) -> Part:
+def score_records(records: list[ArxRecord], model: ArxEstimate, poles: list[ArxPole]) -> Part:
     """Return the prediction errors of a model on a set of records, one step ahead and in a free run.
 
     Raises
@@ -627,8 +637,8 @@ def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) 
         )
     runs = [simulate(r, orders, theta) for r in records]
     measured = np.concatenate([r.output for r in records])
-    one = score(measured, np.concatenate([predict(r, orders, theta) for r in records]))
-    free = score(measured, np.concatenate(runs))
+    one = compute_score(measured, np.concatenate([predict(r, orders, theta) for r in records]))
+    free = compute_score(measured, np.concatenate(runs))
     stopped = False
     for record, run in zip(records, runs, strict=True):
         last = np.flatnonzero(np.isfinite(run))[-1:]
@@ -649,7 +659,7 @@ class Identified:
     held_out: Mapping[str, Part]
     estimate: ArxEstimate
     #: Poles of the model in the z plane, sorted by descending magnitude.
-    poles: list[Pole]
+    poles: list[ArxPole]
     #: Orders that the order search tried, each with its Bayesian information criterion (BIC), lowest BIC
     #: first. It is empty if the user gave the orders.
     candidates: Sequence[tuple[Orders, float]]
@@ -660,7 +670,7 @@ class Identified:
         return "ARMAX" if self.estimate.orders.nc else "ARX"
 
     @property
-    def judged(self) -> dict[str, Part]:
+    def assess_parts(self) -> dict[str, Part]:
         """Data sets whose free run the checks assess.
 
         They are the held-out data, or the fitted data if no data are held out.
@@ -679,7 +689,7 @@ class Identified:
         residuals, source, lags = self.residual_series
         first, data = self.estimate.orders.nk, self.estimate.data
         past = rt.lag_matrix(source, range(first, first + lags))
-        absorbed = rt.absorbed(data.on_grid(self.estimate.jacobian), past)
+        absorbed = rt.count_absorbed(data.on_grid(self.estimate.jacobian), past)
         return rt.independence(residuals, source, lags=lags, first=first, fitted=absorbed)
 
     @property
@@ -692,13 +702,13 @@ class Identified:
         return [name for name, part in self.held_out.items() if part.free_run.rmse > limit]
 
     @property
-    def undetermined(self) -> list[str]:
+    def indeterminate(self) -> list[str]:
         """Names of the coefficients that the fitted data do not determine."""
         pairs = zip(self.estimate.orders.names, self.estimate.stderr, strict=True)
         return [name for name, stderr in pairs if not math.isfinite(stderr)]
 
     @property
-    def critical_pole(self) -> Pole | None:
+    def critical_pole(self) -> ArxPole | None:
         """Pole that determines the stability of the model; None if the model has no pole.
 
         It is the largest unstable pole, else the largest integrating pole, else the largest stable pole.
@@ -713,7 +723,7 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
     Raises
     ------
     NoTrustworthyResult
-        If the estimation fails; see :func:`swimid.blackbox.arx.estimate`.
+        If the estimation fails; see :func:`swimid.blackbox.arx.fit_arx`.
     """
     candidates: list[tuple[Orders, float]] = []
     if options.na is None or options.nb is None:
@@ -723,17 +733,17 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
         orders = Orders(options.na, options.nb, options.delay, options.nc)
     point = find_working_point(data.fit, orders, options.centre)
     how = options.model_dump(include={"weight", "forgetting", "prior_scale"})
-    fitted = estimate(shifted(data.fit, point), orders, **how)
+    fitted = fit_arx(subtract_levels(data.fit, point), orders, **how)
     a, _, _ = orders.split(fitted.theta)
     poles = find_poles(a, fitted.covariance[: orders.na, : orders.na])
     held_out = {}
     for name, records in data.held_out.items():
-        part = score_records(shifted(records, point), fitted, poles)
+        part = score_records(subtract_levels(records, point), fitted, poles)
         if point.removed:
             own, level = about_own_level(part.records, orders, fitted.theta)
             part = replace(score_records(own, fitted, poles), level=level, strict=part.free_run)
         held_out[name] = part
-    fit = score_records(shifted(data.fit, point), fitted, poles)
+    fit = score_records(subtract_levels(data.fit, point), fitted, poles)
     return Identified(options, data, point, fit, held_out, fitted, poles, candidates)
 
 
@@ -747,7 +757,7 @@ def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[
     if options.nk is not None:
         delays = range(options.delay, options.delay + 1)
     point = find_working_point(data.fit, Orders(largest, largest), options.centre)
-    candidates = search_orders(shifted(data.fit, point), largest, delays, progress=progress)
+    candidates = search_orders(subtract_levels(data.fit, point), largest, delays, progress=progress)
     best = candidates[0][0]
     edge = {name: "--max-order" for name in ("na", "nb") if getattr(best, name) == largest}
     if options.nk is None and best.nk == options.max_nk > 0:
@@ -763,7 +773,7 @@ def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[
 
 
 def search_orders(
-    records: Sequence[Record], largest: int, delays: range, *, progress: Progress = silent
+    records: Sequence[ArxRecord], largest: int, delays: range, *, progress: Progress = silent
 ) -> list[tuple[Orders, float]]:
     """Fit ARX models of all orders in a grid, and rank them by the Bayesian information criterion.
 

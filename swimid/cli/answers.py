@@ -1,21 +1,19 @@
-"""JSON Schema of the answers that commands print with ``--json``.
+"""Types of the answers that commands print with ``--json``.
 
-The result of a command that writes a YAML file has the schema of this file. Every other class of results
-states the keys of its data (:attr:`swimid.results.result.Result.keys`). It may have further keys.
+``result`` has the content of the file that the command writes, whose schema is that of its format.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NotRequired, get_args
+from typing import Annotated, Any, Literal, NotRequired
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 from typing_extensions import TypedDict
 
-from swimid.commands import found
 from swimid.notices import Notice
 
 
-class Verdict(TypedDict):
+class AnswerVerdict(TypedDict):
     """Verdict on a result, with the reasons of the checks that do not pass."""
 
     level: Literal["good", "caution", "bad"]
@@ -31,7 +29,7 @@ class Failure(TypedDict):
     exit_status: int
 
 
-class Answer(TypedDict):
+class CommandAnswer(TypedDict):
     """Answer of a command to --json."""
 
     schema: Literal[1]
@@ -39,31 +37,7 @@ class Answer(TypedDict):
     command: str
     result: NotRequired[dict[str, Any]]
     error: NotRequired[Failure]
-    verdict: Annotated[Verdict | None, Field(description="null if nothing was checked")]
+    verdict: Annotated[AnswerVerdict | None, Field(description="null if nothing was checked")]
     warnings: list[Notice]
     outputs: list[str]
     next: Annotated[list[str], Field(description="commands that can be typed")]
-
-
-def answer_schema() -> dict[str, Any]:
-    """Return the JSON Schema of the answer of any command to ``--json``."""
-    document = TypeAdapter(Answer).json_schema()
-    document["properties"]["command"] = {"enum": list(found())}
-    document["allOf"] = []
-    for command, spec in found().items():
-        kinds = spec.returned()
-        shown = []
-        for kind in get_args(kinds) or (kinds,):
-            name = kind.__name__
-            of_file = getattr(kind, "file_type", None)
-            adapter = TypeAdapter(of_file or TypedDict(name, dict(kind.keys)))  # type: ignore[operator]
-            schema = adapter.json_schema(ref_template=f"#/$defs/{name}/$defs/{{model}}")
-            # An answer may have more keys than the file.
-            schema.pop("additionalProperties", None)
-            document["$defs"][name] = schema
-            shown.append({"$ref": f"#/$defs/{name}"})
-        document["allOf"].append({
-            "if": {"properties": {"command": {"const": command}}, "required": ["result"]},
-            "then": {"properties": {"result": {"anyOf": shown}}},
-        })  # fmt: skip
-    return document

@@ -17,24 +17,23 @@ from typing import Any
 from pydantic import TypeAdapter
 
 import swimid
-from swimid.cli.answers import answer_schema
 from swimid.cli.options import DoctorOptions, ImportLogOptions, SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
-from swimid.logs import import_log as logs
-from swimid.logs.mapping import Draft, guess_mapping
-from swimid.logs.tracks import Logged
+from swimid.imports import import_log as logs
+from swimid.imports.mapping import Draft, guess_mapping
+from swimid.kinematics.logged import Logged
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict
-from swimid.results.result import Result, class_of, formats
+from swimid.results.result import Result, class_of, list_result_formats
 
 # ---------------------------------------------------------------- import
 
 
 @takes(ImportLogOptions)
-def import_log(
+def import_file(
     file: Path, *, options: ImportLogOptions, output: Path | None, progress: Progress = silent
 ) -> Logged | Draft:
     """Import a recording of another program as a log, or draft the mapping that the import needs.
@@ -69,12 +68,11 @@ OTHERS = {
     "trials": "swimid.logs.experiments:make_schema",
     "robot": "swimid.robots.file:schema_of",
     "setup": "swimid.tracking.setup:Setup",
-    "mapping": "swimid.logs.mapping:Mapping",
-    "points": "swimid.logs.point_files:PointsFile",
+    "mapping": "swimid.imports.mapping:Mapping",
+    "points": "swimid.points.point_files:PointsFile",
     "evidence": "swimid.results.evidence:Evidence",
+    "answer": "swimid.cli.answers:CommandAnswer",
 }
-#: Name of the schema of the answer of any command to ``--json``.
-ANSWER = "answer"
 
 
 @takes(SchemaOptions)
@@ -93,33 +91,27 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     UsageError
         If there is no such format. The hint names the most similar format.
     """
-    names = [*OTHERS, *formats(), ANSWER]
+    names = [*OTHERS, *list_result_formats()]
     if name is None:
         return Result("schema", "\n".join(names), {"formats": names})
     if name not in names:
         raise UsageError(f"there is no format '{name}'", hint=suggestion(name, names))
-    if name == ANSWER:
-        content = answer_schema()
+    if name in OTHERS:
+        module, _, attribute = OTHERS[name].partition(":")
+        model: Any = getattr(importlib.import_module(module), attribute)
+        model = model if isinstance(model, type) else model()
     else:
-        found: Any = getattr(class_of(name), "file_type", None) if name in formats() else _other(name)
-        content = TypeAdapter(found).json_schema()
+        model = class_of(name).file_type
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
-        **content,
+        **TypeAdapter(model).json_schema(),
     }
     text = json.dumps(document, indent=2)
     if output is None:
         return Result("schema", text, document)
     atomic.write_text(output, text + "\n")
     return Result("schema", "", document, [output])
-
-
-def _other(name: str) -> Any:
-    """Return the pydantic model of a file format that is not the format of a result."""
-    module, _, attribute = OTHERS[name].partition(":")
-    found = getattr(importlib.import_module(module), attribute)
-    return found if isinstance(found, type) else found()
 
 
 # ---------------------------------------------------------------- doctor
@@ -176,40 +168,51 @@ def doctor(
         "optional": _versions(name for name, extra in known.items() if extra),
         "video_decoding": _decodes_video(),
     }
+    if options.warm_up:
+        findings["kernels_s"] = _warm_up(progress)
+    findings["healthy"] = all(findings["packages"].values()) and findings["video_decoding"]
+    outputs = []
+    if output is not None:
+        atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
+        outputs.append(output)
+    return Installation("doctor", data=findings, outputs=outputs, evidence=_evidence(findings, known))
+
+
+def _warm_up(progress: Progress) -> dict[str, float]:
+    """Compile the numerical functions, and return the time of each module, s."""
+    times_s = {}
+    with progress("compiling", total=len(KERNELS)) as step:
+        for name in KERNELS:
+            start_s = time.perf_counter()
+            importlib.import_module(name).warm_up()
+            times_s[name] = round(time.perf_counter() - start_s, 3)
+            step()
+    return times_s
+
+
+def _evidence(findings: dict[str, Any], extras: dict[str, str]) -> Evidence:
+    """Return the verdict on an installation, and a table of its packages with the ``extras`` of each."""
     rows = [[name, version or "MISSING", ""] for name, version in findings["packages"].items()]
     for name, version in findings["optional"].items():
-        rows.append([name, version or "not installed", f"pip install 'swimid[{known[name]}]'"])
-    if options.warm_up:
-        findings["kernels_s"] = {}
-        with progress("compiling", total=len(KERNELS)) as step:
-            for name in KERNELS:
-                began = time.perf_counter()
-                importlib.import_module(name).warm_up()
-                findings["kernels_s"][name] = round(time.perf_counter() - began, 3)
-                rows.append([name, "compiled", f"in {findings['kernels_s'][name]:.1f} s"])
-                step()
-    missing = [name for name, version in findings["packages"].items() if version is None]
-    findings["healthy"] = not missing and findings["video_decoding"]
+        rows.append([name, version or "not installed", f"pip install 'swimid[{extras[name]}]'"])
+    for name, time_s in findings.get("kernels_s", {}).items():
+        rows.append([name, "compiled", f"in {time_s:.1f} s"])
     verdict = Verdict(level="good", text="Everything is in place.")
     if not findings["healthy"]:
+        missing = [name for name, version in findings["packages"].items() if version is None]
         lacking = ", ".join(missing) or "FFmpeg in OpenCV"
         verdict = Verdict(level="bad", text=f"Reinstall swimid. Missing: {lacking}.")
-    evidence = Evidence(
+    return Evidence(
         command="doctor",
         title=f"swimid {swimid.__version__}",
         verdict=verdict,
         facts={
             "Python": findings["python"],
             "Platform": findings["platform"],
-            "Video decoding": numbers.number(findings["video_decoding"]),
+            "Video decoding": numbers.format_number(findings["video_decoding"]),
         },
         tables=[Table(id="packages", title="Packages", columns=["package", "state", "use"], rows=rows)],
     )
-    outputs = []
-    if output is not None:
-        atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
-        outputs.append(output)
-    return Installation("doctor", data=findings, outputs=outputs, evidence=evidence)
 
 
 def _dependencies() -> dict[str, str]:

@@ -1,9 +1,8 @@
-"""Command-line interface of swimid, with a click command for each class of options of a package.
+"""Command-line interface of swimid, with a click command for each row of the table of commands.
 
-The classes are in the files ``options.py`` of the packages. These files are parsed as text, so that the list
-of commands can be shown without an import of the packages. The standard output has the result only: plain
-text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and errors go to
-the standard error.
+Functions and classes of options are imported when their command runs. The standard output has the result
+only: plain text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and
+errors go to the standard error.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
-from swimid.commands import EVIDENCE, CommandSpec, found
-from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, naming
+from swimid.commands import COMMAND_SPECS, EVIDENCE, TABLE, CommandSpec
+from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, name_arguments
 from swimid.files import atomic, provenance
-from swimid.notices import Notice, Progress, Step, recorded, silent
+from swimid.notices import Notice, Progress, Step, record_warnings, silent
 
 if TYPE_CHECKING:
     from swimid.options import Declared
@@ -62,7 +61,7 @@ class Bug(SwimidError):
 
 
 @dataclass
-class Run:
+class CommandRun:
     """Execution of one command, with the values of the options that all commands share."""
 
     command: str
@@ -97,7 +96,7 @@ class Run:
         written: list[Path] = []
         interrupts: list[Callable[[], None]] = []
 
-        def noted(interrupt: Callable[[], None]) -> None:
+        def note_interrupt(interrupt: Callable[[], None]) -> None:
             # Record the interrupt, because a search may catch its exception and return the best result so
             # far.
             interrupts.append(interrupt)
@@ -105,11 +104,11 @@ class Run:
 
         try:
             with (
-                atomic.on_interrupt(noted),
-                naming(None),
-                recorded() as notices,
-                atomic.noted() as written,
-                atomic.locked(self.output if self.lock else None),
+                atomic.on_interrupt(note_interrupt),
+                name_arguments(None),
+                record_warnings() as notices,
+                atomic.record_writes() as written,
+                atomic.hold_lock(self.output if self.lock else None),
             ):
                 outcome = work()
             if interrupts:
@@ -153,8 +152,9 @@ class Run:
         left = "nothing was written"
         if written:
             left = f"written before: {', '.join(map(str, written))}"
-        elif self.output is not None and atomic.place(self.output).is_file():
-            left = f"{atomic.place(self.output)} keeps what was computed: the same command goes on from there"
+        elif self.output is not None and atomic.checkpoint_path(self.output).is_file():
+            checkpoint = atomic.checkpoint_path(self.output)
+            left = f"{checkpoint} keeps what was computed: the same command goes on from there"
         return Interrupted(f"interrupted; {left}")
 
     def _print(
@@ -288,68 +288,81 @@ class Command(click.Command):
     """Click command whose class of options is imported when its options are first needed."""
 
     def __init__(self, spec: CommandSpec) -> None:
-        path = _FilePath()
-        output = click.Option(
-            [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output_help
-        )
-        # Mark the examples in the help with \b, so that click keeps their line breaks.
-        help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)
-        name = spec.command.split()[-1]
-        super().__init__(name, params=[output, *SHARED], callback=self._called, help=help)
+        super().__init__(spec.command.split()[-1], callback=self._run, short_help=spec.help)
         self.spec = spec
 
     @cached_property
-    def _own(self) -> list[click.Parameter]:
-        return [*_argument(self.spec.argument), *map(_option, self.spec.model().declared().values())]
+    def _parameters(self) -> list[click.Parameter]:
+        usage, options = self.spec.usage, self.spec.model().declarations()
+        output = click.Option(
+            [*usage.output_flags, "output"],
+            type=_FilePath(),
+            required=usage.required,
+            help=usage.output_help,
+        )
+        return [*_argument(usage.argument), *map(_option, options.values()), output, *SHARED]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return all parameters of the command: its argument, its own options and the shared options."""
-        return [*self._own, *super().get_params(ctx)]
+        return [*self._parameters, *super().get_params(ctx)]
 
-    def _called(self, *, files: Any = None, place: Path | None = None, **typed: Any) -> None:
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the docstring of the class of options to the help text."""
+        # Mark the examples with \b, so that click keeps their line breaks.
+        text = inspect.getdoc(self.spec.model()) or ""
+        self.help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", text)
+        super().format_help_text(ctx, formatter)
+
+    def _run(self, *, files: Any = None, place: Path | None = None, **typed: Any) -> None:
         """Execute the command with the arguments and options that the user typed."""
         if place is not None and typed["output"] is not None:
             raise click.UsageError(f"two outputs are named: {place} and {typed['output']}")
         typed["output"] = place or typed["output"]
-        shared = {one.name: typed.pop(one.name) for one in fields(Run) if one.name in typed}
-        run = Run(self.spec.command, lock=self.spec.lock, **shared)
+        shared = {one.name: typed.pop(one.name) for one in fields(CommandRun) if one.name in typed}
+        run = CommandRun(self.spec.command, lock=self.spec.usage.lock, **shared)
         run(partial(self._outcome, run, files, typed))
 
-    def _outcome(self, run: Run, files: Any, typed: dict[str, Any]) -> Result:
-        """Call the function of the command with the typed options, and return its result.
-
-        Before that, raise an error for an output file that must not be replaced.
-        """
-        spec = self.spec
-        declared = spec.model().declared()
+    def _outcome(self, run: CommandRun, files: Any, typed: dict[str, Any]) -> Result:
+        """Call the function of the command with the typed options, and return its result."""
+        declared = self.spec.model().declarations()
         options = {name: value_of(declared[name], text) for name, text in typed.items()}
-        output = run.output
-        if spec.stdout is not None and (output is None or str(output) == "-"):
+        output, defaults = run.output, self.spec.usage.stdout
+        to_stdout = defaults is not None and output in (None, Path("-"))
+        if defaults is not None and to_stdout:
             output = None
-            options |= {name: value for name, value in spec.stdout.items() if options[name] is None}
-        read = [files]
-        if isinstance(files, tuple):
-            read = list(files)
-        read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
-        written = [options[entry.name] for entry in declared.values() if entry.written]
-        written = [place for place in [output, *written] if place is not None]
-        _insist_distinct(written)
-        allow = partial(run.protect, inputs=read)
-        function = spec.run()
-        taken = inspect.signature(function).parameters.keys()
-        offered = {"progress": run.progress, "force": run.force, "allow": allow}
-        given: dict[str, Any] = {name: offered[name] for name in offered if name in taken}
-        if not {"allow", "force"} & taken:
-            for place in written:
-                allow(place)
-        if output is not None and not output.is_dir():
-            _protect_beside(output, spec, run)
+            options |= {name: value for name, value in defaults.items() if options[name] is None}
+        function = self.spec.run()
+        given = self._protect(function, run, files, output, options)
         outcome: Result = function(*filter(None, [files]), output=output, **options, **given)
-        if spec.stdout is not None and output is None and not run.as_json:
+        if to_stdout and not run.as_json:
             # Print the document also with --quiet, because it is the result.
             click.echo(outcome.text)
             outcome = replace(outcome, text="")
         return outcome
+
+    def _protect(
+        self, function: Any, run: CommandRun, files: Any, output: Path | None, options: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Raise an error for an output that must not be replaced. Return the arguments that a function takes.
+
+        A function with an argument ``allow`` or ``force`` protects its outputs itself.
+        """
+        inputs = list(files) if isinstance(files, tuple) else [files]
+        written = [] if output is None else [output]
+        for name, entry in self.spec.model().declarations().items():
+            inputs += entry.files(options[name])
+            if entry.written and options[name] is not None:
+                written.append(options[name])
+        _insist_distinct(written)
+        allow = partial(run.protect, inputs=inputs)
+        offered = {"progress": run.progress, "force": run.force, "allow": allow}
+        given = {name: offered[name] for name in inspect.signature(function).parameters if name in offered}
+        if not given.keys() & {"allow", "force"}:
+            for place in written:
+                allow(place)
+        if output is not None and not output.is_dir():
+            _protect_beside(output, self.spec, run)
+        return given
 
 
 def check_words(spec: CommandSpec, words: list[str]) -> None:
@@ -363,7 +376,7 @@ def check_words(spec: CommandSpec, words: list[str]) -> None:
         If a value is not allowed.
     """
     context = Command(spec).make_context(spec.command, list(words))
-    declared = spec.model().declared()
+    declared = spec.model().declarations()
     given = {name: value_of(entry, context.params[name]) for name, entry in declared.items()}
     spec.model().of(given)
 
@@ -418,16 +431,16 @@ def _insist_distinct(places: list[Path]) -> None:
             raise UsageError(f"two outputs would be written to {place}", hint="name another file for one")
 
 
-def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
+def _protect_beside(output: Path, spec: CommandSpec, run: CommandRun) -> None:
     """Raise an error if a command would replace a foreign file next to its output.
 
     A foreign file is a file of another program, or the evidence of another result.
     """
     from swimid.results import evidence
 
-    for ending in spec.beside:
+    for ending in spec.usage.beside:
         run.protect(output.with_name(output.stem + ending))
-    if EVIDENCE in spec.beside and not run.force:
+    if EVIDENCE in spec.usage.beside and not run.force:
         evidence.check_beside(output)
 
 
@@ -461,7 +474,7 @@ def value_of(entry: Declared, typed: Any) -> Any:
         return None
     kind = entry.kind
     if _is_mapping(kind):
-        return _named(typed, entry)
+        return _parse_named(typed, entry)
     if reads := getattr(next(iter(get_args(kind)), None), "of_text", None):
         return tuple(reads(text, entry.flag) for text in typed)
     if entry.separated:
@@ -517,7 +530,7 @@ def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> An
     return values if get_args(kind) else values[0]
 
 
-def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
+def _parse_named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
     """Convert the texts of an option of the form ``NAME=VALUE`` into a mapping of names to values."""
     kind, named = get_args(entry.kind)[1], {}
     for text in texts:
@@ -535,29 +548,14 @@ def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- groups of commands
 
-#: Headings in the list of commands that ``swimid --help`` prints, in the order in which users need them.
-SECTIONS = (
-    "Start",
-    "Make logs",
-    "Identify",
-    "Simulate and compare",
-    "Diagnose",
-    "Put to work",
-    "Many at once",
-    "Publish",
-    "Help yourself",
-)
-
 
 class Sectioned(click.Group):
     """Command group whose help lists the commands by purpose."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands to the help text, with a heading for each purpose."""
-        sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
-        for spec in found().values():
-            sections.setdefault(spec.section, set()).add(spec.command.split()[0])
-        for title, names in sections.items():
+        for title, commands in TABLE.items():
+            names = {name.split()[0] for name, *_ in commands}
             rows = [(name, self.commands[name].get_short_help_str(limit=88)) for name in sorted(names)]
             with formatter.section(title):
                 formatter.write_dl(rows)
@@ -595,8 +593,8 @@ class Tracking(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@main.group(cls=Tracking)
-def track() -> None:
+@main.group("track", cls=Tracking)
+def track_group() -> None:
     """Make logs: from videos with coloured markers, and from IMU recordings."""
 
 
@@ -605,8 +603,8 @@ def optimise() -> None:
     """Find the best stiffness for each frequency and amplitude, or the best gait."""
 
 
-for spec in found().values():
-    {"track": track, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
+for spec in COMMAND_SPECS.values():
+    {"track": track_group, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
 
 
 def entry() -> None:

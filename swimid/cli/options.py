@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from swimid.logs.options import ImportOptions
+from swimid.imports.options import ImportOptions
 from swimid.options import Options, option
 
 
 class ImportLogOptions(
     ImportOptions,
-    command="import",
-    section="Make logs",
-    function="import_log",
-    module="commands",
     argument="FILE",
     output="The log, CSV or Parquet by its ending; with --guess the mapping.",
     makes="log",
@@ -42,15 +38,7 @@ class ImportLogOptions(
     )
 
 
-class DoctorOptions(
-    Options,
-    command="doctor",
-    section="Help yourself",
-    module="commands",
-    argument="",
-    output="Write the findings as JSON to this file.",
-    beside=(),
-):
+class DoctorOptions(Options, argument="", output="Write the findings as JSON to this file.", beside=()):
     """Check the installation: versions, video codecs, compiled kernels.
 
     Examples:
@@ -63,13 +51,7 @@ class DoctorOptions(
 
 
 class SchemaOptions(
-    Options,
-    command="schema",
-    section="Help yourself",
-    module="commands",
-    argument="[NAME]",
-    output="Write the schema to this file instead of stdout.",
-    beside=(),
+    Options, argument="[NAME]", output="Write the schema to this file instead of stdout.", beside=()
 ):
     """Print the JSON Schema of a file format.
 

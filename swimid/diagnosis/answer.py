@@ -10,102 +10,109 @@ from scipy import special
 
 from swimid.blackbox import model as arx
 from swimid.diagnosis import advice, crossval, dropouts, evidence, held_out, places, settings, verdict
-from swimid.diagnosis.candidates import Tried
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
     ChangedValue,
     ChannelGap,
+    EffectRow,
     Facts,
     GapFile,
     HeldOut,
     HypothesisRow,
     Proposed,
     Remaining,
-    Score,
     Shrinkage,
     Value,
     Where,
 )
-from swimid.diagnosis.held_out import Piece, Prediction
+from swimid.diagnosis.held_out import HeldOutSeries, Prediction
 from swimid.diagnosis.noise import NoiseModel
-from swimid.diagnosis.nominal import Begun
-from swimid.diagnosis.proposals import Limits
-from swimid.diagnosis.search import Round, Search
-from swimid.diagnosis.study import Hypothesis, Study, rms
+from swimid.diagnosis.nominal import Preparation
+from swimid.diagnosis.proposals import TrialLimits
+from swimid.diagnosis.screening import Screening
+from swimid.diagnosis.search import CauseComparison, SearchResult
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Trial
 from swimid.notices import Progress, silent
-from swimid.results.numbers import listed
+from swimid.results.evidence import compute_rms
+from swimid.results.numbers import join_names
 from swimid.results.parameters import Estimate
 
 #: Significance level of the two-sided test that reports parameters as changed by a refit. It applies to all
 #: parameters of a diagnosis together.
-MOVED = 0.05
+CHANGE_P_VALUE = 0.05
 #: Minimum total probability of a reported cause and its equivalents. Equivalents are added in the order of
 #: decreasing probability until their sum reaches this minimum.
-CREDIBLE = 0.9
+MIN_EQUIVALENT_PROBABILITY = 0.9
 #: Maximum number of effects that are reported for one cause: the cause and its equivalents. If there are
 #: more, the most probable ones are listed.
-SET = 3
+MAX_EQUIVALENTS = 3
 #: Error of a simulation, divided by the measured range of the channel, above which the refitted model is
 #: useless.
-ASTRAY = 10.0
+MAX_RELATIVE_ERROR = 10.0
 #: Texts that advise the user to record trials at another setting (ANOTHER), or to repeat a setting (REPEAT).
 ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
 
-def proposed(search: Search, found: Round) -> Proposed:
+def propose_cause(search: SearchResult, found: CauseComparison) -> Proposed:
     """Return the effects that cannot be distinguished from the cause of a search round."""
     name = found.name
     share = search.posterior.instead(name, search.base.names)
     order = [name, *(n for n in share if n != name)]
     before = np.cumsum([0.0, *(share.get(n, 0.0) for n in order[:-1])])
-    alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
-    shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
+    alike = [
+        n for n, sum_before in zip(order, before, strict=True) if sum_before < MIN_EQUIVALENT_PROBABILITY
+    ]
+    shown = list(dict.fromkeys([name, *found.same, *alike]))[:MAX_EQUIVALENTS]
     alone = share.get(name, 0.0) + sum(share.get(n, 0.0) for n in found.same)
-    own = any(p.per_trial for p in found.ranked[0].added.parameters)
+    own = any(p.per_trial for p in found.ranked[0].last_screening.parameters)
     fit = search.base
     at_bound = any(
         label.rpartition("/")[0] == name and not inside
         for label, inside in zip(fit.labels, fit.inside, strict=True)
     )
     return Proposed(
-        equivalent=shown[1:], alone=alone, crowded=len(alike) > SET, per_trial=own, at_bound=at_bound
+        equivalent=shown[1:],
+        alone=alone,
+        crowded=len(alike) > MAX_EQUIVALENTS,
+        per_trial=own,
+        at_bound=at_bound,
     )
 
 
 def answer(
-    search: Search,
+    search: SearchResult,
     validation: Sequence[Trial],
-    begun: Begun,
+    begun: Preparation,
     raw: Sequence[Trial],
     *,
-    limits: Limits,
+    limits: TrialLimits,
     progress: Progress = silent,
-) -> tuple[GapFile, list[Piece]]:
+) -> tuple[GapFile, list[HeldOutSeries]]:
     """Return the gap file of a diagnosis, and the held-out trial with the largest errors.
 
     Parameters
     ----------
     validation : sequence of Trial
         Trials that no fit uses.
-    begun : Begun
+    begun : Preparation
         Parameters of the parameter file, and those whose change is not a hypothesis.
     raw : sequence of Trial
         The fitted trials, failed samples included.
-    limits : Limits
+    limits : TrialLimits
         Limits of a proposed trial.
 
     Returns
     -------
     GapFile
         The caller adds the names of the model, the robot, the experiment, the parameter file and the trials.
-    list of Piece
+    list of HeldOutSeries
         Measured and simulated samples of this held-out trial.
 
     Raises
@@ -113,108 +120,127 @@ def answer(
     NoTrustworthyResult
         If the refitted model cannot simulate these trials.
     """
-    study, nominal = search.study, search.null
-    # A measured range of zero is replaced by 1.
-    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in nominal.measured().items()}
-    if all(rms(left) > ASTRAY * ranges[c] for c, left in nominal.by_channel().items()):
-        raise NoTrustworthyResult(
-            f"the refitted model is off by more than {ASTRAY:g} times the range of every channel",
-            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
-        )
-    noise = study.noise
-    floor = held_out.floors(study, search.base)
+    study, null = search.study, search.null
+    ranges = _compute_ranges(null)
+    floor = held_out.compute_floors(study, search.base)
     raw = [trial for trial in raw if trial.id not in search.odd_trials]
-    failed = dropouts.misfit(search, raw, floor)
-    validation = _without_failed(search.base, validation, noise)
-    fits, found = _predictions(search, validation, progress)
-    study, nominal = search.study, search.null
-    given, before, after = found[0], found[1], found[-1]
-    causes = {r.name: proposed(search, r) for r in search.rounds if search.posterior.none <= 0.5}
-    if not causes:
-        after = before
-    facts = Facts(
-        no_gap=search.posterior.none,
-        catalogue=sum(search.posterior.sets.values()),
-        outside=search.posterior.outside,
-        proposed=causes,
-        held_out=held_out.table(given, before, after),
-        diverged=not held_out.sound(before, after),
-        unreproduced=_unreproduced(study, search.base if causes else nominal),
-        failed_samples=failed > 0,
-    )
+    failed = dropouts.compute_misfit(search, raw, floor)
+    validation = _remove_failed(search.base, validation, study.noise)
+    fits, predictions = _predictions(search, validation, progress)
+    facts = _collect_facts(search, predictions, failed)
+    ends = predictions[0], predictions[1], predictions[-1 if facts.proposed else 1]
     decided = verdict.decide(facts)
-    shown = [r for r in search.rounds if r.name in decided.causes]
-    base = search.base if shown else nominal
-    sd = parameter_errors(study, base)
-    closing = held_out.shrinkages(given, before, after, floor, ranges)
-    result = _causes(search, shown, facts, sd, begun.given, closing)
+    shown = [c for c in search.comparisons if c.name in decided.causes]
+    base = search.base if shown else null
+    sd = compute_stderr(study, base)
+    closing = held_out.compute_shrinkages(*ends, floor, ranges)
+    causes = _causes(search, shown, facts, sd, begun.given, closing)
     if failed:
-        result = dropouts.among(search, result, raw, floor, failed, ranges)
+        causes = dropouts.add_failed_samples(search, causes, raw, floor, failed, ranges)
     scores = _scores(search)
-    cells = places.Map(study, nominal, floor)
+    cells = places.Map(study, null, floor)
     where = Where(
         channels=_channels(search, floor, ranges),
-        stage=_stages(scores, result),
+        stage=_stages(scores, causes),
         regime=places.regimes(cells),
         time=places.times(cells),
     )
     if decided.verdict != "none":
         where.phase = places.phases(cells)
-    labels = ["as given", "refitted"]
+    labels, closed = ["as given", "refitted"], None
     if shown:
-        labels += [f"+ {r.name}" for r in search.rounds]
-    closed = None
-    if shown:
-        models = (fits[0], nominal, search.base)
-        closed = held_out.closing(*models, validation, study.noise, (given, before, after))
+        labels += [f"+ {c.name}" for c in search.comparisons]
+        closed = held_out.compute_closed(fits[0], null, search.base, validation, study.noise, ends)
     file = GapFile(
         verdict=decided.verdict,
         where=where,
-        waterfall=held_out.waterfall(dict(zip(labels, found, strict=False)), floor),
+        waterfall=held_out.build_waterfall(dict(zip(labels, predictions, strict=False)), floor),
         closed=closed,
-        causes=result,
+        causes=causes,
         remaining=_remaining(search, facts, named=bool(shown)),
         facts=facts,
-        setting_count=settings.count([*study.trials, *validation]),
-        at_bound=_at_bounds(nominal),
-        moved=_moved(search, base, sd, begun.unweighed),
+        setting_count=settings.count_settings([*study.trials, *validation]),
+        at_bound=_at_bounds(null),
+        moved=_list_moved(search, base, sd, begun.unweighed),
         hypotheses=_hypotheses(search),
-        samples=sum(len(r) for r in nominal.residuals) or None,
+        samples=sum(len(r) for r in null.residuals) or None,
         tried=search.count,
-        held_out=_held_out(study, validation),
-        floor_from=_floor_text(noise),
+        held_out=_name_held_out(study, validation),
+        floor_from=_floor_text(study.noise),
         odd_trials=search.odd_trials,
-        random_effects={kind.name: kind.sd for kind in noise.random_effects},
+        random_effects={effect.name: effect.sd for effect in study.noise.random_effects},
         scores=scores,
-        reasons=_reasons(noise),
+        reasons=_reasons(study.noise),
         left_out=dict(search.left_out),
     )
     file.advice = _advice(search, file, shown, limits)
-    return file, held_out.worst(before, after)
+    return file, held_out.select_worst(*ends[1:])
 
 
-def _without_failed(fit: Hypothesis, validation: Sequence[Trial], noise: NoiseModel) -> list[Trial]:
+def _compute_ranges(null: Hypothesis) -> dict[str, float]:
+    """Return the measured range of each channel; 1 in place of 0.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        If the refitted model cannot simulate the trials.
+    """
+    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in null.collect_measured().items()}
+    if all(compute_rms(left) > MAX_RELATIVE_ERROR * ranges[c] for c, left in null.by_channel().items()):
+        raise NoTrustworthyResult(
+            f"the refitted model is off by more than {MAX_RELATIVE_ERROR:g} times the range of every channel",
+            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
+        )
+    return ranges
+
+
+def _collect_facts(search: SearchResult, predictions: Sequence[Sequence[Prediction]], failed: float) -> Facts:
+    """Return the facts from which the verdict follows.
+
+    Parameters
+    ----------
+    predictions : sequence of sequence of Prediction
+        Held-out predictions as given, refitted, and with the causes in turn.
+    failed : float
+        Squared residuals of failed samples that count as a cause.
+    """
+    odds = search.posterior
+    causes = {c.name: propose_cause(search, c) for c in search.comparisons if odds.none <= 0.5}
+    given, before, after = predictions[0], predictions[1], predictions[-1 if causes else 1]
+    return Facts(
+        no_gap=odds.none,
+        catalogue=sum(odds.sets.values()),
+        outside=odds.outside,
+        proposed=causes,
+        held_out=held_out.tabulate_parts(given, before, after),
+        diverged=not held_out.is_finite(before, after),
+        unreproduced=_compute_unreproduced(search.study, search.base if causes else search.null),
+        failed_samples=failed > 0,
+    )
+
+
+def _remove_failed(fit: Hypothesis, validation: Sequence[Trial], noise: NoiseModel) -> list[Trial]:
     """Return validation trials without failed samples of markers, as the fitted trials are."""
     found = []
     for trial in validation:
-        problem, theta = held_out.own_fit(fit, trial, noise)
-        (trial,) = dropouts.look([trial], problem.simulations(theta)).without([trial])
+        problem, theta = held_out.fit_further_trial(fit, trial, noise)
+        (trial,) = dropouts.detect_failures([trial], problem.simulations(theta)).remove_from([trial])
         found.append(trial)
     return found
 
 
 def _predictions(
-    search: Search, validation: Sequence[Trial], progress: Progress
+    search: SearchResult, validation: Sequence[Trial], progress: Progress
 ) -> tuple[list[Hypothesis], list[list[Prediction]]]:
     """Return the models as given, refitted, and with the causes in turn, and their held-out predictions."""
-    fits = [held_out.as_given(search.study), search.null, *search.between]
+    fits = [held_out.fit_as_given(search.study), search.null, *search.between]
     if search.base is not search.null:
         fits.append(search.base)
     with progress("held-out trials", total=len(fits)) as step:
-        return fits, held_out.predictions(fits, validation, search.study.noise, step=lambda: step(1))
+        return fits, held_out.predict_parts(fits, validation, search.study.noise, step=lambda: step(1))
 
 
-def _unreproduced(study: Study, fit: Hypothesis) -> dict[str, float | None]:
+def _compute_unreproduced(study: GapStudy, fit: Hypothesis) -> dict[str, float | None]:
     """Return the outputs of which a black-box model reproduces less than half, with the reproduced fraction.
 
     The fraction is defined as in ``rwls`` and ``compare``: one minus the root-mean-square error divided by
@@ -223,29 +249,29 @@ def _unreproduced(study: Study, fit: Hypothesis) -> dict[str, float | None]:
     """
     if study.model.name != arx.NAME:
         return {}
-    outputs = fit.measured()
+    outputs = fit.collect_measured()
     shares = {
-        channel: 1.0 - rms(left) / max(float(np.std(outputs[channel])), 1e-300)
+        channel: 1.0 - compute_rms(left) / max(float(np.std(outputs[channel])), 1e-300)
         for channel, left in fit.by_channel().items()
     }
-    return {channel: share for channel, share in shares.items() if share < verdict.MOST}
+    return {channel: share for channel, share in shares.items() if share < verdict.MIN_CLOSED_SHARE}
 
 
-def _remaining(search: Search, facts: Facts, *, named: bool) -> Remaining:
+def _remaining(search: SearchResult, facts: Facts, *, named: bool) -> Remaining:
     """Return the share of the squared gap that remains on held-out data, and where it has structure."""
     if facts.unreproduced:
         return Remaining(share=1.0, where=f"all of {', '.join(facts.unreproduced)} but its mean", white=False)
-    left = search.left
+    left = search.structure
     where = "nothing that a smooth description finds"
-    if left.found:
+    if left.is_present:
         largest = sorted(left.places.items(), key=lambda item: -item[1])
         where = " and ".join(p for p, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
     share: float | None = 0.0
     if named:
-        share = verdict.remaining_share(facts)
+        share = verdict.compute_remaining_share(facts)
     elif verdict.decide(facts).verdict == "unexplained":
         share = 1.0
-    return Remaining(share=share, where=where, white=not left.found)
+    return Remaining(share=share, where=where, white=not left.is_present)
 
 
 def _floor_text(noise: NoiseModel) -> str:
@@ -253,7 +279,7 @@ def _floor_text(noise: NoiseModel) -> str:
     said = "the noise of each channel, estimated with own parameters and smooth terms for each trial"
     slow = [f"{c} ({f.time_s:.2g} s)" for c, f in noise.forms.items() if f.time_s > 0.0]
     if slow:
-        said += f", with a memory in {listed(slow)}"
+        said += f", with a memory in {join_names(slow)}"
     return said
 
 
@@ -261,10 +287,10 @@ def _reasons(noise: NoiseModel) -> list[str]:
     differing = [f"{kind.name} ({kind.sd:.2g} of its typical size)" for kind in noise.random_effects]
     if not differing:
         return []
-    return [f"trials differ by chance in {listed(differing)}, of which each trial has its own value"]
+    return [f"trials differ by chance in {join_names(differing)}, of which each trial has its own value"]
 
 
-def _held_out(study: Study, validation: Sequence[Trial]) -> HeldOut:
+def _name_held_out(study: GapStudy, validation: Sequence[Trial]) -> HeldOut:
     """Return which data are held out: validation trials, whole fitted trials, or segments of them."""
     if validation:
         return "validation"
@@ -273,7 +299,9 @@ def _held_out(study: Study, validation: Sequence[Trial]) -> HeldOut:
     return "stretches"
 
 
-def _channels(search: Search, floor: Mapping[str, float], ranges: Mapping[str, float]) -> list[ChannelGap]:
+def _channels(
+    search: SearchResult, floor: Mapping[str, float], ranges: Mapping[str, float]
+) -> list[ChannelGap]:
     units = {c.name: c.unit for c in search.study.model.channels}
     residuals = search.null.by_channel()
     beyond = {
@@ -283,10 +311,10 @@ def _channels(search: Search, floor: Mapping[str, float], ranges: Mapping[str, f
     return [
         ChannelGap(
             channel=channel,
-            nrmse=rms(left) / ranges[channel],
+            nrmse=compute_rms(left) / ranges[channel],
             floor=floor[channel] / ranges[channel],
             share=beyond[channel] / total,
-            rmse=rms(left),
+            rmse=compute_rms(left),
             unit=units.get(channel, "1"),
         )
         for channel, left in residuals.items()
@@ -294,8 +322,8 @@ def _channels(search: Search, floor: Mapping[str, float], ranges: Mapping[str, f
 
 
 def _causes(
-    search: Search,
-    shown: Sequence[Round],
+    search: SearchResult,
+    shown: Sequence[CauseComparison],
     facts: Facts,
     sd: Mapping[str, float],
     given: Mapping[str, Estimate],
@@ -305,14 +333,16 @@ def _causes(
     causes = []
     for found in shown:
         effect, best, equivalent = found.effect, found.ranked[0], facts.proposed[found.name].equivalent
-        parameters = sizes(search.base, best.added, sd, given)
+        parameters = estimate_sizes(search.base, best.last_screening, sd, given)
         cause = Cause(
             effect=found.name,
-            probability=float(np.clip(search.posterior.having(found.name, *equivalent), 0.0, 1.0)),
+            probability=float(
+                np.clip(search.posterior.compute_probability(found.name, *equivalent), 0.0, 1.0)
+            ),
             equivalent=equivalent,
             parameters=parameters,
             stage=effect.stage,
-            meaning=evidence.changes_text(parameters) or effect.meaning,
+            meaning=evidence.format_changes(parameters) or effect.meaning,
             sources=list(effect.sources),
             gain=best.gain,
             gain_stderr=best.gain_stderr,
@@ -320,11 +350,13 @@ def _causes(
         causes.append(cause)
     for cause in causes[:1]:
         cause.shrinkage = closing
-        cause.absorbed = _absorbed(search, given, sd)
+        cause.absorbed = _list_absorbed(search, given, sd)
     return causes
 
 
-def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside: bool) -> ChangedValue:
+def _compare_with_file(
+    known: Estimate, value: float, stderr: float, unit: str, *, inside: bool
+) -> ChangedValue:
     """Compare the estimate of a parameter with its value in the parameter file."""
     size = abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300)
     changed = ChangedValue(value=value, unit=unit, given=known.value, standard_errors=size, status="at-bound")
@@ -340,8 +372,8 @@ def _value(value: float, stderr: float | None, unit: str, *, inside: bool) -> Va
     return Value(value=value, stderr=stderr, unit=unit)
 
 
-def sizes(
-    base: Hypothesis, cause: Tried, sd: Mapping[str, float], given: Mapping[str, Estimate]
+def estimate_sizes(
+    base: Hypothesis, cause: Screening, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, ChangedValue | Value]:
     """Return the estimated parameters of a cause, by name.
 
@@ -354,14 +386,14 @@ def sizes(
         if effect.adds_to is not None:
             inside = base.inside[base.labels.index(name)]
             value, known = base.value(effect.adds_to) + base.value(name), given[effect.adds_to]
-            found[effect.adds_to] = _changed(known, value, sd[effect.name], p.unit, inside=inside)
+            found[effect.adds_to] = _compare_with_file(known, value, sd[effect.name], p.unit, inside=inside)
             continue
         labels = [n for n in base.labels if n.split("[")[0] == name]
         values = [base.value(n) for n in labels]
         if not values:
             continue
         if p.per_trial:
-            found[f"{p.name}_rms"] = Value(value=rms(np.array(values)), unit=p.unit)
+            found[f"{p.name}_rms"] = Value(value=compute_rms(np.array(values)), unit=p.unit)
             continue
         # An estimate that is less than its standard error away from a bound counts as at the bound. This does
         # not apply to a bound that equals the null value of the effect.
@@ -371,8 +403,8 @@ def sizes(
     return found
 
 
-def _moved(
-    search: Search, base: Hypothesis, sd: Mapping[str, float], given: Mapping[str, Estimate]
+def _list_moved(
+    search: SearchResult, base: Hypothesis, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, ChangedValue]:
     """Return the parameters whose refitted values differ significantly from those of the parameter file.
 
@@ -380,10 +412,10 @@ def _moved(
     """
     inside = dict(zip(base.labels, base.inside, strict=True))
     names = [p for p in search.study.parameters if p.name in given and inside.get(p.name)]
-    limit = -float(special.ndtri(0.5 * MOVED / max(len(names), 1)))
+    limit = -float(special.ndtri(0.5 * CHANGE_P_VALUE / max(len(names), 1)))
     found = {}
     for p in names:
-        change = _changed(given[p.name], base.value(p.name), sd[p.name], p.unit, inside=True)
+        change = _compare_with_file(given[p.name], base.value(p.name), sd[p.name], p.unit, inside=True)
         if (change.standard_errors or 0.0) > limit:
             found[p.name] = change
     return found
@@ -395,10 +427,12 @@ def _at_bounds(fit: Hypothesis) -> dict[str, float]:
     return {label: float(value) for label, value, inside in ends if not inside and "[" not in label}
 
 
-def _absorbed(search: Search, given: Mapping[str, Estimate], sd: Mapping[str, float]) -> list[Absorbed]:
+def _list_absorbed(
+    search: SearchResult, given: Mapping[str, Estimate], sd: Mapping[str, float]
+) -> list[Absorbed]:
     """Return the values of the coefficients as given, and refitted without and with the causes."""
     nominal, base = search.null, search.base
-    plain = parameter_errors(search.study, nominal)
+    plain = compute_stderr(search.study, nominal)
     # A changed parameter is a cause itself, so it is not listed as a coefficient that absorbed a cause.
     causes = {e.adds_to for e in base.effects}
     found = []
@@ -417,65 +451,72 @@ def _absorbed(search: Search, given: Mapping[str, Estimate], sd: Mapping[str, fl
     return found
 
 
-def _advice(search: Search, file: GapFile, shown: Sequence[Round], limits: Limits) -> list[Advice]:
+def _advice(
+    search: SearchResult, file: GapFile, shown: Sequence[CauseComparison], limits: TrialLimits
+) -> list[Advice]:
     """Return the proposed next experiments of an answer with these causes."""
     if file.verdict == "none":
         if all(check.verdict != "warn" for check in evidence.checks(file)):
             return []
-        text = ANOTHER if file.setting_count == 1 else REPEAT
-        return [Advice(text=text)]
-    repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
+        return [Advice(text=ANOTHER if file.setting_count == 1 else REPEAT)]
     if file.verdict == "unexplained" and file.held_out == "validation":
         off = [name for name, t in file.facts.held_out.items() if t.after > t.limit]
         if off:
             text = f"fit {', '.join(off)}, too (role: fit): what acts there alone shows nowhere else"
             return [Advice(text=text)]
-    rivals: list[Hypothesis] = []
-    alike: set[str] = set()
-    if shown:
-        alike = {shown[0].name, *file.facts.proposed[shown[0].name].equivalent}
-        # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
-        # way.
-        ranked = [h for h in shown[0].ranked if h.added.effect.name not in shown[0].same]
-        rivals = [h for h in ranked if h.added.effect.name in alike]
-        if len(rivals) == 1:
-            rivals = ranked[:2]
-    if len(rivals) < 2 and file.verdict in ("partial", "unexplained"):
-        return repeat
+    rivals, has_equivalents = _select_rivals(file.facts, shown)
     if len(rivals) < 2:
-        return []
+        repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
+        return repeat if file.verdict in ("partial", "unexplained") else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
-    if len(alike) == 1 and now > advice.threshold(rivals):
+    if not has_equivalents and now > advice.compute_threshold(rivals):
         # The present trials already exclude the next best rival.
         return []
     try:
-        return advice.advise(search.study, rivals, limits, now)
+        return advice.advise_trials(search.study, rivals, limits, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 
 
-def _scores(search: Search) -> list[Score]:
+def _select_rivals(facts: Facts, shown: Sequence[CauseComparison]) -> tuple[list[Hypothesis], bool]:
+    """Return the first cause and its equivalents, and whether it has any.
+
+    Without equivalents, the rival is the next best hypothesis. No experiment distinguishes a changed
+    parameter from an effect that changes the trials in the same way.
+    """
+    if not shown:
+        return [], False
+    first = shown[0]
+    alike = {first.name, *facts.proposed[first.name].equivalent}
+    ranked = [h for h in first.ranked if h.last_screening.effect.name not in first.same]
+    rivals = [h for h in ranked if h.last_screening.effect.name in alike]
+    return ranked[:2] if len(rivals) == 1 else rivals, len(alike) > 1
+
+
+def _scores(search: SearchResult) -> list[EffectRow]:
     """Return the score of each candidate effect.
 
     The score comes from the fit with this effect only. If the effect was not fitted, the score comes from the
     screening.
     """
-    rows: dict[str, Score] = {}
+    rows: dict[str, EffectRow] = {}
     for h in search.singles:
-        having = search.posterior.having(h.added.effect.name)
-        row = _score(h.added, gain=h.gain, stderr=h.gain_stderr, probability=having)
+        having = search.posterior.compute_probability(h.last_screening.effect.name)
+        row = _score(h.last_screening, gain=h.gain, stderr=h.gain_stderr, probability=having)
         rows.setdefault(row.effect, row)
     for tried in search.first_screen:
         rows.setdefault(tried.effect.name, _score(tried))
     return list(rows.values())
 
 
-def _score(tried: Tried, **fitted: float) -> Score:
+def _score(tried: Screening, **fitted: float) -> EffectRow:
     effect, variant = tried.effect, ", ".join(p.name for p in tried.parameters)
-    return Score(effect=effect.name, stage=effect.stage, variant=variant, absorbed=tried.absorbed, **fitted)
+    return EffectRow(
+        effect=effect.name, stage=effect.stage, variant=variant, absorbed=tried.absorbed, **fitted
+    )
 
 
-def _hypotheses(search: Search) -> list[HypothesisRow]:
+def _hypotheses(search: SearchResult) -> list[HypothesisRow]:
     """Return every fitted hypothesis with its probability. The model without effects comes first."""
     found = search.posterior
     return [
@@ -492,7 +533,7 @@ def _hypotheses(search: Search) -> list[HypothesisRow]:
     ]
 
 
-def _stages(rows: Sequence[Score], causes: Sequence[Cause]) -> dict[Stage, float | None]:
+def _stages(rows: Sequence[EffectRow], causes: Sequence[Cause]) -> dict[Stage, float | None]:
     """Return the probability that the cause of the gap acts in each simulation stage.
 
     It is the sum of the probabilities of the effects of the stage, normalised over all stages. It is 1 for
@@ -510,7 +551,7 @@ def _stages(rows: Sequence[Score], causes: Sequence[Cause]) -> dict[Stage, float
     return {stage: v / total for stage, v in sums.items()}
 
 
-def parameter_errors(study: Study, fit: Hypothesis) -> Mapping[str, float]:
+def compute_stderr(study: GapStudy, fit: Hypothesis) -> Mapping[str, float]:
     """Return the standard errors of the parameters of a fit, by label.
 
     The sum of a model parameter and its change has a standard error of its own, labelled with the name of the
@@ -520,6 +561,6 @@ def parameter_errors(study: Study, fit: Hypothesis) -> Mapping[str, float]:
     # Each row of the matrix selects one parameter, or sums a model parameter and its change.
     rows = [np.isin(fit.labels, parts) for parts in fit.changes.items()]
     combined = np.vstack((np.eye(len(fit.labels)), *rows))
-    variance = np.einsum("ij,jk,ik->i", combined, crossval.covariance(study, fit), combined)
+    variance = np.einsum("ij,jk,ik->i", combined, crossval.compute_covariance(study, fit), combined)
     sd = np.sqrt(np.maximum(variance, 0.0))
     return dict(zip([*fit.labels, *sums], sd, strict=True))

@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from scipy import special
 from scipy.linalg import block_diag
 
+from swimid.fitting.intervals import NORMAL
 from swimid.fitting.model import Array
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.study import Hypothesis, Study
+    from swimid.diagnosis.noise import NoiseModel
+    from swimid.diagnosis.study import GapStudy, Hypothesis
 
 #: Weight, in a refit without one fold, of the information that all folds give on the shared parameters. It
 #: matters if the other folds hardly determine a parameter. Without it the held-out fold would be predicted
 #: arbitrarily badly, which would hide the gain of an effect.
 SHRINKAGE = 0.1
-#: Half-width of a 95 % interval of the normal distribution, in standard deviations.
-NORMAL = float(special.ndtri(0.975))
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class NormalEquations:
     spread: Array
 
     @property
-    def shared(self) -> int:
+    def n_shared(self) -> int:
         """Return the number of shared parameters."""
         return len(self.prior)
 
@@ -93,11 +93,11 @@ def _of_mean(random: Array, spread: Array) -> Array:
 
     It is the constraint of least squares, with the random effects of each trial eliminated.
     """
-    return np.swapaxes(random, -1, -2) @ solved(spread, random)
+    return np.swapaxes(random, -1, -2) @ solve_normal(spread, random)
 
 
 @dataclass(frozen=True)
-class Drawn:
+class NoiseDraws:
     """Random samples of noise residuals and of prior means, which replace those of a fit.
 
     Attributes
@@ -112,8 +112,49 @@ class Drawn:
     pull: Array
 
 
-def normal_equations(
-    study: Study, fit: Hypothesis, columns: Sequence[Sequence[Array]] = ()
+def project_out(
+    study: GapStudy,
+    fit: Hypothesis,
+    k: int,
+    block: Array,
+    *,
+    to: NDArray[np.intp] | None = None,
+    noise: NoiseModel | None = None,
+) -> Array:
+    """Return whitened columns of a trial, with the parameters that only this trial has projected out.
+
+    Parameters
+    ----------
+    block : ndarray, shape (n_k, c)
+        Columns divided by the weights; the last column is the residual.
+    to : ndarray of int, optional
+        Indices of the parameters that are projected out. By default these are all parameters that only
+        this trial has and that are not at a bound.
+    noise : NoiseModel, optional
+        Default: the noise of the study.
+
+    Returns
+    -------
+    ndarray, shape (n_k + m, c)
+        One row for each sample, then one row for the prior of each of the m projected parameters. Inner
+        products of the columns account for the uncertainty of these parameters.
+    """
+    problem, noise = fit.problem, noise or study.noise
+    inside = fit.inside
+    mine = np.array([j for j in problem.own(k) if inside[j]], dtype=int) if to is None else to
+    if not len(mine):
+        return noise.whiten(problem, k, block)
+    mean, weight = study.compute_prior(problem)
+    n, scale = len(block), problem.scale[mine]
+    seen = noise.whiten(problem, k, np.column_stack((fit.columns(k, mine) * scale, block)))
+    own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
+    wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
+    wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
+    return np.asarray(wanted - own @ solve_normal(own.T @ own, own.T @ wanted))
+
+
+def form_normal_equations(
+    study: GapStudy, fit: Hypothesis, columns: Sequence[Sequence[Array]] = ()
 ) -> NormalEquations:
     """Return the inner products in each fold of parameter derivatives, further columns and residuals.
 
@@ -123,8 +164,8 @@ def normal_equations(
         Each item is a change of all trials, divided by the weights: one array of shape (n_k,) for each trial.
     """
     problem, folds = fit.problem, study.folds
-    mean, _ = study.expected(problem)
-    shared, centred = study.shared(fit), study.centred
+    mean, _ = study.compute_prior(problem)
+    shared, centred = study.select_shared(fit), study.zero_mean_names
     width = len(shared) + len(columns) + 1
     products = np.zeros((folds.count, width, width))
     samples, own = np.zeros(folds.count), np.zeros(folds.count)
@@ -133,9 +174,9 @@ def normal_equations(
         np.zeros((folds.count, *[len(centred)] * 2)),
     )
     for k in range(len(study.trials)):
-        mine = study.apart(fit, k)
+        mine = study.select_own(fit, k)
         block = np.column_stack([fit.columns(k, shared), *(c[k] for c in columns), fit.residuals[k]])
-        seen = study.project_out(fit, k, block, to=mine)
+        seen = project_out(study, fit, k, block, to=mine)
         owner = folds.owner[k]
         if folds.whole:
             f = int(owner[0]) if len(owner) else 0
@@ -161,7 +202,7 @@ def normal_equations(
 
 
 def _own_precision(
-    study: Study, fit: Hypothesis, k: int, mine: NDArray[np.intp], names: Sequence[str]
+    study: GapStudy, fit: Hypothesis, k: int, mine: NDArray[np.intp], names: Sequence[str]
 ) -> tuple[float, Array]:
     """Return the logarithm of the ratio of posterior and prior precision of the values that effects have in
     one trial, and the covariance matrix of all its own parameters in units of their priors.
@@ -169,7 +210,7 @@ def _own_precision(
     is_effect = np.array(["/" in name for name in names], dtype=bool)
     if not is_effect.any():
         return 0.0, np.eye(len(mine))
-    weight = study.expected(fit.problem)[1][mine]
+    weight = study.compute_prior(fit.problem)[1][mine]
     rows = study.noise.whiten(fit.problem, k, fit.columns(k, mine)) / weight
     seen: Array = np.asarray(np.linalg.qr(rows, mode="r"))
     # By singular values, because a prior beside large derivatives of few samples is lost in normal equations.
@@ -181,7 +222,7 @@ def _own_precision(
     return ratio, (axes.T / (1.0 + gained)) @ axes
 
 
-def deviances(equations: NormalEquations) -> tuple[Array, Array]:
+def compute_deviances(equations: NormalEquations) -> tuple[Array, Array]:
     """Return minus twice the log predictive density of each fold, given the other folds, up to a constant.
 
     The first part is the squared Mahalanobis distance of the fold from its prediction. Noise, shared
@@ -193,7 +234,7 @@ def deviances(equations: NormalEquations) -> tuple[Array, Array]:
     -------
     distance, log_determinant : ndarray, shape (folds,)
     """
-    shared, prior = equations.shared, equations.prior
+    shared, prior = equations.n_shared, equations.prior
     if not shared:
         return equations.products[:, -1, -1], equations.own
     scale = 1.0 / np.sqrt(np.maximum(np.diag(equations.whole[:shared, :shared] + prior), 1e-300))
@@ -203,7 +244,9 @@ def deviances(equations: NormalEquations) -> tuple[Array, Array]:
         normal = products[:, :shared, :shared] + prior
         right = products[:, :shared, -1] + prior @ equations.pull
         scaled = scale[:, None] * normal * scale + 1e-11 * np.eye(shared)
-        return np.linalg.slogdet(scaled)[1], np.sum(solved(normal, right[..., None])[..., 0] * right, axis=-1)
+        return np.linalg.slogdet(scaled)[1], np.sum(
+            solve_normal(normal, right[..., None])[..., 0] * right, axis=-1
+        )
 
     log, taken = fit(equations.rest + equations.products)
     rest, other = fit(equations.rest)
@@ -211,24 +254,24 @@ def deviances(equations: NormalEquations) -> tuple[Array, Array]:
     return np.asarray(distance), np.asarray(log - rest + equations.own)
 
 
-def strain(equations: NormalEquations) -> float:
+def compute_strain(equations: NormalEquations) -> float:
     """Return the squared distance of the model's parameters, at the optimum of all folds, from their priors.
 
     The unit is the prior covariance. The size of an effect does not count.
     """
-    s, prior = equations.shared, equations.prior
+    s, prior = equations.n_shared, equations.prior
     total = equations.whole
     right = total[:s, -1] + prior @ equations.pull
-    away = solved(total[:s, :s] + prior, right[:, None])[:, 0] - equations.pull
+    away = solve_normal(total[:s, :s] + prior, right[:, None])[:, 0] - equations.pull
     away[equations.of_effects] = 0.0
     return float(away @ prior @ away)
 
 
-def held_out(
+def compute_held_out(
     equations: NormalEquations,
     chosen: Sequence[int] = (),
     prior: Sequence[float] = (),
-    draws: Drawn | None = None,
+    draws: NoiseDraws | None = None,
 ) -> Array:
     """Return the sum of squared residuals of each fold, with all parameters fitted to the other folds.
 
@@ -241,7 +284,7 @@ def held_out(
         Further columns that are fitted as well. Index 0 is the first column after the shared parameters.
     prior : sequence of float
         Inverse prior variance of the factor of each chosen column.
-    draws : Drawn, optional
+    draws : NoiseDraws, optional
         Random noise residuals that replace the residuals of the fit. The result then excludes the sum of
         squares of these random residuals themselves.
 
@@ -250,10 +293,10 @@ def held_out(
     ndarray, shape (folds,) or (folds, m)
         Sums of squared residuals.
     """
-    at, ridge = _fitted(equations, chosen, prior)
+    at, ridge = _select_columns(equations, chosen, prior)
     off = equations.pull[:, None] if draws is None else draws.pull
     pull = np.concatenate((equations.prior @ off, np.zeros((len(chosen), off.shape[1]))))
-    shared, square = equations.shared, np.ix_(at, at)
+    shared, square = equations.n_shared, np.ix_(at, at)
     inner, rest = (part[:, at[:, None], at] for part in (equations.products, equations.rest))
     if draws is None:
         right, all_right, other = (
@@ -264,55 +307,55 @@ def held_out(
         all_right = right.sum(axis=0)
         other = all_right - right
     total = equations.whole[square]
-    whole = solved(total + ridge, all_right + pull)
+    whole = solve_normal(total + ridge, all_right + pull)
     # Keep a small weight of the held-out fold's information on the shared parameters (see SHRINKAGE).
     lean = np.zeros_like(total)
     lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
-    theta = solved(rest + ridge + lean, other + pull + lean @ whole)
+    theta = solve_normal(rest + ridge + lean, other + pull + lean @ whole)
     apart = theta[:, :shared] - off
     strain = np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta)
     misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + strain
     return misfit[:, 0] + equations.products[:, -1, -1] if draws is None else misfit
 
 
-def _fitted(
+def _select_columns(
     equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]
 ) -> tuple[NDArray[np.intp], Array]:
     """Return the indices of the fitted columns, and their prior precision matrix.
 
     The fitted columns are those of the shared parameters and those of the chosen changes.
     """
-    at = [*range(equations.shared), *(equations.shared + i for i in chosen)]
+    at = [*range(equations.n_shared), *(equations.n_shared + i for i in chosen)]
     return np.array(at, dtype=np.intp), block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
 
 
-def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
+def compute_held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
     """Return the squared held-out residuals of each fold with a multiple of one column subtracted.
 
     The residual is reduced by ``factor`` times the further column ``column``. Everything else is as in
-    :func:`held_out`.
+    :func:`compute_held_out`.
     """
     products, random = equations.products.copy(), equations.random.copy()
-    change = equations.shared + column
+    change = equations.n_shared + column
     products[:, :, -1] -= factor * products[:, :, change]
     products[:, -1, :] -= factor * products[:, change, :]
     random[:, :, -1] -= factor * random[:, :, change]
-    return held_out(replace(equations, products=products, random=random))
+    return compute_held_out(replace(equations, products=products, random=random))
 
 
-def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
+def fit_columns(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
     """Fit the shared parameters together with a factor for each chosen column, to all folds.
 
     The result has shape (shared + chosen,): first the steps of the shared parameters, then the factors.
     """
-    at, ridge = _fitted(equations, chosen, prior)
+    at, ridge = _select_columns(equations, chosen, prior)
     total = equations.whole
     normal = total[np.ix_(at, at)] + ridge
     right = total[at, -1] + np.concatenate((equations.prior @ equations.pull, np.zeros(len(chosen))))
-    return solved(normal, right[:, None])[:, 0]
+    return solve_normal(normal, right[:, None])[:, 0]
 
 
-def projected(equations: NormalEquations) -> Array:
+def project_columns(equations: NormalEquations) -> Array:
     """Return inner products of the further columns and the residual, summed over folds.
 
     All shared parameters are projected out.
@@ -322,25 +365,25 @@ def projected(equations: NormalEquations) -> Array:
     ndarray, shape (m + 1, m + 1)
         The residual comes after the m further columns.
     """
-    total, s = equations.whole, equations.shared
+    total, s = equations.whole, equations.n_shared
     normal = total[:s, :s] + equations.prior
     mixed = total[:s, s:]
-    return np.asarray(total[s:, s:] - mixed.T @ solved(normal, mixed))
+    return np.asarray(total[s:, s:] - mixed.T @ solve_normal(normal, mixed))
 
 
-def covariances(equations: NormalEquations) -> tuple[Array, Array]:
+def compute_covariances(equations: NormalEquations) -> tuple[Array, Array]:
     """Return the covariance of the shared parameters from all folds, and without each fold.
 
     Returns
     -------
     ndarray, shapes (shared, shared) and (folds, shared, shared)
     """
-    s, count = equations.shared, len(equations.products)
+    s, count = equations.n_shared, len(equations.products)
     whole, rest = (part[..., :s, :s] + equations.prior for part in (equations.whole, equations.rest))
-    return solved(whole, np.eye(s)), solved(rest, np.broadcast_to(np.eye(s), (count, s, s)))
+    return solve_normal(whole, np.eye(s)), solve_normal(rest, np.broadcast_to(np.eye(s), (count, s, s)))
 
 
-def covariance(study: Study, fit: Hypothesis) -> Array:
+def compute_covariance(study: GapStudy, fit: Hypothesis) -> Array:
     """Return the covariance matrix of the parameters of a fit, shape (p, p).
 
     The standard errors of shared parameters are at least those of the jackknife over folds, with Student's
@@ -358,15 +401,17 @@ def covariance(study: Study, fit: Hypothesis) -> Array:
     for k, rows in enumerate(fit.derivatives):
         seen, own = study.noise.whiten(fit.problem, k, rows), fit.problem.taken[k]
         normal[np.ix_(own, own)] += seen.T @ seen
-    found = inverted(normal)
-    equations = normal_equations(study, fit)
-    shared, count = study.shared(fit), study.folds.count
+    found = invert_normal(normal)
+    equations = form_normal_equations(study, fit)
+    shared, count = study.select_shared(fit), study.folds.count
     if count < 2 or not len(shared):
         return found
-    s, pulled = equations.shared, equations.prior @ equations.pull
+    s, pulled = equations.n_shared, equations.prior @ equations.pull
 
     def step(products: Array) -> Array:
-        return solved(products[..., :s, :s] + equations.prior, (products[..., :s, -1] + pulled)[..., None])
+        return solve_normal(
+            products[..., :s, :s] + equations.prior, (products[..., :s, -1] + pulled)[..., None]
+        )
 
     steps = (step(equations.rest) - step(equations.whole))[..., 0]
     # Replace each change by its sum with the parameter, for the comparison with the jackknife.
@@ -383,8 +428,8 @@ def covariance(study: Study, fit: Hypothesis) -> Array:
     return np.asarray(back @ (factor[:, None] * found * factor) @ back.T)
 
 
-def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int) -> Drawn:
-    """Return random samples of noise residuals and of prior means, for use in :func:`held_out`."""
+def draw_noise(equations: NormalEquations, rng: np.random.Generator, count: int) -> NoiseDraws:
+    """Return random samples of noise residuals and of prior means, for use in :func:`compute_held_out`."""
     found = np.empty((len(equations.products), equations.products.shape[1] - 1, count))
     for f, inner in enumerate(equations.products[:, :-1, :-1]):
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
@@ -393,16 +438,16 @@ def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int
         found[f] = scale[:, None] * (root @ rng.standard_normal((len(scale), count)))
     known = np.flatnonzero(np.diag(equations.prior) > 0)
     root = np.linalg.cholesky(equations.prior[np.ix_(known, known)])
-    off = np.zeros((equations.shared, count))
-    drawn = rng.standard_normal((equations.shared, count))
+    off = np.zeros((equations.n_shared, count))
+    drawn = rng.standard_normal((equations.n_shared, count))
     off[known] = np.linalg.solve(root.T, drawn[known])
-    return Drawn(found, off)
+    return NoiseDraws(found, off)
 
 
 # ---------------------------------------------------------------- linear algebra
 
 
-def inverted(normal: Array) -> Array:
+def invert_normal(normal: Array) -> Array:
     """Return the inverse of a normal matrix, without the directions that nothing determines."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = scale[:, None] * normal * scale
@@ -410,7 +455,7 @@ def inverted(normal: Array) -> Array:
     return np.asarray(scale[:, None] * inverse * scale)
 
 
-def solved(normal: Array, right: Array) -> Array:
+def solve_normal(normal: Array, right: Array) -> Array:
     """Solve scaled normal equations. Undetermined directions of the solution stay at zero.
 
     Parameters

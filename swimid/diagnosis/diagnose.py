@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,15 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import answer, evidence, nominal, power, readings, repaired, search
 from swimid.diagnosis.evidence import Diagnosis
+from swimid.diagnosis.gap_file import GapFile
+from swimid.diagnosis.held_out import HeldOutSeries
+from swimid.diagnosis.nominal import Preparation
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.power import DetectionPower
-from swimid.diagnosis.proposals import Limits
-from swimid.diagnosis.study import Study
+from swimid.diagnosis.proposals import TrialLimits
+from swimid.diagnosis.study import GapStudy
 from swimid.effects import catalogue as effect_catalogue
+from swimid.effects.base import Effect
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
@@ -26,11 +30,11 @@ from swimid.fitting.fit_common import TRIALS_FILE
 from swimid.fitting.model import Model
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
-from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
-from swimid.results.numbers import listed
+from swimid.results.numbers import join_names
+from swimid.results.parameters import ParameterFile
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
@@ -49,7 +53,7 @@ NOT_REQUESTED = "changes of parameters were not requested, and are not tried: {}
 NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
 
 
-def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
+def _compute_errors(loaded: Loaded) -> dict[str, ChannelScore]:
     """Return the error of the model in each channel, with the parameter values as given.
 
     The errors are those that the command ``compare`` computes.
@@ -63,7 +67,7 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
     return compare_series.pool(done, experiment.model)
 
 
-def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequence[str]:
+def _check_requested(effects: Sequence[str], names: list[str], model: Model) -> Sequence[str]:
     """Return the effects that the user requests, after checking that they are hypotheses.
 
     Raises
@@ -80,7 +84,7 @@ def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequen
     return effects
 
 
-def _checked_place(
+def _check_outputs(
     options: DiagnoseOptions,
     output: Path | None,
     inputs: Sequence[Input],
@@ -100,27 +104,33 @@ def _checked_place(
         raise UsageError("--next has no place beside --power, which compares no rival causes")
     if options.repaired is not None and options.power:
         raise UsageError("--repaired has no place beside --power, which names no causes")
-    place = options.repaired
-    if place is None and output is not None and not (options.power or atomic.is_device(output)):
-        place = output.with_name(evidence.REPAIRED)
-    if place is not None:
-        hint = "name another file for the model with the causes: --repaired FILE"
-        if output is not None and place.resolve() == output.resolve():
-            raise UsageError(f"two outputs would be written to {place}", hint=hint)
-        if any(isinstance(i, str | Path) and Path(i).resolve() == place.resolve() for i in inputs):
-            raise UsageError(f"{place} is an input of this diagnosis", hint=hint)
-    edited = None
-    if place is not None and ending:
-        edited = place.with_suffix(ending)
-    for path in (output, place, edited, options.next):
+    repaired_path = options.repaired
+    if repaired_path is None and output is not None and not (options.power or atomic.is_device(output)):
+        repaired_path = output.with_name(evidence.REPAIRED)
+    outputs = [output, repaired_path, options.next]
+    if repaired_path is not None:
+        _check_repaired(repaired_path, output, inputs)
+        outputs.append(repaired_path.with_suffix(ending) if ending else None)
+    for path in outputs:
         if path is not None:
             allow(atomic.check_writable(path, inputs=inputs))
-    return place
+    return repaired_path
 
 
-def _written(made: Diagnosis, output: Path | None, place: Path | None, command: Path | None) -> Diagnosis:
+def _check_repaired(path: Path, output: Path | None, inputs: Sequence[Input]) -> None:
+    """Raise an error if the parameter file with the causes is the gap file or an input."""
+    hint = "name another file for the model with the causes: --repaired FILE"
+    if output is not None and path.resolve() == output.resolve():
+        raise UsageError(f"two outputs would be written to {path}", hint=hint)
+    if any(isinstance(i, str | Path) and Path(i).resolve() == path.resolve() for i in inputs):
+        raise UsageError(f"{path} is an input of this diagnosis", hint=hint)
+
+
+def _write_outputs(
+    made: Diagnosis, output: Path | None, place: Path | None, command: Path | None
+) -> Diagnosis:
     """Write all outputs of a diagnosis or none, and return it with their paths."""
-    with atomic.together():
+    with atomic.write_together():
         if output is not None:
             made = made.save(output, place)
         elif place is not None:
@@ -128,6 +138,155 @@ def _written(made: Diagnosis, output: Path | None, place: Path | None, command: 
         if command is not None and made.next is not None:
             made = made.with_command(command)
     return made
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Inputs of a diagnosis, before any fit.
+
+    Attributes
+    ----------
+    effects : list of Effect
+        Effects of the catalogue and of the user that are not part of the model.
+    applicable : list of Effect
+        Forms of these effects that apply to the model and its trials.
+    asked : set of str or None
+        Names of the requested effects; None for all effects.
+    about : dict
+        Entries that a gap file and a power file share.
+    """
+
+    options: DiagnoseOptions
+    loaded: Loaded
+    begun: Preparation
+    study: GapStudy
+    effects: list[Effect]
+    applicable: list[Effect]
+    asked: set[str] | None
+    about: dict[str, Any]
+
+    def is_asked(self, name: str) -> bool:
+        """Return whether an effect may be a cause."""
+        return self.asked is None or name in self.asked
+
+    @property
+    def reasons(self) -> list[str]:
+        """Reasons why changes of parameters are no hypotheses."""
+        reasons = []
+        if self.options.params is None:
+            reasons.append(NOT_GIVEN.format(self.loaded.experiment.values_from))
+        names = [c.name for c in self.begun.changes if not self.is_asked(c.name)]
+        if names:
+            omitted = [name.removeprefix(nominal.PREFIX) for name in names]
+            reasons.append(NOT_REQUESTED.format(join_names(omitted)))
+        return reasons
+
+    @property
+    def limits(self) -> TrialLimits:
+        """Limits of a proposed trial."""
+        options = self.options
+        return TrialLimits(
+            self.loaded.experiment,
+            options.tank_length_m,
+            options.max_frequency_hz or math.inf,
+            math.radians(options.max_amplitude_deg or math.inf),
+        )
+
+
+def _prepare(loaded: Loaded, options: DiagnoseOptions, inputs: Sequence[Input]) -> _Task:
+    """Return the inputs of a diagnosis.
+
+    Raises
+    ------
+    UsageError
+        If a requested effect does not exist.
+    NoTrustworthyResult
+        If there is no trial of role ``fit``.
+    """
+    experiment = loaded.experiment
+    model = experiment.model
+    own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
+    # The noise is estimated with the whole catalogue, even if only some effects are asked for. An effect of
+    # the parameter file is part of the model, and no hypothesis.
+    effects = [e for e in [*effect_catalogue.list_effects(), *own] if e.joins(model.effects)]
+    begun = nominal.prepare_diagnosis(loaded)
+    asked = None
+    if options.effects:
+        names = [*(e.name for e in (*effects, *begun.changes)), *readings.list_names(experiment)]
+        asked = {*_check_requested(options.effects, names, model), *(e.name for e in own)}
+    trials = [t for t in begun.trials if t.role == "fit"]
+    if not trials:
+        raise NoTrustworthyResult("no trial has the role 'fit'")
+    jobs = options.jobs or os.cpu_count() or 1
+    study = GapStudy(model, model.parameters, trials, begun.prior, correlation=begun.correlation, jobs=jobs)
+    given = experiment.values_from
+    if options.params is not None:
+        given = str(parameters_format.source_path(options.params))
+    about = {
+        "model": model.name,
+        "robot": experiment.robot.name,
+        "experiment": experiment.name,
+        "params": given,
+        "trials": [t.id for t in experiment.trials],
+        "provenance": provenance.collect(inputs, settings=options.settings()),
+    }
+    applicable = effect_catalogue.applicable(effects, model, trials)
+    return _Task(options, loaded, begun, study, effects, applicable, asked, about)
+
+
+def _find_power(task: _Task, notices: Sequence[Notice]) -> DetectionPower:
+    """Return the detection power of the trials."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        rows, left_out = power.compute_power(task.study, task.applicable, task.asked, seed=task.options.seed)
+    file = power.PowerFile(**task.about, effects=rows, left_out=left_out)
+    return DetectionPower.of(file, power.build_power_evidence(file, list(notices)))
+
+
+def _check_command(path: Path, file: GapFile) -> None:
+    """Warn if there is no proposed trial, so that its command file is not written."""
+    if all(a.command is None for a in file.advice):
+        why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
+        warn("SWM075", f"{path.name} is not written: {why[0]}")
+
+
+def _find_causes(
+    task: _Task, folder: Path, checkpoint: Checkpoint, progress: Progress
+) -> tuple[GapFile, list[HeldOutSeries], ParameterFile | None]:
+    """Return the gap file, the worst held-out trial, and the parameters of the model with the causes.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the parameter file with the causes.
+    """
+    options, begun, study = task.options, task.begun, task.study
+    experiment = task.loaded.experiment
+    as_given = _compute_errors(task.loaded)
+    others, left_out = readings.list_readings(experiment, study.trials)
+    result = search.search_causes(
+        study, [*task.applicable, *others, *begun.changes], asked=task.asked, seed=options.seed,
+        most=options.max_causes, checkpoint=checkpoint, progress=progress,
+    )  # fmt: skip
+    validation = [t for t in begun.trials if t.role == "validate"]
+    with threadpool_limits(limits=1, user_api="blas"):
+        file, worst = answer.answer(
+            result, validation, begun, study.trials, limits=task.limits, progress=progress
+        )
+    origin = task.about["provenance"]
+    repaired_file = repaired.build_repaired(
+        result, file, task.loaded, folder, readings=dict(options.readings), provenance=origin
+    )
+    if options.next is not None:
+        _check_command(options.next, file)
+    if experiment.values_from == TRIALS_FILE:
+        forms = {e.name for e in task.applicable}
+        left_out |= {e.name: CANNOT_ACT for e in task.effects if e.stage != "rig" and e.name not in forms}
+    about = {
+        "reasons": [*file.reasons, *task.reasons],
+        "left_out": {name: why for name, why in left_out.items() if task.is_asked(name)} | file.left_out,
+        "as_given": as_given,
+    }
+    return file.model_copy(update=task.about | about), worst, repaired_file
 
 
 @takes(DiagnoseOptions)
@@ -162,11 +321,12 @@ def diagnose(
     -------
     Diagnosis or DetectionPower
         With ``power=True`` the detection power of the trials, otherwise the diagnosis.
-        ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
-        parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
-        with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
-        channel. ``.repaired`` has the parameters of the model with the causes, or is None. ``.next`` is the
-        command file of the trial that separates rival causes best, or None.
+        ``.answer`` is ``"none"``, ``"explained"``, ``"partial"``, ``"ambiguous"`` or ``"unexplained"``
+        (:mod:`swimid.diagnosis.verdict`). ``.causes`` has the parameters of each cause with their units.
+        ``.shrinkage`` has the errors on held-out data without and with the causes, divided by the measured
+        range. ``.where`` has the gap and the noise floor of each channel. ``.repaired`` has the parameters of
+        the model with the causes, or is None. ``.next`` is the command file of the trial that separates rival
+        causes best, or None.
 
     Raises
     ------
@@ -209,100 +369,31 @@ def diagnose(
     >>> bool((swimid.compare(trials, params=gap.repaired).scores["nrmse"] < 0.002).all())
     True
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         loaded = experiment_catalogue.load(trials, options)
-        experiment = loaded.experiment
-        model = experiment.model
-        inputs = [*experiment.inputs, *options.own_effects]
-        place = _checked_place(options, output, inputs, allow, model.file_ending)
-        own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
-        # The noise is estimated with the whole catalogue, even if only some effects are asked for.
-        known = [*effect_catalogue.catalogue(), *own]
-        # An effect of the parameter file is part of the model, and no hypothesis.
-        known = [e for e in known if e.joins(model.effects)]
-        begun = nominal.begun(loaded)
-        asked = None
-        if options.effects:
-            names = [*(e.name for e in (*known, *begun.changes)), *readings.names(experiment)]
-            asked = {*_requested(options.effects, names, model), *(e.name for e in own)}
-        fitted = [t for t in begun.trials if t.role == "fit"]
-        validation = [t for t in begun.trials if t.role == "validate"]
-        if not fitted:
-            raise NoTrustworthyResult("no trial has the role 'fit'")
-        origin = provenance.collect(inputs, settings=options.settings())
-        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        model = loaded.experiment.model
+        inputs = [*loaded.experiment.inputs, *options.own_effects]
+        repaired_path = _check_outputs(options, output, inputs, allow, model.file_ending)
+        task = _prepare(loaded, options, inputs)
+        origin = task.about["provenance"]
+        checkpoint = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress, effects=True)
-        jobs = options.jobs or os.cpu_count() or 1
-        study = Study(model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs)
-        applicable = effect_catalogue.applicable(known, model, fitted)
-        given = experiment.values_from
-        reasons = [NOT_GIVEN.format(given)]
-        if options.params is not None:
-            given, reasons = str(parameters_format.place(options.params)), []
-        about: dict[str, Any] = {
-            "model": model.name,
-            "robot": experiment.robot.name,
-            "experiment": experiment.name,
-            "params": given,
-            "trials": [t.id for t in experiment.trials],
-            "provenance": origin,
-        }
         if options.power:
-            with threadpool_limits(limits=1, user_api="blas"):
-                rows, without = power.shown(study, applicable, asked, seed=options.seed)
-            keep.done()
-            could = power.PowerFile(**about, effects=rows, left_out=without)
-            shown = power.evidence(could, ev.notices(notices))
-            return DetectionPower.of(could, shown).saved(output)
-        as_given = _as_given(loaded)
-        others, alike = readings.others(experiment, fitted)
-        effects = [*applicable, *others, *begun.changes]
-        found = search.run(
-            study, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
-            progress=progress,
-        )  # fmt: skip
-        limits = Limits(
-            experiment,
-            options.tank_length_m,
-            options.max_frequency_hz or math.inf,
-            math.radians(options.max_amplitude_deg or math.inf),
-        )
-        with threadpool_limits(limits=1, user_api="blas"):
-            file, worst = answer.answer(found, validation, begun, fitted, limits=limits, progress=progress)
-        folder = trials_format.place(trials).parent
-        if place is not None:
-            folder = place.parent
-        repaired_file = repaired.parameters(
-            found, file, loaded, folder, readings=options.readings, provenance=origin
-        )
+            could = _find_power(task, notices)
+            checkpoint.finish()
+            return could.write_output(output)
+        folder = (repaired_path or trials_format.place(trials)).parent
+        file, worst, repaired_file = _find_causes(task, folder, checkpoint, progress)
         simulator = None
-        if repaired_file is not None and place is not None:
-            edited = repaired.simulator_file(loaded, repaired_file, place, options.own_effects)
+        if repaired_file is not None and repaired_path is not None:
+            edited = repaired.build_simulator_file(loaded, repaired_file, repaired_path, options.own_effects)
             simulator = edited and (model.file_ending, edited)
-        if repaired_file is None and place is not None and place.exists():
-            warn("SWM061", f"{place.name} belongs to an earlier run: this one found no cause to write to it")
-        if options.next is not None and all(a.command is None for a in file.advice):
-            why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
-            warn("SWM075", f"{options.next.name} is not written: {why[0]}")
-    if experiment.values_from == TRIALS_FILE:
-        found_forms = {e.name for e in applicable}
-        alike |= {e.name: CANNOT_ACT for e in known if e.stage != "rig" and e.name not in found_forms}
-    left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
-    omitted = [
-        c.name.removeprefix(nominal.PREFIX)
-        for c in begun.changes
-        if asked is not None and c.name not in asked
-    ]
-    if omitted:
-        reasons.append(NOT_REQUESTED.format(listed(omitted)))
-    about |= {
-        "reasons": [*file.reasons, *reasons],
-        "left_out": left_out | file.left_out,
-        "as_given": as_given,
-    }
-    file = file.model_copy(update=about)
-    rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
-    made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file, simulator=simulator)
-    made = _written(made, output, place, options.next)
-    keep.done()
+        if repaired_file is None and repaired_path is not None and repaired_path.exists():
+            text = f"{repaired_path.name} belongs to an earlier run: this one found no cause to write to it"
+            warn("SWM061", text)
+    sources = loaded.experiment.robot.sources
+    shown = evidence.build_gap_evidence(file, worst, sources=sources, notices=list(notices))
+    made = replace(Diagnosis.of(file, shown), repaired=repaired_file, simulator=simulator)
+    made = _write_outputs(made, output, repaired_path, options.next)
+    checkpoint.finish()
     return made

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import label, median_filter
 
 from swimid.diagnosis.gap_file import Cause, Shrinkage, Value
-from swimid.diagnosis.held_out import share_closed
-from swimid.diagnosis.study import rms
+from swimid.diagnosis.held_out import compute_closed_share
 from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Array, Trial
 from swimid.logs.sampling import step_of
+from swimid.results.evidence import compute_rms
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.search import Search
+    from swimid.diagnosis.search import SearchResult
 
 #: Minimum change of the residual that counts as a jump, in robust standard deviations of the differences
 #: between successive residuals.
@@ -30,15 +30,15 @@ FROZEN, MOVED = 4, 6.0
 #: Channels that a camera measures by tracking markers.
 CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 #: Minimum number of samples of a channel in which failed samples are detected.
-FEWEST = 60
+MIN_CHANNEL_SAMPLES = 60
 #: Maximum fraction of jumped and displaced samples of a channel in a trial. Their detection rests on
 #: medians, which break down with more than half of outliers. A larger fraction is an error of the model.
 MAX_JUMPED_SHARE = 0.5
 #: Minimum offset of the residuals of a displaced segment, in robust standard deviations of the differences
 #: between successive residuals.
-OFF = 6.0
+MIN_OFFSET_SD = 6.0
 #: Maximum number of samples before or after a jump whose median is the level of the residual there.
-BESIDE = 8
+MAX_LEVEL_SAMPLES = 8
 
 
 class Stretch(NamedTuple):
@@ -74,7 +74,7 @@ class Dropouts:
         """Return the number of failed samples."""
         return sum(int(m.sum()) for by in self.masks.values() for m in by.values())
 
-    def confirmed(self, other: Dropouts) -> Dropouts:
+    def confirm(self, other: Dropouts) -> Dropouts:
         """Return the failed samples that a second detection, with a better model, finds as well."""
         kept = [
             s
@@ -87,7 +87,7 @@ class Dropouts:
             masks[trial] = {c: m & again[c] for c, m in by.items() if c in again}
         return Dropouts(masks, kept)
 
-    def without(self, trials: Sequence[Trial]) -> list[Trial]:
+    def remove_from(self, trials: Sequence[Trial]) -> list[Trial]:
         """Return the trials with all camera channels set to NaN in the frames in which a marker failed."""
         found = []
         for trial in trials:
@@ -101,7 +101,7 @@ class Dropouts:
         return found
 
 
-def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> Dropouts:
+def detect_failures(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> Dropouts:
     """Detect failed samples by jumps of the residuals and by values that do not change.
 
     Parameters
@@ -115,9 +115,9 @@ def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> D
         for channel, values in trial.measured.items():
             if channel not in CAMERA or channel not in model or trial.stamps_uncertain:
                 continue
-            if np.isfinite(values).sum() < FEWEST:
+            if np.isfinite(values).sum() < MIN_CHANNEL_SAMPLES:
                 continue
-            kinds = _failed(values, model[channel])
+            kinds = _find_failures(values, model[channel])
             mask = kinds != ""
             if (mask & (kinds != "frozen")).sum() > MAX_JUMPED_SHARE * np.isfinite(values).sum():
                 continue
@@ -141,7 +141,7 @@ def _robust(x: Array) -> float:
     return 1.4826 * float(np.median(np.abs(x - np.median(x))))
 
 
-def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
+def _find_failures(values: Array, simulated: Array) -> NDArray[np.str_]:
     """Return the kind of failure of each sample of one channel; the kind of a valid sample is empty."""
     kinds = np.full(len(values), "", dtype="U9")
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(simulated))
@@ -174,13 +174,13 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     if len(jumps):
         edges = [int(g[len(g) // 2]) + 2 for g in np.split(jumps, np.flatnonzero(np.diff(jumps) > 3) + 1)]
         # Compute the residual level of the last valid samples. A segment that returns to this level is valid.
-        sound = float(np.median(r[max(edges[0] - BESIDE, 0) : edges[0]]))
+        sound = float(np.median(r[max(edges[0] - MAX_LEVEL_SAMPLES, 0) : edges[0]]))
         for begin, end in zip(edges, [*edges[1:], len(r)], strict=True):
-            level = float(np.median(r[begin : min(begin + BESIDE, end)])) if end > begin else sound
-            if abs(level - sound) > OFF * size:
+            level = float(np.median(r[begin : min(begin + MAX_LEVEL_SAMPLES, end)])) if end > begin else sound
+            if abs(level - sound) > MIN_OFFSET_SD * size:
                 kinds[there[begin:end]] = "displaced"
             elif end > begin:
-                sound = float(np.median(r[max(end - BESIDE, begin) : end]))
+                sound = float(np.median(r[max(end - MAX_LEVEL_SAMPLES, begin) : end]))
     return kinds
 
 
@@ -192,7 +192,7 @@ FAILED, FAILED_MISFIT = 4, 50.0
 REAL = 0.5
 
 
-def misfit(search: Search, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
+def compute_misfit(search: SearchResult, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
     """Return the sum of squared residuals of the failed samples, in units of the noise variance.
 
     The result is 0 if there are too few failed samples, or if the sum is too small.
@@ -204,14 +204,14 @@ def misfit(search: Search, raw: Sequence[Trial], floor: Mapping[str, float]) -> 
     """
     if search.dropouts.count < FAILED:
         return 0.0
-    squares = _squares(search, raw)
+    squares = _sum_squares(search, raw)
     total = sum(squares[c][0] / max(floor[c], 1e-300) ** 2 for c in floor if c in squares)
     if total <= FAILED_MISFIT:
         return 0.0
     return total
 
 
-def _squares(search: Search, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
+def _sum_squares(search: SearchResult, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
     """Return, by channel, the sum of squared model errors at failed samples and the number of samples."""
     found: dict[str, tuple[float, int]] = {}
     simulated = search.null.problem.simulations(search.null.theta)
@@ -223,8 +223,8 @@ def _squares(search: Search, raw: Sequence[Trial]) -> dict[str, tuple[float, int
     return found
 
 
-def among(
-    search: Search,
+def add_failed_samples(
+    search: SearchResult,
     causes: list[Cause],
     raw: Sequence[Trial],
     floor: Mapping[str, float],
@@ -242,17 +242,17 @@ def among(
     """
     closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
     sound = search.null.by_channel()
-    for channel, (squares, count) in _squares(search, raw).items():
+    for channel, (squares, count) in _sum_squares(search, raw).items():
         if channel not in floor or not count:
             continue
         own, span = sound[channel], ranges[channel]
         before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
-        after = rms(own) / span
+        after = compute_rms(own) / span
         known = closing.get(channel)
         if known is not None and known.after is not None:
             after = known.after
         level = min(floor[channel] / span, before, after)
-        closed = share_closed(before**2, after**2, level**2)
+        closed = compute_closed_share(before**2, after**2, level**2)
         closing[channel] = Shrinkage(
             channel=channel, before=before, after=after, shipped=before, floor=level, closed=closed
         )

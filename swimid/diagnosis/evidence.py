@@ -17,14 +17,14 @@ from swimid.diagnosis.gap_file import (
     Cause,
     Cell,
     ChangedValue,
+    EffectRow,
     GapFile,
-    Score,
-    Step,
     Value,
+    WaterfallStep,
 )
 from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import Candidate, are_twins
-from swimid.diagnosis.verdict import interval_text, otherwise_text
+from swimid.diagnosis.verdict import format_interval, format_otherwise
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
 from swimid.fitting.fit_common import ROBOT_FILE, TRIALS_FILE
@@ -32,7 +32,7 @@ from swimid.logs import log as log_format
 from swimid.logs.log import Log
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.numbers import listed, number, percent, probability_text
+from swimid.results.numbers import format_number, join_names, percent, probability_text
 from swimid.results.parameters import Fitted, ParameterFile
 from swimid.results.result import FileResult
 from swimid.simulators.repaired import SimulatorFile
@@ -40,7 +40,7 @@ from swimid.simulators.repaired import SimulatorFile
 if TYPE_CHECKING:
     import pandas as pd
 
-    from swimid.diagnosis.held_out import Piece
+    from swimid.diagnosis.held_out import HeldOutSeries
 
 
 Rows = list[list[Any]]
@@ -71,7 +71,7 @@ BOX = (
 REPAIRED = "repaired.yaml"
 
 #: Minimum share of the gap that is stated in a sentence.
-LEAST = 0.005
+MIN_REFIT_SHARE = 0.005
 #: Definition of the squared error of a held-out part.
 SQUARED = (
     "The squared error is the squared Mahalanobis distance from the prediction, whose covariance has the "
@@ -79,9 +79,9 @@ SQUARED = (
 )
 
 
-def evidence(
+def build_gap_evidence(
     file: GapFile,
-    worst: Sequence[Piece] = (),
+    worst: Sequence[HeldOutSeries] = (),
     *,
     sources: Sequence[str] = (),
     notices: Sequence[ev.NoticeRecord] = (),
@@ -90,7 +90,7 @@ def evidence(
 
     Parameters
     ----------
-    worst : sequence of Piece
+    worst : sequence of HeldOutSeries
         Channels of the held-out trial with the largest errors.
     sources : sequence of str
         References of the robot.
@@ -98,9 +98,9 @@ def evidence(
     tests = list(checks(file))
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
-        tests.insert(0, ev.check("logs agree with their metadata", "no", False, reason=against))
-    said = answer_text(file)
-    verdict = ev.judged(said, tests)
+        tests.insert(0, ev.make_check("logs agree with their metadata", "no", False, reason=against))
+    said = format_answer(file)
+    verdict = ev.make_verdict(said, tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     tables = [
         _waterfall(file), _parts_held_out(file), _errors(file), _causes(file), _coefficients(file),
@@ -109,10 +109,10 @@ def evidence(
     about = {
         "Trials": f"{len(file.trials)} against {file.params}",
         "Model": file.model,
-        "Tried": _tried_text(file),
+        "Tried": _count_tried(file),
     }
     if file.facts.no_gap is not None:
-        about["Probability"] = otherwise_text(file.facts)
+        about["Probability"] = format_otherwise(file.facts)
     methods = _methods(file, said)
     cited = [*sources, *REFERENCES]
     if any(a.separates for a in file.advice):
@@ -134,7 +134,7 @@ def evidence(
     )
 
 
-def _tried_text(file: GapFile) -> str:
+def _count_tried(file: GapFile) -> str:
     """Return the numbers of effects, changed parameters and other readings that were tried."""
     names = {s.effect for s in file.scores}
     changes = {name for name in names if name.startswith(PREFIX)}
@@ -144,7 +144,7 @@ def _tried_text(file: GapFile) -> str:
         ("changed parameter", "changed parameters", changes),
         ("other reading", "other readings", other),
     )
-    return listed([f"{len(of)} {plural(one, several, of)}" for one, several, of in counted if of])
+    return join_names([f"{len(of)} {plural(one, several, of)}" for one, several, of in counted if of])
 
 
 # ---------------------------------------------------------------- checks
@@ -154,56 +154,69 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     """Yield the checks of a diagnosis, which decide whether its verdict is a pass, a caution or a failure."""
     grades: dict[bool, Literal["warn", "fail"]] = {False: "warn", True: "fail"}
     passed: bool | None
-    for row in verdict.rows(file.facts):
+    for row in verdict.list_rows(file.facts):
         otherwise = grades[row.otherwise == "unexplained"]
-        yield ev.check(
+        yield ev.make_check(
             row.question, row.found, row.passed, row.needed, otherwise=otherwise, reason=row.reason
         )
     if file.moved:
-        said = changes_text(file.moved)
+        said = format_changes(file.moved)
         reason = f"the parameters as given are others than those refitted: {said}"
-        yield ev.check("parameters as given", said, False, "within their errors", reason=reason)
+        yield ev.make_check("parameters as given", said, False, "within their errors", reason=reason)
     if file.at_bound:
-        said = listed([f"{name} at {number(bound, 3)}" for name, bound in file.at_bound.items()])
+        said = join_names([f"{name} at {format_number(bound, 3)}" for name, bound in file.at_bound.items()])
         text = "a coefficient that the refit without effects takes to its bound may stand in for a cause"
         passed = None if file.causes else False
         reason = f"bounds are hit: {said}"
-        yield ev.check("bounds without effects", said, passed, "inside", text, reason=reason)
+        yield ev.make_check("bounds without effects", said, passed, "inside", text, reason=reason)
     if file.setting_count is not None and file.setting_count < 2:
         said = "all trials have one setting, and nothing is tested at another"
-        yield ev.check("settings", "1", False, "≥ 2", reason=said)
+        yield ev.make_check("settings", "1", False, "≥ 2", reason=said)
     if file.odd_trials:
         said = "; ".join(f"{name}: {text}" for name, text in file.odd_trials.items())
         text = "a trial with parameters of its own is left out; check its entry in the trials file"
-        yield ev.check("trials agree", said, False, "all", text, reason=f"left out {said}")
+        yield ev.make_check("trials agree", said, False, "all", text, reason=f"left out {said}")
     passed = file.remaining.white
     if file.causes:
         yield from _of_causes(file)
         passed = passed or None
-    said = remaining_text(file)
+    said = format_remaining(file)
     text = "whether a description without any physics still gains on held-out trials"
     otherwise = grades[file.verdict == "unexplained"]
-    yield ev.check("structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said)
+    yield ev.make_check(
+        "structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said
+    )
 
 
 def _of_causes(file: GapFile) -> Iterable[ev.Check]:
     first, *_ = file.causes
     for c in file.causes:
         if c.gain is not None and len(file.causes) > 1:
-            gain, passed = numbers.measured(c.gain, c.gain_stderr), c.gain > 2.0 * (c.gain_stderr or 0.0)
+            gain, passed = (
+                numbers.format_estimate(c.gain, c.gain_stderr),
+                c.gain > 2.0 * (c.gain_stderr or 0.0),
+            )
             reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
-            yield ev.check(f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason)
+            yield ev.make_check(
+                f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason
+            )
     ends = [f"{c.effect}/{n}" for c in file.causes for n, v in c.parameters.items() if v.status == "at-bound"]
     stuck = [a.coefficient for a in first.absorbed if a.with_effect.status == "at-bound"]
     for name, found in (("sizes of the causes", ends), ("coefficients with the causes", stuck)):
-        said = f"{listed(found)} at a bound" if found else "inside"
-        yield ev.check(name, said, not found, "inside their bounds", reason=said)
+        said = f"{join_names(found)} at a bound" if found else "inside"
+        yield ev.make_check(name, said, not found, "inside their bounds", reason=said)
     if file.facts.failed_samples and file.closed is not None:
         share = file.closed.share or 0.0
-        said = f"{percent(share, 2)} {interval_text(file.closed)}".strip()
+        said = f"{percent(share, 2)} {format_interval(file.closed)}".strip()
         name = "squared gap closed with the failed samples"
         reason = f"{said} of the squared gap closes with the failed samples"
-        yield ev.check(name, said, share >= verdict.MOST, f"≥ {percent(verdict.MOST)}", reason=reason)
+        yield ev.make_check(
+            name,
+            said,
+            share >= verdict.MIN_CLOSED_SHARE,
+            f"≥ {percent(verdict.MIN_CLOSED_SHARE)}",
+            reason=reason,
+        )
 
 
 # ---------------------------------------------------------------- tables
@@ -224,7 +237,7 @@ def _waterfall(file: GapFile) -> ev.Table:
     channels = list(file.waterfall[0].rmse) if file.waterfall else []
     rows: Rows = []
     for step in file.waterfall:
-        errors = [number(step.rmse.get(c), 3, numbers.split_unit(c)[1]) for c in channels]
+        errors = [format_number(step.rmse.get(c), 3, numbers.split_unit(c)[1]) for c in channels]
         rows.append([step.label, step.squared, *errors])
     columns = " | ".join(["model", "squared error over expected", *channels])
     caption = (
@@ -255,7 +268,7 @@ def _errors(file: GapFile) -> ev.Table:
     If the diagnosis found no cause, the table has the errors on all trials.
     """
     rows: Rows = [
-        [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed)] for s in file.closing
+        [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed)] for s in file.channel_errors
     ]
     if rows:
         title = "Errors on held-out data"
@@ -270,7 +283,9 @@ def _errors(file: GapFile) -> ev.Table:
         return _table("errors", title, columns, rows, caption, folded=False)
     for c in file.where.channels:
         given = file.as_given[c.channel].nrmse if c.channel in file.as_given else None
-        rows.append([c.channel, *_percents(given, c.nrmse, c.floor, c.share), number(c.rmse, 3, c.unit)])
+        rows.append(
+            [c.channel, *_percents(given, c.nrmse, c.floor, c.share), format_number(c.rmse, 3, c.unit)]
+        )
     columns = "channel | as given (%) | refitted (%) | floor (%) | of the gap (%) | RMSE"
     caption = (
         "Errors over the measured range without any effect: the parameters as given in all trials, the "
@@ -285,22 +300,22 @@ def _causes(file: GapFile) -> ev.Table:
     rows: Rows = []
     for c in file.causes:
         about = [probability_text(c.probability), ", ".join(c.equivalent), c.stage or "", c.meaning]
-        for name, size in ({n: value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
+        for name, size in ({n: format_value(v) for n, v in c.parameters.items()} or {"": ""}).items():
             rows.append([c.effect, name, size, *about])
             about = [""] * len(about)
-    columns = "effect | parameter | value ± sd | probability | equivalent | stage | what it is"
+    columns = "effect | parameter | value ± standard error | probability | equivalent | stage | what it is"
     caption = (
         "Probability: that it, or one of its equivalents, closes most of the gap; "
-        f"{otherwise_text(file.facts)}. Several causes act together."
+        f"{format_otherwise(file.facts)}. Several causes act together."
     )
     return _table("causes", "Causes", columns, rows, caption, folded=False)
 
 
 def _coefficients(file: GapFile) -> ev.Table:
-    strayed = {a.coefficient for a in moved(file)}
+    strayed = {a.coefficient for a in select_moved(file)}
     rows: Rows = []
     for a in (a for c in file.causes for a in c.absorbed):
-        values = ["" if v is None else value_text(v) for v in (a.given, a.without, a.with_effect)]
+        values = ["" if v is None else format_value(v) for v in (a.given, a.without, a.with_effect)]
         rows.append([a.coefficient, *values, a.coefficient in strayed])
     columns = "coefficient | as given | refitted without | refitted with | stood in"
     caption = (
@@ -311,7 +326,7 @@ def _coefficients(file: GapFile) -> ev.Table:
     return _table("coefficients", title, columns, rows, caption)
 
 
-def _twins(file: GapFile) -> list[list[Score]]:
+def _twins(file: GapFile) -> list[list[EffectRow]]:
     """Return the effects in groups whose members leave the same residuals, in the order of the scores."""
     alone = {
         h.effects[0]: Candidate(frozenset(h.effects), np.array(h.deviances, dtype=float))
@@ -319,7 +334,7 @@ def _twins(file: GapFile) -> list[list[Score]]:
         if len(h.effects) == 1
     }
     plain = sum(v or 0.0 for h in file.hypotheses if not h.effects for v in h.deviances)
-    groups: list[list[Score]] = []
+    groups: list[list[EffectRow]] = []
     for score in file.scores:
         mine = alone.get(score.effect)
         # An effect that changes nothing leaves the residuals of the model without effects.
@@ -337,14 +352,14 @@ def _scores(file: GapFile) -> ev.Table:
     for group in _twins(file):
         s, gain = group[0], ""
         if s.gain is not None:
-            gain = numbers.measured(s.gain, s.stderr)
+            gain = numbers.format_estimate(s.gain, s.stderr)
         probability = min(sum(one.probability or 0.0 for one in group), 1.0)
         stages = dict.fromkeys(one.stage for one in group if one.stage)
         names = " or ".join(dict.fromkeys(one.effect for one in group))
         about = [names, ", ".join(stages), s.variant, probability_text(probability), gain]
         rows.append([*about, *_percents(s.absorbed)])
     rows += [[name, "", why, "", "", None] for name, why in file.left_out.items()]
-    columns = "effect | stage | form | probability | held-out gain ± sd | imitated (%)"
+    columns = "effect | stage | form | probability | held-out gain ± standard error | imitated (%)"
     caption = (
         "Probability: that it is among the causes. Gain: decrease of minus twice the log predictive density "
         "of held-out data by the effect alone. Imitated: share of its signature that the "
@@ -370,7 +385,7 @@ def _parts(file: GapFile) -> ev.Table:
 # ---------------------------------------------------------------- figures
 
 
-def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
+def _steps(steps: Sequence[WaterfallStep]) -> list[ev.Figure]:
     """Plot the squared errors on held-out data as given, after each cause in turn, and of the noise alone."""
     if not steps:
         return []
@@ -390,7 +405,7 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
         "each cause in turn: of all channels over its expectation for a correct model, and of each channel "
         "over the noise variance."
     )
-    figure = ev.figure(
+    figure = ev.make_figure(
         "waterfall",
         "The gap on held-out data",
         caption,
@@ -404,14 +419,14 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
     return [figure]
 
 
-def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
+def _residuals(worst: Sequence[HeldOutSeries], caused: bool) -> list[ev.Figure]:
     panels = []
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
         factor, unit = numbers.in_degrees(numbers.split_unit(p.channel)[1])
         runs = {"refitted": p.before, "with causes": p.after} if caused else {"refitted": p.before}
         traces: list[ev.Trace] = []
         for label, simulated in runs.items():
-            x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
+            x, y = ev.thin_curve(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
             traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces), style="points"))
         y_label = f"residual of {numbers.quantity(p.channel)} ({numbers.unit_text(unit) or '1'})"
         panels.append(ev.panel("time (s)", y_label, traces, marks=[ev.Mark(at=0.0)]))
@@ -434,50 +449,58 @@ MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
 MAX_NOTES, MAX_PARTS = 5, 3
 
 
-def answer_text(file: GapFile) -> str:
+def format_answer(file: GapFile) -> str:
     """Return the answer of a diagnosis as sentences.
 
     They name the causes with their sizes, and say by how much the causes reduce the held-out errors.
     """
-    names = [_named(c) for c in file.causes]
-    if file.verdict == "none":
-        said = "The model describes these trials as well as their noise allows."
-        if file.moved or file.params in (ROBOT_FILE, TRIALS_FILE):
-            said = "The refitted model describes these trials as well as their noise allows."
-    elif file.verdict == "explained":
-        alone = [_named(c, rivals=False) for c in file.causes]
-        said = f"{listed(alone)} {plural('explains', 'together explain', names)} the gap."
-        alike = [f"{c.effect} from {listed(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
-        if alike:
-            said += f" These trials do not separate {listed(alike)}."
-    elif file.verdict == "ambiguous" and not names:
-        said = "These trials do not tell whether the model has a gap."
+    text = _UNEXPLAINED
+    if file.verdict == "unexplained" and file.facts.unreproduced:
+        text = "The model does not describe these trials, so that their gap cannot be separated from noise."
+    elif file.verdict == "unexplained":
+        if (file.facts.no_gap or 0.0) > 0.5 and file.held_out == "validation":
+            text = "The model follows the trials it is fitted to, but not the validation trials."
+    elif file.verdict == "none":
+        is_refitted = file.moved or file.params in (ROBOT_FILE, TRIALS_FILE)
+        model = "The refitted model" if is_refitted else "The model"
+        text = f"{model} describes these trials as well as their noise allows."
+    elif file.causes:
+        text = _name_causes(file)
     elif file.verdict == "ambiguous":
+        text = "These trials do not tell whether the model has a gap."
+    return f"{text} {_format_closed(file)}".rstrip()
+
+
+_UNEXPLAINED = "The model has a gap, and no effect that was tried closes it."
+
+
+def _name_causes(file: GapFile) -> str:
+    """Return sentences that name the causes of an explained, partial or ambiguous gap."""
+    names = [_name_cause(c) for c in file.causes]
+    if file.verdict == "ambiguous":
         cause = plural("cause is", "causes are", names)
-        said = f"The model has a gap whose likeliest {cause} {listed(names)}."
-    elif file.verdict == "partial":
+        return f"The model has a gap whose likeliest {cause} {join_names(names)}."
+    if file.verdict == "partial":
         closes = plural("closes", "close", names)
-        said = f"{listed(names)} {closes} part of the gap, and more remains than noise."
-    elif file.facts.unreproduced:
-        said = "The model does not describe these trials, so that their gap cannot be separated from noise."
-    elif (file.facts.no_gap or 0.0) > 0.5 and file.held_out == "validation":
-        said = "The model follows the trials it is fitted to, but not the validation trials."
-    else:
-        said = "The model has a gap, and no effect that was tried closes it."
-    return f"{said} {_closed_text(file)}".rstrip()
+        return f"{join_names(names)} {closes} part of the gap, and more remains than noise."
+    alone = [_name_cause(c, rivals=False) for c in file.causes]
+    text = f"{join_names(alone)} {plural('explains', 'together explain', names)} the gap."
+    alike = [f"{c.effect} from {join_names(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
+    if alike:
+        text += f" These trials do not separate {join_names(alike)}."
+    return text
 
 
-def _closed_text(file: GapFile) -> str:
+def _format_closed(file: GapFile) -> str:
     """Return a sentence with the held-out errors of the parameters as given, their refit, and the causes."""
     closed, where = file.closed, HELD_OUT[file.held_out]
     if closed is None or closed.share is None:
         return ""
-    parts = (
-        f"goes from {number(closed.before, 3)} as given to {number(closed.after, 3)} times its expectation"
-    )
+    before, after = format_number(closed.before, 3), format_number(closed.after, 3)
+    parts = f"goes from {before} as given to {after} times its expectation"
     if closed.share > 0.0:
-        parts += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
-    if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= LEAST:
+        parts += f": {percent(closed.share, 2)} of the gap closes {format_interval(closed)}".rstrip()
+    if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= MIN_REFIT_SHARE:
         by_refit, rest = percent(closed.by_refit, 2), percent(max(closed.by_causes, 0.0), 2)
         causes = plural("the cause closes", "the causes close", file.causes)
         said = f"A refit alone closes {by_refit}, and {causes} {rest} of what it leaves"
@@ -492,34 +515,34 @@ def plural(one: str, several: str, things: Collection[object]) -> str:
     return one if len(things) == 1 else several
 
 
-def _named(cause: Cause, *, rivals: bool = True) -> str:
+def _name_cause(cause: Cause, *, rivals: bool = True) -> str:
     """Return text that names a cause, its parameter values and its equivalent effects."""
-    sizes = [f"{name} {value_text(v)}" for name, v in list(cause.parameters.items())[:2]]
+    sizes = [f"{name} {format_value(v)}" for name, v in list(cause.parameters.items())[:2]]
     name = f"{cause.effect} ({', '.join(sizes)})" if sizes else cause.effect
-    return listed([changes_text(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
+    return join_names([format_changes(cause.parameters) or name, *(cause.equivalent if rivals else [])], "or")
 
 
-def changes_text(parameters: Mapping[str, Value]) -> str:
+def format_changes(parameters: Mapping[str, Value]) -> str:
     """Return text for changed parameters: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
     said = []
     for name, v in parameters.items():
         if isinstance(v, ChangedValue):
-            change = f"{number(v.given)} → {numbers.measured(v.value, v.stderr, v.unit)}"
-            said.append(f"{name} {change} ({number(v.standard_errors, 2)} standard errors)")
-    return listed(said)
+            change = f"{format_number(v.given)} → {numbers.format_estimate(v.value, v.stderr, v.unit)}"
+            said.append(f"{name} {change} ({format_number(v.standard_errors, 2)} standard errors)")
+    return join_names(said)
 
 
-def value_text(value: Value) -> str:
+def format_value(value: Value) -> str:
     """Return text for an estimate with its standard error and unit."""
     if value.status == "unidentifiable":
         return "not identifiable"
-    text = numbers.measured(value.value, value.stderr, value.unit)
+    text = numbers.format_estimate(value.value, value.stderr, value.unit)
     if value.status == "at-bound":
         text += ", at its bound"
     return text
 
 
-def remaining_text(file: GapFile) -> str:
+def format_remaining(file: GapFile) -> str:
     """Return text that says which fraction of the squared gap the causes do not close, and where."""
     left = file.remaining
     share = "an unknown share" if left.share is None else percent(left.share, 2)
@@ -527,7 +550,7 @@ def remaining_text(file: GapFile) -> str:
     return f"{share} of the squared gap remains{where}"
 
 
-def moved(file: GapFile) -> list[Absorbed]:
+def select_moved(file: GapFile) -> list[Absorbed]:
     """Return the coefficients that compensated for missing causes, sorted from the largest change down."""
     far = []
     for a in (a for c in file.causes for a in c.absorbed):
@@ -553,12 +576,12 @@ def notes(file: GapFile) -> list[str]:
         worst.setdefault(cell.kind, cell)
     if worst and file.verdict != "none":
         places = [
-            f"{c.kind} {c.label} ({number(c.ratio, 2)} times the noise)".removeprefix("time ")
+            f"{c.kind} {c.label} ({format_number(c.ratio, 2)} times the noise)".removeprefix("time ")
             for c in list(worst.values())[:MAX_PARTS]
         ]
-        said.append(f"the gap is largest at {listed(places)}")
-    for a in moved(file)[:1]:
-        values = " without the cause and ".join(value_text(v) for v in (a.without, a.with_effect))
+        said.append(f"the gap is largest at {join_names(places)}")
+    for a in select_moved(file)[:1]:
+        values = " without the cause and ".join(format_value(v) for v in (a.without, a.with_effect))
         said.append(f"the coefficient {a.coefficient} stood in for the cause: it is {values} with it")
     said += [
         f"to work with the other reading: --reading {c.effect.removeprefix(READING)}"
@@ -579,7 +602,7 @@ def _methods(file: GapFile, answer: str) -> list[str]:
         f"of {refitted}{of} candidate effects as part of the model (Kennedy and O'Hagan 2001).",
         "Sets of effects were compared by the log predictive density of held-out data, by one Gauss-Newton "
         "step for each fold (Rad and Maleki 2020), with a discrepancy of unknown variance and folds weighted "
-        f"by the Bayesian bootstrap (Yao et al. 2018): {otherwise_text(file.facts)}.",
+        f"by the Bayesian bootstrap (Yao et al. 2018): {format_otherwise(file.facts)}.",
     ]
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
@@ -642,7 +665,7 @@ class Diagnosis(FileResult[GapFile]):
         InputError, UsageError
             As for every result (:meth:`Result.save`).
         """
-        with atomic.together():
+        with atomic.write_together():
             made = self
             if repaired is not None or not atomic.is_device(Path(path)):
                 made = self.with_repaired(repaired or Path(path).with_name(REPAIRED))
@@ -660,7 +683,7 @@ class Diagnosis(FileResult[GapFile]):
         if self.repaired is None:
             return self
         shown = self.evidence or self.bare()
-        names = listed([c.effect for c in self.file.causes])
+        names = join_names([c.effect for c in self.file.causes])
         about = {
             "title": f"Model of {self.file.robot} with {names}",
             "tables": [], "figures": [], "methods": [], "notes": [],
@@ -673,7 +696,7 @@ class Diagnosis(FileResult[GapFile]):
             outputs.append(Path(path).with_suffix(ending))
             atomic.write_text(outputs[-1], text)
             said += f" The file of the simulator with it is {outputs[-1].name}"
-            said += f", without {listed(left_out)}." if left_out else "."
+            said += f", without {join_names(left_out)}." if left_out else "."
         noted = shown.model_copy(update={"notes": [*shown.notes, in_words_of_the_caller(said)]})
         return replace(self, evidence=noted, outputs=outputs)
 
@@ -729,6 +752,6 @@ class Diagnosis(FileResult[GapFile]):
 
     def bare(self) -> ev.Evidence:
         """Return the evidence that follows from the gap file only, if its evidence file is missing."""
-        found = evidence(self.file)
+        found = build_gap_evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
-        return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})
+        return found.model_copy(update={"verdict": found.verdict.lower_to("caution", text)})

@@ -129,7 +129,7 @@ class Closed(yamlio.Document):
     by_causes: Number = None
 
 
-class Step(yamlio.Document):
+class WaterfallStep(yamlio.Document):
     """Errors on held-out data of one model: as given, refitted, with the first causes, or the noise alone."""
 
     label: str
@@ -257,7 +257,7 @@ class Advice(yamlio.Document):
         return self._command
 
 
-class Score(yamlio.Document):
+class EffectRow(yamlio.Document):
     """Results for one effect of the catalogue that is the only effect in the model."""
 
     effect: str
@@ -291,7 +291,24 @@ class HypothesisRow(yamlio.Document):
 
 
 class GapFile(yamlio.ResultFile):
-    """Content of a gap file."""
+    """Content of a gap file: the gap between trials and a model, and its causes.
+
+    Example::
+
+        format: swimid-gap/1
+        verdict: explained
+        waterfall:
+        - {label: as given, squared: 54, expected: 1.0, rmse: {u_m_s: 0.042}}
+        - {label: refitted, squared: 45, expected: 1.1, rmse: {u_m_s: 0.031}}
+        - {label: + servo-backlash, squared: 2.6, expected: 1.1, rmse: {u_m_s: 0.0074}}
+        - {label: noise alone, squared: 1, expected: 1, rmse: {u_m_s: 0.0046}}
+        closed: {before: 54, refitted: 45, after: 2.6, share: 0.97, ci95: [0.93, 1.0], by_refit: 0.17}
+        causes:
+        - effect: servo-backlash
+          probability: 0.83
+          equivalent: [amplitude-loss]
+          parameters: {backlash_rad: {value: 0.035, stderr: 0.002, unit: rad, status: estimated}}
+    """
 
     kind: ClassVar[str] = "gap file"
     format: Literal["swimid-gap/1"] = "swimid-gap/1"
@@ -301,7 +318,7 @@ class GapFile(yamlio.ResultFile):
     as_given: dict[str, ChannelScore] = {}
     where: Where
     #: Errors on held-out data: as given, refitted, after each cause in turn, and of the noise alone.
-    waterfall: list[Step] = []
+    waterfall: list[WaterfallStep] = []
     #: Closed share of the squared gap over all channels; None without a cause.
     closed: Closed | None = None
     #: Causes of the gap, the most important first. Several causes act together.
@@ -315,8 +332,8 @@ class GapFile(yamlio.ResultFile):
     trials: list[str] = []
     #: Facts from which the verdict follows.
     facts: Facts = Facts()
-    #: Hypotheses (``hypotheses``), number of samples (``samples``) and number of effects (``tried``) from
-    #: which the probabilities in this file are computed.
+    #: Hypotheses, number of samples (``samples``), and number of effects, changed parameters and other
+    #: readings (``tried``), from which the probabilities in this file are computed.
     hypotheses: list[HypothesisRow] = []
     samples: int | None = None
     tried: int | None = None
@@ -332,7 +349,7 @@ class GapFile(yamlio.ResultFile):
     #: Number of different settings among the fitted and validation trials.
     setting_count: int | None = None
     #: Scores of all effects, best first.
-    scores: list[Score] = []
+    scores: list[EffectRow] = []
     #: Parameters whose refitted values differ significantly from those of the parameter file. Their change is
     #: not a hypothesis, because the file states no standard error or the model is a black box.
     moved: dict[str, ChangedValue] = {}
@@ -363,12 +380,7 @@ class GapFile(yamlio.ResultFile):
         return self
 
     @property
-    def changed(self) -> bool:
-        """Return whether a changed parameter is among the causes."""
-        return any(isinstance(v, ChangedValue) for c in self.causes for v in c.parameters.values())
-
-    @property
-    def closing(self) -> list[Shrinkage]:
+    def channel_errors(self) -> list[Shrinkage]:
         """Return the held-out errors of each channel without and with all causes, largest gap first."""
         return self.causes[0].shrinkage if self.causes else []
 

@@ -16,24 +16,24 @@ from numpy.typing import NDArray
 from scipy import special
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.gap_file import Closed, HeldOutTrial, Shrinkage, Step
-from swimid.diagnosis.noise import BETWEEN, NoiseModel, determined
-from swimid.diagnosis.posterior import CALIBRATED, TENTH
-from swimid.diagnosis.study import FINE, Hypothesis, Study
+from swimid.diagnosis.gap_file import Closed, HeldOutTrial, Shrinkage, WaterfallStep
+from swimid.diagnosis.noise import BETWEEN, NoiseModel, find_basis
+from swimid.diagnosis.posterior import CALIBRATED, MODEL_ERROR_SHARE
+from swimid.diagnosis.study import FINE, GapStudy, Hypothesis
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
 
 #: Probability that a correct model has at least one held-out trial above its limit.
-CHANCE = 0.025
+FALSE_ALARM_RATE = 0.025
 #: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
 #: of nearly equal numbers.
 LEAST_GAP = 0.04
 #: Maximum width of the interval of a closed share that is stated.
-WIDEST = 1.0
+MAX_INTERVAL_WIDTH = 1.0
 #: Number of random errors of the parameters from which the interval of a closed share is computed.
 DRAWS = 1000
 #: Largest squared error of a sample, in units of the noise variance. The simulation of a larger one diverged.
-WORST = 1e12
+MAX_SQUARED_ERROR = 1e12
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,15 @@ class Prediction:
         """Largest squared distance that noise explains, if ``count`` parts are held out.
 
         That of a correct model has a chi-squared distribution. A model error of a tenth of the noise is
-        allowed, and a discrepancy as large as the noise (:func:`swimid.diagnosis.posterior.unit`).
+        allowed, and a discrepancy as large as the noise
+        (:func:`swimid.diagnosis.posterior.compute_tolerance`).
         """
-        largest = float(special.chdtri(self.expected, CHANCE / max(count, 1)))
-        return largest + TENTH**2 * self.samples + CALIBRATED.directions
+        largest = float(special.chdtri(self.expected, FALSE_ALARM_RATE / max(count, 1)))
+        return largest + MODEL_ERROR_SHARE**2 * self.samples + CALIBRATED.directions
 
 
 @dataclass(frozen=True)
-class Rows:
+class HeldOutRows:
     """Rows of held-out samples of one trial: residuals, and derivatives of the predicted samples.
 
     Attributes
@@ -110,13 +111,13 @@ class Rows:
         """Return the prediction of the samples that a mask chooses."""
         chosen = chosen & (problem.sample_weights(k) > 0.0)
         moved = self.shared @ root_of(self.covariance)
-        residual = np.clip(self.residual, -math.sqrt(WORST), math.sqrt(WORST))
+        residual = _limit_errors(self.residual)
         usual = residual - self.chance @ self.apart
         columns = np.column_stack((residual, moved, self.chance, self.own, usual))
         seen = noise.whiten(problem, k, columns)[chosen]
         count = 1 + moved.shape[1] + self.chance.shape[1]
         own = seen[:, count:-1]
-        basis = determined(own)
+        basis = find_basis(own)
         free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
         r, uncertain = free[:, 0], free[:, 1:]
         # By singular values, because the noise beside a large uncertainty is lost in products of columns.
@@ -125,7 +126,7 @@ class Rows:
         squared = float(r @ r) - float((axes.T @ r) ** 2 @ (gained / (1.0 + gained)))
         expected = len(r) - basis.shape[1]
         deviance = squared + float(np.log1p(gained).sum())
-        values = crossval.solved(own.T @ own, own.T @ seen[:, -1:])[:, 0]
+        values = crossval.solve_normal(own.T @ own, own.T @ seen[:, -1:])[:, 0]
         left = np.full(len(chosen), np.nan)
         left[chosen] = (usual - self.own @ values)[chosen]
         weighted = np.column_stack((left, problem.sample_weights(k)))
@@ -138,20 +139,26 @@ class Rows:
         return Prediction(problem.trials[k], part, residuals, squared, max(expected, 1), len(r), deviance)
 
 
+def _limit_errors(residuals: Array) -> Array:
+    """Return residuals without those of diverged simulations."""
+    largest = math.sqrt(MAX_SQUARED_ERROR)
+    return np.asarray(np.clip(residuals, -largest, largest))
+
+
 def root_of(covariance: Array) -> Array:
     """Return a square root of a covariance matrix, without negative eigenvalues by rounding."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def as_given(study: Study) -> Hypothesis:
+def fit_as_given(study: GapStudy) -> Hypothesis:
     """Return the model with its shared parameters as given, and the initial state of each trial fitted."""
     shared = {p.name: p.start for p in study.parameters if not p.per_trial}
     problem = study.problem((), known=shared)
     return study.fit((), [np.clip(problem.start, problem.lower, problem.upper)], tolerance=FINE, known=shared)
 
 
-def predictions(
+def predict_parts(
     fits: Sequence[Hypothesis],
     validation: Sequence[Trial],
     noise: NoiseModel,
@@ -171,7 +178,7 @@ def predictions(
     last = fits[-1]
     values = {name: value for name, value in zip(last.labels, last.theta, strict=True) if _is_random(name)}
     for trial in validation:
-        problem, theta = own_fit(last, trial, noise)
+        problem, theta = fit_further_trial(last, trial, noise)
         values |= {name: v for name, v in zip(problem.labels, theta, strict=True) if _is_random(name)}
     found = []
     for fit in fits:
@@ -186,27 +193,29 @@ def _is_random(label: str) -> bool:
     return label.startswith(BETWEEN)
 
 
-def _apart(study: Study, problem: Problem, random: NDArray[np.intp], apart: Mapping[str, float]) -> Array:
+def _collect_random(
+    study: GapStudy, problem: Problem, random: NDArray[np.intp], apart: Mapping[str, float]
+) -> Array:
     """Return the random effects of a trial, in standard deviations."""
-    weight = study.expected(problem)[1]
+    weight = study.compute_prior(problem)[1]
     return np.array([apart.get(problem.labels[j], 0.0) * weight[j] for j in random])
 
 
 def _of_folds(fit: Hypothesis, noise: NoiseModel, apart: Mapping[str, float]) -> list[Prediction]:
     study, folds, problem = fit.study, fit.study.folds, fit.problem
-    shared = study.shared(fit)
-    _, each = crossval.covariances(crossval.normal_equations(study, fit))
+    shared = study.select_shared(fit)
+    _, each = crossval.compute_covariances(crossval.form_normal_equations(study, fit))
     found = []
-    for f, theta in enumerate(study.without_each(fit) if len(shared) else [fit.theta] * folds.count):
+    for f, theta in enumerate(study.refit_folds(fit) if len(shared) else [fit.theta] * folds.count):
         for k, trial in enumerate(study.trials):
             chosen = folds.owner[k] == f
             if not chosen.any():
                 continue
             random = study.random(problem, k)
-            own = fit.columns(k, study.settled(problem, k, study.apart(fit, k)))
+            own = fit.columns(k, study.select_nonrandom(problem, k, study.select_own(fit, k)))
             residual = problem.trial_residuals(theta, k) + fit.columns(k, random) @ theta[random]
-            chance = study.chance(fit, k), _apart(study, problem, random, apart)
-            rows = Rows(residual, fit.columns(k, shared), each[f], own, *chance)
+            chance = study.chance(fit, k), _collect_random(study, problem, random, apart)
+            rows = HeldOutRows(residual, fit.columns(k, shared), each[f], own, *chance)
             part = (
                 trial.id
                 if folds.whole
@@ -216,7 +225,7 @@ def _of_folds(fit: Hypothesis, noise: NoiseModel, apart: Mapping[str, float]) ->
     return found
 
 
-def _shared_values(fit: Hypothesis) -> dict[str, float]:
+def _collect_shared(fit: Hypothesis) -> dict[str, float]:
     """Return the values of the parameters that all trials share, estimated or fixed, by name."""
     shared = {p.name: p.start for p in fit.problem.parameters if not p.per_trial and not p.free}
     for j, (_, owner) in enumerate(fit.problem.slots):
@@ -225,12 +234,12 @@ def _shared_values(fit: Hypothesis) -> dict[str, float]:
     return shared
 
 
-def own_fit(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem, Array]:
+def fit_further_trial(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem, Array]:
     """Return the problem of a further trial, and its parameters with fitted values of this trial."""
-    study, known = fit.study, _shared_values(fit)
+    study, known = fit.study, _collect_shared(fit)
     problem = study.problem(fit.effects, trials=[trial], known=known, jobs=1)
     noise.of_new_trials(problem)
-    problem.prior = study.expected(problem)[0], study.root(problem)
+    problem.prior = study.compute_prior(problem)[0], study.root(problem)
     theta = problem.start
     if len(theta):
         theta = problem.solve(theta, tolerance=FINE, max_iterations=30, secant=True).x
@@ -245,26 +254,28 @@ def _of_validation(
     fit: Hypothesis, trial: Trial, noise: NoiseModel, apart: Mapping[str, float]
 ) -> Prediction:
     study = fit.study
-    whole, theta = own_fit(fit, trial, noise)
+    whole, theta = fit_further_trial(fit, trial, noise)
     columns = -whole.trial_jacobians(theta)[0]
-    covariance = crossval.covariances(crossval.normal_equations(study, fit))[0]
+    covariance = crossval.compute_covariances(crossval.form_normal_equations(study, fit))[0]
     random = study.random(whole, 0)
-    own = columns[:, study.settled(whole, 0, whole.own(0))]
+    own = columns[:, study.select_nonrandom(whole, 0, whole.own(0))]
     residual = whole.trial_residuals(theta, 0) + columns[:, random] @ theta[random]
-    chance = columns[:, random] / study.expected(whole)[1][random]
-    shared = _shared(fit, whole, columns)
-    rows = Rows(residual, shared, covariance, own, chance, _apart(study, whole, random, apart))
+    chance = columns[:, random] / study.compute_prior(whole)[1][random]
+    shared = _align_columns(fit, whole, columns)
+    rows = HeldOutRows(
+        residual, shared, covariance, own, chance, _collect_random(study, whole, random, apart)
+    )
     return rows.prediction(noise, whole, 0, trial.id, np.ones(len(columns), dtype=bool))
 
 
-def _shared(fit: Hypothesis, problem: Problem, columns: Array) -> Array:
+def _align_columns(fit: Hypothesis, problem: Problem, columns: Array) -> Array:
     """Return the columns of another problem for the shared parameters of a fit; zero where it has none."""
-    names = [fit.labels[j] for j in fit.study.shared(fit)]
+    names = [fit.labels[j] for j in fit.study.select_shared(fit)]
     wide = np.column_stack((columns, np.zeros(len(columns))))
     return wide[:, [problem.labels.index(name) if name in problem.labels else -1 for name in names]]
 
 
-def closing(
+def compute_closed(
     given: Hypothesis,
     refitted: Hypothesis,
     best: Hypothesis,
@@ -284,15 +295,15 @@ def closing(
     parts : sequence of sequence of Prediction
         Predictions by the three models.
     """
-    study, shared = best.study, best.study.shared(best)
-    root = root_of(crossval.covariance(study, best)[np.ix_(shared, shared)])
+    study, shared = best.study, best.study.select_shared(best)
+    root = root_of(crossval.compute_covariance(study, best)[np.ix_(shared, shared)])
     problems: list[tuple[Problem, int, Array, Array]] = [
         (best.problem, k, best.theta, best.columns(k, shared)) for k in range(len(study.trials))
     ]
     for trial in validation:
-        problem, theta = own_fit(best, trial, noise)
+        problem, theta = fit_further_trial(best, trial, noise)
         columns = -problem.trial_jacobians(theta)[0]
-        problems.append((problem, 0, theta, _shared(best, problem, columns)))
+        problems.append((problem, 0, theta, _align_columns(best, problem, columns)))
     gram, off = np.zeros((len(shared), len(shared))), np.zeros(2)
     cross = np.zeros((2, len(shared)))
     for problem, k, theta, columns in problems:
@@ -301,8 +312,8 @@ def closing(
         gram += moved.T @ moved
         here = _motion(best, problem.trials[k], problem, k, typical)
         for i, fit in enumerate((given, refitted)):
-            other = _motion(fit, problem.trials[k], problem, k, typical | _shared_values(fit))
-            apart = np.clip(noise.standardise(problem, k, other - here), -math.sqrt(WORST), math.sqrt(WORST))
+            other = _motion(fit, problem.trials[k], problem, k, typical | _collect_shared(fit))
+            apart = _limit_errors(noise.standardise(problem, k, other - here))
             off[i] += float(apart @ apart)
             cross[i] += moved.T @ apart
     # Two standard deviations of chi-squared may be noise.
@@ -318,7 +329,7 @@ def closing(
         refitted=errors[1],
         after=errors[2],
         share=share,
-        ci95=(low, high) if high - low <= WIDEST else (None, None),
+        ci95=(low, high) if high - low <= MAX_INTERVAL_WIDTH else (None, None),
         by_refit=float(np.median(1.0 - between / before)),
         by_causes=float(np.median(1.0 - after / between)),
     )
@@ -331,13 +342,13 @@ def _motion(fit: Hypothesis, trial: Trial, problem: Problem, k: int, known: Mapp
         [known.get(f"{p.name}[{trial.id}]", known.get(p.name, p.start)) for p in model.parameters]
     )
     simulated = model.run(values, trial)
-    return problem.stacked(k, simulated) * problem.sample_weights(k)
+    return problem.stack(k, simulated) * problem.sample_weights(k)
 
 
 # ---------------------------------------------------------------- tables of the answer
 
 
-def table(
+def tabulate_parts(
     given: Sequence[Prediction], before: Sequence[Prediction], after: Sequence[Prediction]
 ) -> dict[str, HeldOutTrial]:
     """Return the squared distances of each held-out part from the models as given, refitted, with causes."""
@@ -356,7 +367,9 @@ def table(
     }
 
 
-def waterfall(steps: Mapping[str, Sequence[Prediction]], floors: Mapping[str, float]) -> list[Step]:
+def build_waterfall(
+    steps: Mapping[str, Sequence[Prediction]], floors: Mapping[str, float]
+) -> list[WaterfallStep]:
     """Return the held-out errors of each model over their expectation.
 
     Parameters
@@ -370,13 +383,13 @@ def waterfall(steps: Mapping[str, Sequence[Prediction]], floors: Mapping[str, fl
     for label, parts in steps.items():
         count = max(sum(p.expected for p in parts), 1)
         squared = sum(p.squared for p in parts) / count
-        found.append(Step(label=label, squared=squared, rmse=rms_errors(parts)))
+        found.append(WaterfallStep(label=label, squared=squared, rmse=compute_rms_errors(parts)))
     channels = found[0].rmse if found else {}
     noise = {channel: floors.get(channel) for channel in channels}
-    return [*found, Step(label="noise alone", squared=1.0, rmse=noise)]
+    return [*found, WaterfallStep(label="noise alone", squared=1.0, rmse=noise)]
 
 
-def rms_errors(parts: Sequence[Prediction]) -> dict[str, float | None]:
+def compute_rms_errors(parts: Sequence[Prediction]) -> dict[str, float | None]:
     """Return the root-mean-square error of each channel, in its unit."""
     residuals: dict[str, list[Array]] = {}
     for p in parts:
@@ -385,7 +398,7 @@ def rms_errors(parts: Sequence[Prediction]) -> dict[str, float | None]:
     return {c: float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for c, r in residuals.items()}
 
 
-def share_closed(before: float, after: float, expected: float) -> float | None:
+def compute_closed_share(before: float, after: float, expected: float) -> float | None:
     """Return the closed share of a squared gap, at most 1; None without a gap.
 
     The share is ``(before - after) / (before - expected)`` for squared errors.
@@ -396,7 +409,7 @@ def share_closed(before: float, after: float, expected: float) -> float | None:
     return min((before - after) / gap, 1.0)
 
 
-def shrinkages(
+def compute_shrinkages(
     given: Sequence[Prediction],
     before: Sequence[Prediction],
     after: Sequence[Prediction],
@@ -410,13 +423,13 @@ def shrinkages(
     floors, ranges : mapping of channel to float
         Noise, and measured range in the fitted trials, of each channel, in its unit.
     """
-    errors = [rms_errors(parts) for parts in (given, before, after)]
+    errors = [compute_rms_errors(parts) for parts in (given, before, after)]
     found = []
     for channel in errors[2]:
         size = ranges.get(channel) or 1.0
         shipped, refitted, last = (float(e[channel] or 0.0) / size for e in errors)
         floor = floors.get(channel, math.nan) / size
-        closed = share_closed(shipped**2, last**2, floor**2)
+        closed = compute_closed_share(shipped**2, last**2, floor**2)
         found.append(
             Shrinkage(
                 channel=channel, shipped=shipped, before=refitted, after=last, floor=floor, closed=closed
@@ -426,7 +439,7 @@ def shrinkages(
 
 
 @dataclass(frozen=True)
-class Piece:
+class HeldOutSeries:
     """Measured and predicted samples of one channel of a held-out trial, without and with the causes."""
 
     trial: Trial
@@ -437,7 +450,7 @@ class Piece:
     after: Array
 
 
-def worst(before: Sequence[Prediction], after: Sequence[Prediction]) -> list[Piece]:
+def select_worst(before: Sequence[Prediction], after: Sequence[Prediction]) -> list[HeldOutSeries]:
     """Return the channels of the held-out trial with the largest error, in units of its expectation."""
     if not after:
         return []
@@ -459,17 +472,20 @@ def worst(before: Sequence[Prediction], after: Sequence[Prediction]) -> list[Pie
             series.append(whole)
         measured = trial.measured[channel]
         found.append(
-            Piece(trial, channel, trial.time_s, measured, measured - series[0], measured - series[1])
+            HeldOutSeries(trial, channel, trial.time_s, measured, measured - series[0], measured - series[1])
         )
     return found
 
 
-def sound(before: Sequence[Prediction], after: Sequence[Prediction]) -> bool:
+def is_finite(before: Sequence[Prediction], after: Sequence[Prediction]) -> bool:
     """Return whether no simulation of a held-out trial diverges because of the causes."""
-    return not any(a.squared >= WORST and b.squared < WORST for b, a in zip(before, after, strict=True))
+    return not any(
+        a.squared >= MAX_SQUARED_ERROR and b.squared < MAX_SQUARED_ERROR
+        for b, a in zip(before, after, strict=True)
+    )
 
 
-def floors(study: Study, fit: Hypothesis) -> dict[str, float]:
+def compute_floors(study: GapStudy, fit: Hypothesis) -> dict[str, float]:
     """Return the noise floor of each channel in the fitted trials, in its unit.
 
     It consists of the measurement noise and of the random effects.

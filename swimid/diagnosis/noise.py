@@ -24,16 +24,16 @@ from numpy.typing import NDArray
 from scipy import special
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.nominal import MIN_TRIALS, OF_REPEATS, OWN, ParameterChange
-from swimid.diagnosis.settings import repeated
+from swimid.diagnosis.nominal import MIN_RANDOM_TRIALS, RANDOM_IN_REPEATS, RANDOM_PARAMETERS, ParameterChange
+from swimid.diagnosis.settings import describe_setting
 from swimid.effects.base import Effect, parameter
 from swimid.fitting import uncertainty
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
-from swimid.fitting.noise import NoiseForm, Rows, compute_posterior
+from swimid.fitting.noise import NoiseForm, NoiseRows, compute_posterior
 from swimid.fitting.problem import Problem
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.study import Hypothesis, Study
+    from swimid.diagnosis.study import GapStudy, Hypothesis
 
 #: Standard deviations of a random effect that are compared, in typical scales.
 DEVIATIONS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
@@ -41,22 +41,22 @@ DEVIATIONS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 #: (LARGEST_SD), and if a gap may remain that larger random effects would absorb (BESIDE_GAP).
 LARGEST_SD, BESIDE_GAP = 0.5, 0.2
 #: Minimum increase of the log-likelihood by a random effect.
-MIN_LIKELIHOOD = 4.0
+MIN_LOG_LIKELIHOOD_GAIN = 4.0
 #: Noise beside a gap: fraction of its variance that has a memory (COLOURED), and correlation of that part
 #: between successive samples (POLE), as for a tracker. It replaces noise of more than SLOW times its level.
 COLOURED, POLE, SLOW = 0.4, 0.8, 2.2
 #: Minimum fraction of the samples of a channel that the own parameters and generic terms of the trials must
 #: leave free. With fewer, all trials share the generic terms.
-MIN_FREE = 0.4
+MIN_FREE_SHARE = 0.4
 #: Minimum number of samples of the contrasts between repeats, as a fraction of all samples, with which the
 #: noise is estimated from them alone. Pairs of repeats have one half.
-MIN_PURE = 0.4
+MIN_CONTRAST_SHARE = 0.4
 #: Significance level at which the mean of a random effect is not due to chance.
 COMMON_P_VALUE = 0.01
 #: Minimum noise floor, as a fraction of the variance of the measurement noise.
 MIN_FLOOR = 1e-4
 #: Number of iterations that reweight the residuals before any effect is fitted.
-WEIGHTINGS = 2
+MAX_REWEIGHTINGS = 2
 
 
 #: Prefix of the names of effects that are random effects.
@@ -220,7 +220,7 @@ class NoiseModel:
         ]
 
 
-def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
+def estimate_weights(study: GapStudy) -> tuple[NoiseModel, Hypothesis]:
     """Refit the model without effects, and weight the residuals by their own size.
 
     Returns
@@ -234,9 +234,9 @@ def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
     previous: dict[str, tuple[float, float]] = {}
     start = np.clip(problem.start, problem.lower, problem.upper)
     fit = None
-    for _ in range(1 + WEIGHTINGS):
+    for _ in range(1 + MAX_REWEIGHTINGS):
         if fit is not None:
-            previous = uncertainty.estimate(problem, fit.theta, previous)
+            previous = uncertainty.estimate_noise(problem, fit.theta, previous)
         known = NoiseModel([list(sds) for sds in problem.sd], channels=problem.channels)
         others = study.begins(problem, start) if fit is None else []
         fit = study.with_noise(known).fit((), [start], others=others, tolerance=1e-3, hold=fit)
@@ -247,75 +247,104 @@ def weigh(study: Study) -> tuple[NoiseModel, Hypothesis]:
 
 def has_repeats(trials: Sequence[Trial]) -> bool:
     """Return whether a setting was repeated."""
-    return len({repeated(t) for t in trials}) < len(trials)
+    return len({describe_setting(t) for t in trials}) < len(trials)
 
 
-def reweigh(study: Study, fit: Hypothesis) -> NoiseModel:
+def update_weights(study: GapStudy, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with weights from the residuals of a fit.
 
     A fit that leaves a gap does not show which part of the error time stamps have.
     """
     problem = study.problem(fit.effects)
     known: dict[str, tuple[float, float]] = {}
-    for _ in range(1 + WEIGHTINGS):
-        known = uncertainty.estimate(problem, fit.theta, known)
+    for _ in range(1 + MAX_REWEIGHTINGS):
+        known = uncertainty.estimate_noise(problem, fit.theta, known)
     return replace(study.noise, sd=[list(sds) for sds in problem.sd])
 
 
-class Differing(NamedTuple):
+class RandomCandidate(NamedTuple):
     """Possible random effect, with the weighted change of each trial by one typical scale."""
 
     effect: Scatter
     changes: list[Array]
 
 
-def possible(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> list[Differing]:
+class _Quantity(NamedTuple):
+    """Parameter of an effect that may differ by chance between trials.
+
+    The scale is that of the difference. The sign is that of a change within the bounds.
+    """
+
+    label: str
+    effect: Effect
+    number: int
+    scale: float
+    sign: float = 1.0
+
+
+def list_random_candidates(
+    study: GapStudy, fit: Hypothesis, effects: Sequence[Effect]
+) -> list[RandomCandidate]:
     """Return the quantities that may differ by chance between trials.
 
     They are the shared parameters of effects that scatter (:attr:`Effect.scatters`), and per-trial parameters
-    of the model (:data:`OWN`). Their changes are linearised about the fit.
+    of the model (:data:`RANDOM_PARAMETERS`). Their changes are linearised about the fit.
     """
-    model, trials = study.model, study.trials
-    value = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
-    is_repeated = has_repeats(trials)
-    tried: list[tuple[str, Effect, int, float, float]] = []
-    for effect in (e for e in effects if e.scatters):
-        for j, p in enumerate(effect.parameters(model, trials)):
-            if not p.per_trial:
-                sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
-                tried.append((f"{effect.name}/{p.name}", effect, j, p.scale, sign))
-    for p in study.parameters:
-        if p.per_trial and not p.free and p.name in OWN and (is_repeated or p.name not in OF_REPEATS):
-            share = OWN[p.name]
-            size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
-            tried.append((p.name, ParameterChange(p), 0, size or p.scale, 1.0))
-    found = []
-    forms = Counter(effect.name for _, effect, *_ in tried)
+    quantities = [*_list_scattering(study, effects), *_list_per_trial(study, fit)]
+    forms = Counter(quantity.effect.name for quantity in quantities)
     acting = {one.name: one for one in study.noise.random_effects}
-    for label, effect, j, scale, sign in tried:
+    candidates = []
+    for label, effect, number, scale, sign in quantities:
         # The name of the effect is enough unless it has several forms or parameters.
         name = label if forms[effect.name] > 1 else label.partition("/")[0]
         if name in acting:
             one = acting[name]
             columns = [
                 fit.columns(k, [fit.labels.index(f"{one.parameter}[{trial.id}]")])[:, 0]
-                for k, trial in enumerate(trials)
+                for k, trial in enumerate(study.trials)
             ]
-            found.append(Differing(one.effect, [one.effect.scale * c for c in columns]))
+            candidates.append(RandomCandidate(one.effect, [one.effect.scale * c for c in columns]))
             continue
-        null = np.array([p.start for p in effect.parameters(model, trials)])
-        scatter = Scatter(effect, null, j, name, scale)
+        null = np.array([p.start for p in effect.parameters(study.model, study.trials)])
+        scatter = Scatter(effect, null, number, name, scale)
         changes = study.changes(fit, scatter, [np.array([0.5 * sign * scale])])[0]
         if all(np.isfinite(c).all() for c in changes) and any(c.any() for c in changes):
-            found.append(Differing(scatter, [2.0 * sign * c for c in changes]))
-    return found
+            candidates.append(RandomCandidate(scatter, [2.0 * sign * c for c in changes]))
+    return candidates
 
 
-def learn(
-    study: Study,
+def _list_scattering(study: GapStudy, effects: Sequence[Effect]) -> list[_Quantity]:
+    """Return the shared parameters of effects that scatter."""
+    quantities = []
+    for effect in (e for e in effects if e.scatters):
+        for j, p in enumerate(effect.parameters(study.model, study.trials)):
+            if not p.per_trial:
+                sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
+                quantities.append(_Quantity(f"{effect.name}/{p.name}", effect, j, p.scale, sign))
+    return quantities
+
+
+def _list_per_trial(study: GapStudy, fit: Hypothesis) -> list[_Quantity]:
+    """Return the per-trial parameters of the model that may be random effects."""
+    values = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
+    is_repeated = has_repeats(study.trials)
+    quantities = []
+    for p in study.parameters:
+        is_random = p.per_trial and not p.free and p.name in RANDOM_PARAMETERS
+        if not is_random or (p.name in RANDOM_IN_REPEATS and not is_repeated):
+            continue
+        share, size = RANDOM_PARAMETERS[p.name], 0.0
+        if share is not None:
+            size = share[1] * abs(float(values.get(share[0], 0.0)))
+        quantities.append(_Quantity(p.name, ParameterChange(p), 0, size or p.scale))
+    return quantities
+
+
+def estimate_measurement_noise(
+    study: GapStudy,
     fit: Hypothesis,
     generic: Sequence[Sequence[Array]],
-    differing: Sequence[Differing],
+    differing: Sequence[RandomCandidate],
     *,
     brief: bool = True,
 ) -> NoiseModel:
@@ -329,7 +358,7 @@ def learn(
     ----------
     generic : sequence of lists of ndarray
         Weighted changes of each trial by generic smooth terms, each with its typical size.
-    differing : sequence of Differing
+    differing : sequence of RandomCandidate
         Quantities that may differ between trials.
     brief : bool
         Whether a memory that is long compared with a trial does not count as noise, because it may be a gap.
@@ -350,19 +379,19 @@ def learn(
         of_trials = pure or {k: one.rows() for k, one in of_channel.items()}
         samples = sum(len(r.residual) for r in of_trials.values())
         free = sum(len(r.residual) - r.basis.shape[1] for r in of_trials.values())
-        if free < MIN_FREE * samples:
-            shared = shared or _shared_level(study, fit, generic)
+        if free < MIN_FREE_SHARE * samples:
+            shared = shared or _estimate_shared_level(study, fit, generic)
             forms[channel], variance[channel] = NoiseForm(), shared[channel]
             continue
         known = compute_posterior(of_trials)
         likeliest = int(np.argmax(known.probability))
         forms[channel], variance[channel] = known.forms[likeliest], float(known.variance[likeliest])
         if brief and not pure:
-            forms[channel], variance[channel] = _without_slow(of_trials, forms[channel], variance[channel])
+            forms[channel], variance[channel] = _replace_slow(of_trials, forms[channel], variance[channel])
     return NoiseModel(problem.sd, forms, variance, channels=problem.channels)
 
 
-def _without_slow(rows: Mapping[int, Rows], form: NoiseForm, variance: float) -> tuple[NoiseForm, float]:
+def _replace_slow(rows: Mapping[int, NoiseRows], form: NoiseForm, variance: float) -> tuple[NoiseForm, float]:
     """Return noise of short memory in place of much slower noise, which may be a part of the gap.
 
     Its level follows from the second differences of the residuals, to which low frequencies contribute
@@ -390,11 +419,11 @@ class _Series(NamedTuple):
     residual: Array
     sd: Array
 
-    def rows(self) -> Rows:
+    def rows(self) -> NoiseRows:
         """Return the rows, without combinations of the columns that change them by less than noise."""
         u, size, vt = np.linalg.svd(self.own, full_matrices=False)
         kept = size > 1.0
-        return Rows(self.time_s, self.place, u[:, kept], size[kept, None] * vt[kept], self.residual)
+        return NoiseRows(self.time_s, self.place, u[:, kept], size[kept, None] * vt[kept], self.residual)
 
     def at(self, index: NDArray[np.intp]) -> _Series:
         """Return the samples with the given indices."""
@@ -402,14 +431,14 @@ class _Series(NamedTuple):
         return _Series(time_s[index], place[index], own[index], residual[index], sd[index])
 
 
-def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[int, Rows]:
+def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[int, NoiseRows]:
     """Return orthogonal contrasts of the repeats of each setting, as rows of independent series of noise.
 
     A sample is compared with the sample of the other repeat that is nearest in time. The contrasts are those
     of Helmert: a repeat against the mean of those before it. They are empty if they have less than
-    :data:`MIN_PURE` of the samples.
+    :data:`MIN_CONTRAST_SHARE` of the samples.
     """
-    found: dict[int, Rows] = {}
+    found: dict[int, NoiseRows] = {}
     for group in _repeats(trials, series):
         times = [series[k].time_s for k in group]
         paired = [series[k].at(at) for k, at in zip(group, _common(times), strict=True)]
@@ -425,7 +454,7 @@ def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[i
             first = paired[0]
             found[len(found)] = _Series(first.time_s, first.place, np.hstack(own), residual, sd).rows()
     count = sum(len(one.residual) for one in series.values())
-    return found if sum(len(rows.residual) for rows in found.values()) >= MIN_PURE * count else {}
+    return found if sum(len(rows.residual) for rows in found.values()) >= MIN_CONTRAST_SHARE * count else {}
 
 
 def _differences(problem: Problem, series: Sequence[Array], random: int) -> list[Array]:
@@ -452,7 +481,7 @@ def _differences(problem: Problem, series: Sequence[Array], random: int) -> list
             contrast = (rows[:j].mean(axis=0) - rows[j]) / math.sqrt(1.0 + 1.0 / j)
             contrast[:, :random] = rows[: j + 1, :, :random].mean(axis=0)
             found.append(contrast)
-    enough = sum(map(len, found)) >= MIN_PURE * sum(problem.counts)
+    enough = sum(map(len, found)) >= MIN_CONTRAST_SHARE * sum(problem.counts)
     return found if enough else []
 
 
@@ -464,7 +493,7 @@ def _repeats(trials: Sequence[Trial], indices: Iterable[int]) -> list[list[int]]
     groups: dict[str, dict[tuple[bytes, ...], int]] = {}
     for k in indices:
         measured = tuple(values.tobytes() for values in trials[k].measured.values())
-        groups.setdefault(repeated(trials[k]), {}).setdefault(measured, k)
+        groups.setdefault(describe_setting(trials[k]), {}).setdefault(measured, k)
     return [list(group.values()) for group in groups.values() if len(group) > 1]
 
 
@@ -489,7 +518,9 @@ def _common(times: Sequence[Array]) -> list[NDArray[np.intp]]:
     return [at[common] for at in nearest]
 
 
-def _shared_level(study: Study, fit: Hypothesis, generic: Sequence[Sequence[Array]]) -> dict[str, float]:
+def _estimate_shared_level(
+    study: GapStudy, fit: Hypothesis, generic: Sequence[Sequence[Array]]
+) -> dict[str, float]:
     """Return the mean squared residual of each channel of a fit of all generic terms, shared by all trials.
 
     It is corrected for the effective number of fitted parameters.
@@ -519,48 +550,41 @@ def _shared_level(study: Study, fit: Hypothesis, generic: Sequence[Sequence[Arra
 
 
 def with_random_effects(
-    study: Study, fit: Hypothesis, noise: NoiseModel, differing: Sequence[Differing], *, largest: float
+    study: GapStudy,
+    fit: Hypothesis,
+    noise: NoiseModel,
+    differing: Sequence[RandomCandidate],
+    *,
+    largest: float,
 ) -> NoiseModel:
     """Return the noise model with the random effects of the largest restricted likelihood.
 
-    They are added one by one, as long as the log-likelihood increases by :data:`MIN_LIKELIHOOD`. If most
-    settings were repeated, the likelihood is that of the differences between repeats.
+    They are added one by one, as long as the log-likelihood increases by :data:`MIN_LOG_LIKELIHOOD_GAIN`. If
+    most settings were repeated, the likelihood is that of the differences between repeats.
 
     Parameters
     ----------
-    differing : sequence of Differing
+    differing : sequence of RandomCandidate
         Possible random effects.
     largest : float
         Maximum standard deviation of a random effect, in typical scales. It does not limit what differs
         between repeats.
     """
-    if not differing or not study.folds.whole or len(study.trials) < MIN_TRIALS:
+    if not differing or not study.folds.whole or len(study.trials) < MIN_RANDOM_TRIALS:
         return noise
     noise = noise.plain
     series = []
     for k in range(len(study.trials)):
         random = [d.changes[k] for d in differing]
-        own = study.settled(fit.problem, k, study.apart(fit, k))
+        own = study.select_nonrandom(fit.problem, k, study.select_own(fit, k))
         # The mean of a quantity over the trials is no random effect, so that it is a fixed effect as well.
-        block = np.column_stack([*random, *random, fit.columns(k, study.shared(fit)), fit.typical(k)])
-        series.append(study.project_out(fit, k, block, to=own, noise=noise))
+        block = np.column_stack([*random, *random, fit.columns(k, study.select_shared(fit)), fit.typical(k)])
+        series.append(crossval.project_out(study, fit, k, block, to=own, noise=noise))
     pure = _differences(fit.problem, series, len(differing))
     if pure:
         series, largest = pure, LARGEST_SD
     stacked = np.array([rows.T @ rows for rows in series])
-    sd = np.zeros(len(differing))
-    likelihood = _likelihood(stacked, sd)
-    while True:
-        tried = []
-        for i in np.flatnonzero(sd == 0.0):
-            for size in (size for size in DEVIATIONS if size <= largest):
-                one = sd.copy()
-                one[i] = size
-                tried.append((_likelihood(stacked, one), one))
-        best, found = max(tried, key=lambda t: t[0], default=(-math.inf, sd))
-        if best < likelihood + MIN_LIKELIHOOD:
-            break
-        likelihood, sd = best, found
+    sd = _maximise_likelihood(stacked, np.zeros(len(differing)), largest)
     kept = np.flatnonzero(sd).tolist()
     # Hypotheses are compared without free means, because what all trials share needs a cause.
     count = len(differing)
@@ -570,6 +594,32 @@ def with_random_effects(
         return noise
     chosen = [(differing[i].effect, float(sd[i])) for i in kept]
     return replace(noise, random_effects=tuple(RandomEffect(e.label, size, e) for e, size in chosen))
+
+
+def _maximise_likelihood(products: Array, sd: Array, largest: float) -> Array:
+    """Return standard deviations of random effects, added one by one while the likelihood clearly increases.
+
+    Parameters
+    ----------
+    products : ndarray
+        Inner products (:func:`_likelihood`).
+    sd : ndarray, shape (q,)
+        Standard deviations to begin with.
+    largest : float
+        Maximum standard deviation.
+    """
+    likelihood = _likelihood(products, sd)
+    while True:
+        tried = []
+        for i in np.flatnonzero(sd == 0.0):
+            for size in (size for size in DEVIATIONS if size <= largest):
+                one = sd.copy()
+                one[i] = size
+                tried.append((_likelihood(products, one), one))
+        best, candidate = max(tried, key=lambda t: t[0], default=(-math.inf, sd))
+        if best < likelihood + MIN_LOG_LIKELIHOOD_GAIN:
+            return sd
+        likelihood, sd = best, candidate
 
 
 def with_held_means(fit: Hypothesis) -> NoiseModel | None:
@@ -591,7 +641,7 @@ def with_held_means(fit: Hypothesis) -> NoiseModel | None:
     return replace(study.noise, random_effects=tuple(found))
 
 
-def with_floors(study: Study, fit: Hypothesis) -> NoiseModel:
+def with_floors(study: GapStudy, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with the noise floor of each channel.
 
     It is the root mean square that noise leaves in the fitted trials, after a fit of the initial state of
@@ -600,7 +650,7 @@ def with_floors(study: Study, fit: Hypothesis) -> NoiseModel:
     noise, problem = study.noise, fit.problem
     squares: dict[str, list[tuple[float, int]]] = {}
     for k, trial in enumerate(study.trials):
-        own = np.linalg.qr(determined(fit.columns(k, problem.own(k))))[0]
+        own = np.linalg.qr(find_basis(fit.columns(k, problem.own(k))))[0]
         for channel, mask, basis in problem.by_channel(k, own):
             time_s = trial.time_s[mask]
             total = float(noise.covariance(channel, time_s[:1], np.ones((1, 1)))[0, 0]) * len(time_s)
@@ -614,7 +664,7 @@ def with_floors(study: Study, fit: Hypothesis) -> NoiseModel:
     return replace(noise, floors=floors)
 
 
-def determined(columns: Array) -> Array:
+def find_basis(columns: Array) -> Array:
     """Return an orthonormal basis of columns, without undetermined directions."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     u, singular, _ = np.linalg.svd(columns / size, full_matrices=False)
@@ -638,7 +688,7 @@ def _likelihood(products: Array, sd: Array) -> float:
         size = sd[used]
         inner = np.eye(len(used)) + size[:, None] * products[:, used[:, None], used] * size
         mixed = size[:, None] * products[:, used, len(sd) :]
-        rest = rest - np.swapaxes(mixed, 1, 2) @ crossval.solved(inner, mixed)
+        rest = rest - np.swapaxes(mixed, 1, 2) @ crossval.solve_normal(inner, mixed)
         value -= 0.5 * float(np.linalg.slogdet(inner)[1].sum())
     total = rest.sum(axis=0)
     normal, right = total[:-1, :-1], total[:-1, -1]

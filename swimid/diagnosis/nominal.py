@@ -12,15 +12,16 @@ import numpy as np
 
 from swimid.blackbox import model as arx
 from swimid.effects.base import Effect
-from swimid.files import tabular
 from swimid.files.provenance import digests_of
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial
-from swimid.results.parameters import Estimate
+from swimid.results.parameters import Estimate, ParameterFile
+from swimid.results.result import LOG_ENDINGS
 from swimid.simulation.catalogue import Loaded
 
 #: Per-trial parameters of a model that may be random effects. The value names a shared parameter, and the
 #: fraction of it that is the typical scale of the random effect. None stands for the parameter's own scale.
-OWN: dict[str, tuple[str, float] | None] = {
+RANDOM_PARAMETERS: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
     "relative_drag_deviation": None,
     "start_offset": None,
@@ -28,11 +29,9 @@ OWN: dict[str, tuple[str, float] | None] = {
 }
 #: Those of them that are random effects only if settings are repeated. Between single trials of different
 #: settings, they would absorb any drag that the model lacks.
-OF_REPEATS = {"relative_drag_deviation"}
+RANDOM_IN_REPEATS = {"relative_drag_deviation"}
 #: Minimum number of trials from which random effects are estimated.
-MIN_TRIALS = 3
-#: File name endings by which logs are recognised among the input files.
-LOGS = (".csv", *tabular.PARQUET)
+MIN_RANDOM_TRIALS = 3
 
 #: Prior standard deviation of a coefficient that was not estimated from other trials, as a fraction of its
 #: value.
@@ -47,7 +46,7 @@ OTHER_PRIOR = 0.03
 OTHER_DAY = 0.01
 #: Correlation between the noise of a logged rate and that of the differentiated pose above which the rate
 #: counts as computed from the pose.
-DERIVED = 0.3
+MAX_RATE_CORRELATION = 0.3
 #: Prefix of the names of hypotheses that a parameter has changed. The rest of such a name is the parameter.
 PREFIX = "parameter:"
 #: Typical scale of a parameter's change since the parameter file was written, as a fraction of its value.
@@ -99,7 +98,7 @@ class ParameterChange(Effect):
 
 
 @dataclass(frozen=True)
-class Begun:
+class Preparation:
     """Trials, and priors of the coefficients, at the start of a diagnosis.
 
     Attributes
@@ -127,50 +126,71 @@ class Begun:
     correlation: tuple[list[str], Array]
 
 
-def begun(loaded: Loaded) -> Begun:
+def prepare_diagnosis(loaded: Loaded) -> Preparation:
     """Return trials and priors at the start of a diagnosis, and give the model its refitted parameters."""
     experiment, applied = loaded.experiment, loaded.applied
     model, file = experiment.model, applied.file
-    given: dict[str, Estimate] = {}
-    own_data = False
-    if file is not None:
-        given = {name: e for name, e in file.parameters.items() if "[" not in name}
-        known_logs = set((file.provenance.get("inputs") or {}).values())
-        logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
-        own_data = any(digest in known_logs for digest in digests_of(logs).values())
-    own = applied.fitted_per_trial()
-    if len(experiment.trials) >= MIN_TRIALS:
-        # Do not free the per-trial parameters of OWN. They are random effects in a diagnosis, and without a
-        # prior they would absorb any gap.
-        own -= OWN.keys()
-    model.parameters = refitted(model.parameters, given, applied.values(), own=own)
-    runs = experiment.trials
-    if model.timed_runs:
-        runs = [run for trial in runs for run in trial.split_rows()]
-    known = set()
-    if not own_data and model.name != arx.NAME:
-        stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
-        known = {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
-    fixed: set[str] = set()
-    if model.swimmer is not None:
-        fixed = {name for name, e in given.items() if e.status == "fixed" and e.value}
-    changes = [ParameterChange(p) for p in model.parameters if p.name in known | fixed and not p.per_trial]
+    estimates = {} if file is None else file.parameters
+    given = {name: e for name, e in estimates.items() if "[" not in name}
+    own_data = file is not None and _is_own_data(experiment, file)
+    own = applied.list_per_trial()
+    if len(experiment.trials) >= MIN_RANDOM_TRIALS:
+        # Do not free the per-trial parameters of RANDOM_PARAMETERS. They are random effects in a diagnosis,
+        # and without a prior they would absorb any gap.
+        own -= RANDOM_PARAMETERS.keys()
+    model.parameters = select_refitted(model.parameters, given, applied.values(), own=own)
+    known = set() if own_data else _select_known(model, given)
     names, covariance = applied.uncertain()
     mine = [i for i, name in enumerate(names) if name in known]
     sd = np.sqrt(np.diag(covariance))[mine]
     correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
-    unweighed = {} if own_data else {n: e for n, e in given.items() if n not in known}
-    return Begun(
-        [widened(t, model.channels) for t in runs],
+    return Preparation(
+        _list_runs(experiment),
         given,
-        unweighed,
-        prior(model.parameters, given, own_data=own_data, exact=known),
-        changes,
+        {} if own_data else {n: e for n, e in given.items() if n not in known},
+        select_priors(model.parameters, given, own_data=own_data, exact=known),
+        _list_changes(model, given, known),
         ([names[i] for i in mine], correlation),
     )
 
 
-def refitted(
+def _list_runs(experiment: Experiment) -> list[Trial]:
+    """Return the trials with all channels, each row of a table of timed runs as a trial."""
+    trials, model = experiment.trials, experiment.model
+    if model.timed_runs:
+        trials = [run for trial in trials for run in trial.split_rows()]
+    return [add_channels(t, model.channels) for t in trials]
+
+
+def _select_known(model: Model, given: Mapping[str, Estimate]) -> set[str]:
+    """Return the refitted coefficients with a standard error, whose change is a hypothesis."""
+    if model.name == arx.NAME:
+        return set()
+    stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
+    return {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
+
+
+def _is_own_data(experiment: Experiment, file: ParameterFile) -> bool:
+    """Return whether the parameter file was fitted to logs of these trials."""
+    used = set((file.provenance.get("inputs") or {}).values())
+    logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOG_ENDINGS]
+    return any(digest in used for digest in digests_of(logs).values())
+
+
+def _list_changes(
+    model: Model, given: Mapping[str, Estimate], known: Collection[str]
+) -> list[ParameterChange]:
+    """Return one hypothesis of a changed value for each coefficient that is known from other trials.
+
+    The coefficients of a robot with links that were fixed at a value other than zero count as known.
+    """
+    fixed = set()
+    if model.swimmer is not None:
+        fixed = {name for name, e in given.items() if e.status == "fixed" and e.value}
+    return [ParameterChange(p) for p in model.parameters if p.name in {*known, *fixed} and not p.per_trial]
+
+
+def select_refitted(
     parameters: Sequence[Parameter], given: Mapping[str, Estimate], values: Array, own: Collection[str] = ()
 ) -> tuple[Parameter, ...]:
     """Return the model's parameters as the diagnosis refits them.
@@ -196,7 +216,7 @@ def refitted(
     return tuple(found)
 
 
-def prior(
+def select_priors(
     parameters: Sequence[Parameter],
     given: Mapping[str, Estimate],
     *,
@@ -233,7 +253,7 @@ def prior(
     return found
 
 
-def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
+def add_channels(trial: Trial, channels: Sequence[Channel]) -> Trial:
     """Return a copy of the trial in which all logged channels count as measured.
 
     Channels that were computed from other channels are left out.
@@ -247,13 +267,13 @@ def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
             continue
         if name.startswith("joint") and joints_drive:
             continue
-        if not name.startswith("joint") and _computed(name, values, trial):
+        if not name.startswith("joint") and _is_computed(name, values, trial):
             continue
         measured[name] = values
     return replace(trial, measured=measured)
 
 
-def _computed(name: str, values: Array, trial: Trial) -> bool:
+def _is_computed(name: str, values: Array, trial: Trial) -> bool:
     """Return whether a logged velocity or rate was computed by differentiation of the logged pose."""
     source = {"yaw_rate_rad_s": "yaw_rad", "pitch_rate_rad_s": "pitch_rad"}.get(name)
     heading = next((c for c in ("yaw_rad", "pitch_rad") if c in trial.measured), None)
@@ -276,4 +296,4 @@ def _computed(name: str, values: Array, trial: Trial) -> bool:
     there = np.isfinite(rough) & np.isfinite(own)
     if there.sum() < 20 or np.std(own[there]) == 0:
         return True
-    return float(abs(np.corrcoef(rough[there], own[there])[0, 1])) > DERIVED
+    return float(abs(np.corrcoef(rough[there], own[there])[0, 1])) > MAX_RATE_CORRELATION

@@ -12,24 +12,25 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval, noise, posterior
-from swimid.diagnosis.crossval import NormalEquations, solved
-from swimid.diagnosis.noise import BETWEEN, Differing, RandomEffect, Scatter
-from swimid.diagnosis.nominal import MIN_TRIALS, OWN_PRIOR
-from swimid.diagnosis.posterior import CALIBRATED, Candidate, Record
+from swimid.diagnosis.crossval import NormalEquations, solve_normal
+from swimid.diagnosis.noise import BETWEEN, RandomCandidate, RandomEffect, Scatter
+from swimid.diagnosis.nominal import MIN_RANDOM_TRIALS, OWN_PRIOR
+from swimid.diagnosis.posterior import CALIBRATED, Candidate, DataSize
+from swimid.diagnosis.priors import EFFECT_PRIOR
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import EFFECT_PRIOR, FEW, Hypothesis, Study
+from swimid.diagnosis.study import MAX_FOLD_ITERATIONS, GapStudy, Hypothesis
 from swimid.fitting import mistakes
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
 from swimid.results import numbers
 
 #: Minimum ratio of the posterior probabilities of the best hypotheses with and without an odd trial.
-ODDS = 3.0
+MIN_ODDS_RATIO = 3.0
 #: Maximum number of parameters that are named as differing in an odd trial.
-MAX_NAMED = 2
+MAX_ODD_PARAMETERS = 2
 
 
-class Odd(NamedTuple):
+class OddTrial(NamedTuple):
     """Trial with parameters of its own, or with a recording mistake.
 
     The fit is that of all trials with which it was compared, and the mistake is described by its correction.
@@ -40,7 +41,9 @@ class Odd(NamedTuple):
     mistake: str = ""
 
 
-def find(fits: Sequence[Hypothesis], record: Record, differing: Sequence[Differing] = ()) -> Odd | None:
+def find_contradicting_trial(
+    fits: Sequence[Hypothesis], record: DataSize, differing: Sequence[RandomCandidate] = ()
+) -> OddTrial | None:
     """Return the trial that most probably has parameters of its own or a recording mistake, or None.
 
     The hypothesis of an odd trial is compared with all other hypotheses by the same posterior probability.
@@ -49,30 +52,33 @@ def find(fits: Sequence[Hypothesis], record: Record, differing: Sequence[Differi
     ----------
     fits : sequence of Hypothesis
         Fits of all trials, to which the hypothesis of an odd trial is added. The model without effects is
-        the first one. What may differ by chance between trials has random values in them (:func:`usual`).
-    differing : sequence of Differing
+        the first one. What may differ by chance between trials has random values in them
+        (:func:`add_random_effects`).
+    differing : sequence of RandomCandidate
         Quantities that may differ by chance, of which an odd trial may have any value.
     """
     study = fits[0].study
-    if not study.folds.whole or len(study.trials) <= MIN_TRIALS:
+    if not study.folds.whole or len(study.trials) <= MIN_RANDOM_TRIALS:
         return None
     log_determinant = fits[0].log_determinant
     known = [Candidate(h.names, h.deviances - log_determinant, h.strain, _numbers(h)) for h in fits]
-    candidates: dict[frozenset[str], tuple[Candidate, Odd]] = {}
+    candidates: dict[frozenset[str], tuple[Candidate, OddTrial]] = {}
     for fit in fits:
         tried = [
-            (Odd(trial.id, fit), *_deviances(study, fit, k, differing))
+            (OddTrial(trial.id, fit), *_deviances(study, fit, k, differing))
             for k, trial in enumerate(study.trials)
         ]
-        mistaken = _mistaken(fit) if fit in fits[:2] else []
+        mistaken = _undo_mistakes(fit) if fit in fits[:2] else []
         for odd, deviances, strain in [*tried, *mistaken]:
             names = frozenset({*fit.names, f"trial:{odd.trial}{odd.mistake}"})
             candidates[names] = Candidate(names, deviances - log_determinant, strain, _numbers(fit)), odd
     null, *others = known
-    every = posterior.posterior(null, [*others, *(c for c, _ in candidates.values())], record=record)
-    best = max(candidates, key=lambda names: every.known[names])
-    rest = [p for names, p in every.known.items() if names not in candidates]
-    if every.known[best] < ODDS * max([every.none, *rest]):
+    every = posterior.compute_posterior_probabilities(
+        null, [*others, *(c for c, _ in candidates.values())], record=record
+    )
+    best = max(candidates, key=lambda names: every.probabilities[names])
+    rest = [p for names, p in every.probabilities.items() if names not in candidates]
+    if every.probabilities[best] < MIN_ODDS_RATIO * max([every.none, *rest]):
         return None
     # An effect may leave a share of the gap because of its form. An odd trial explains nearly all of that.
     if every.excess[best] > CALIBRATED.form * min(every.excess[c.names] for c in known):
@@ -80,20 +86,20 @@ def find(fits: Sequence[Hypothesis], record: Record, differing: Sequence[Differi
     return candidates[best][1]
 
 
-def usual(study: Study, differing: Sequence[Differing]) -> Study:
+def add_random_effects(study: GapStudy, differing: Sequence[RandomCandidate]) -> GapStudy:
     """Return a study in which each trial has random values of all quantities that may differ by chance."""
     has_few = min(study.shape.counts, default=0) <= len(differing)
-    if has_few or not study.folds.whole or len(study.trials) < MIN_TRIALS:
+    if has_few or not study.folds.whole or len(study.trials) < MIN_RANDOM_TRIALS:
         return study
     return _with_random(study, {d.effect: noise.BESIDE_GAP for d in differing})
 
 
-def _with_random(study: Study, sizes: Mapping[Scatter, float]) -> Study:
+def _with_random(study: GapStudy, sizes: Mapping[Scatter, float]) -> GapStudy:
     random = tuple(RandomEffect(effect.label, sd, effect) for effect, sd in sizes.items())
     return study.with_noise(replace(study.noise, random_effects=random))
 
 
-def _mistaken(fit: Hypothesis) -> list[tuple[Odd, Array, float]]:
+def _undo_mistakes(fit: Hypothesis) -> list[tuple[OddTrial, Array, float]]:
     """Return deviances and strain with each recording mistake undone in the trial with the largest error.
 
     Nothing is undone in a trial whose error noise explains.
@@ -105,17 +111,17 @@ def _mistaken(fit: Hypothesis) -> list[tuple[Odd, Array, float]]:
     if fit.deviances[f] - fit.log_determinant[f] < counts[f] + 2.0 * math.sqrt(2.0 * counts[f]):
         return []
     trial, found = study.trials[owners.index(f)], []
-    shared = {fit.labels[j]: float(fit.theta[j]) for j in study.shared(fit)}
-    before = _fitted(study, fit, [trial], shared, iterations=FEW)
-    for mistake in mistakes.catalogue(study.model, [trial]):
+    shared = {fit.labels[j]: float(fit.theta[j]) for j in study.select_shared(fit)}
+    before = _fit_trials(study, fit, [trial], shared, iterations=MAX_FOLD_ITERATIONS)
+    for mistake in mistakes.list_mistakes(study.model, [trial]):
         undone = mistake.undo(trial)
         if undone is None:
             continue
         undone = replace(undone, id=f"{trial.id} ({mistake.says})")
-        after = _fitted(study, fit, [undone], shared, iterations=FEW)
+        after = _fit_trials(study, fit, [undone], shared, iterations=MAX_FOLD_ITERATIONS)
         deviances = fit.deviances.copy()
         deviances[f] += after.excess - before.excess - 2.0 * _log_scale(trial, undone)
-        found.append((Odd(trial.id, fit, mistake.says), deviances, fit.strain))
+        found.append((OddTrial(trial.id, fit, mistake.says), deviances, fit.strain))
     return found
 
 
@@ -137,7 +143,9 @@ def _numbers(fit: Hypothesis) -> int:
     return sum("/" in label and "[" not in label for label in fit.labels)
 
 
-def _deviances(study: Study, fit: Hypothesis, k: int, differing: Sequence[Differing]) -> tuple[Array, float]:
+def _deviances(
+    study: GapStudy, fit: Hypothesis, k: int, differing: Sequence[RandomCandidate]
+) -> tuple[Array, float]:
     """Return deviances and strain if trial ``k`` has own values of all shared parameters and quantities."""
     alone = copy.copy(study)
     others = copy.copy(study)
@@ -146,24 +154,24 @@ def _deviances(study: Study, fit: Hypothesis, k: int, differing: Sequence[Differ
     one = [rows if i == k else np.full(len(rows), count) for i, rows in enumerate(owner)]
     rest = [rows if i != k else np.full(len(rows), count) for i, rows in enumerate(owner)]
     alone.folds, others.folds = Folds(True, one, count + 1), Folds(True, rest, count + 1)
-    found = crossval.normal_equations(others, fit)
+    found = crossval.form_normal_equations(others, fit)
     parts = {name: getattr(found, name)[:-1] for name in ("products", "samples", "own", "random", "spread")}
     equations = replace(found, **parts)
-    distance, log = crossval.deviances(equations)
-    own = crossval.normal_equations(alone, fit, [d.changes for d in differing])
+    distance, log = crossval.compute_deviances(equations)
+    own = crossval.form_normal_equations(alone, fit, [d.changes for d in differing])
     f = int(owner[k][0])
     mean, weight = _wide(study, fit.problem)
-    shared = study.shared(fit)
+    shared = study.select_shared(fit)
     distance[f] += _evidence(own, f, (mean - fit.theta)[shared], weight[shared])
-    return np.asarray(distance + log), crossval.strain(equations)
+    return np.asarray(distance + log), crossval.compute_strain(equations)
 
 
-def _wide(study: Study, problem: Problem) -> tuple[Array, Array]:
+def _wide(study: GapStudy, problem: Problem) -> tuple[Array, Array]:
     """Return prior means and inverse standard deviations of the parameters of an odd trial.
 
     Errors of the parameter file say nothing about a trial that differs from all others.
     """
-    mean, weight = study.expected(problem)
+    mean, weight = study.compute_prior(problem)
     for j, (index, owner) in enumerate(problem.slots):
         p = problem.parameters[index]
         if owner is None and "/" not in p.name:
@@ -180,60 +188,64 @@ def _evidence(equations: NormalEquations, f: int, pull: Array, weight: Array) ->
         Prior means minus estimates, and inverse prior standard deviations. Further columns have the prior
         standard deviation of the size of an effect.
     """
-    inner, more = equations.products[f], equations.products.shape[1] - 1 - equations.shared
+    inner, more = equations.products[f], equations.products.shape[1] - 1 - equations.n_shared
     prior = block_diag(np.diag(weight**2), np.eye(more) / EFFECT_PRIOR**2)
     off = np.concatenate((pull, np.zeros(more)))
     normal, pulled = inner[:-1, :-1] + prior, prior @ off
     right = inner[:-1, -1] + pulled
     scale = 1.0 / np.sqrt(np.maximum(np.diag(prior), 1e-300))
     log = float(np.linalg.slogdet(scale[:, None] * normal * scale)[1])
-    taken = float(right @ solved(normal, right[:, None])[:, 0])
+    taken = float(right @ solve_normal(normal, right[:, None])[:, 0])
     return float(inner[-1, -1]) + float(off @ pulled) - taken + log
 
 
-def describe(odd: Odd, differing: Sequence[Differing] = ()) -> str | None:
+def describe(odd: OddTrial, differing: Sequence[RandomCandidate] = ()) -> str | None:
     """Return what differs in the odd trial, as text; None if nothing explains it.
 
     The parameters are fitted to the other trials. Those that explain the odd trial best are then fitted to it
-    alone, one by one, and at most :data:`MAX_NAMED` together.
+    alone, one by one, and at most :data:`MAX_ODD_PARAMETERS` together.
     """
     if odd.mistake:
         return f"with {odd.mistake}, it agrees with the other trials"
     fit, study = odd.fit, odd.fit.study
     (trial,) = (t for t in study.trials if t.id == odd.trial)
-    others = _fitted(study, fit, [t for t in study.trials if t is not trial], {})
+    others = _fit_trials(study, fit, [t for t in study.trials if t is not trial], {})
     shared = {label: value for label, (value, _) in others.values.items() if "[" not in label}
     free = {f"{BETWEEN}{d.effect.label}/deviation[{trial.id}]": d.effect for d in differing}
 
-    def tried(chosen: Sequence[str]) -> _Own:
+    def try_parameters(chosen: Sequence[str]) -> _TrialFit:
         known = {name: value for name, value in shared.items() if name not in chosen}
         sizes = {e: EFFECT_PRIOR if label in chosen else noise.BESIDE_GAP for label, e in free.items()}
-        return _fitted(_with_random(study, sizes), fit, [trial], known)
+        return _fit_trials(_with_random(study, sizes), fit, [trial], known)
 
     chosen: list[str] = []
-    excess = tried(chosen).excess
-    while len(chosen) < min(MAX_NAMED, len(shared) + len(free)):
-        found = {label: tried([*chosen, label]) for label in (*shared, *free) if label not in chosen}
+    excess = try_parameters(chosen).excess
+    while len(chosen) < min(MAX_ODD_PARAMETERS, len(shared) + len(free)):
+        found = {label: try_parameters([*chosen, label]) for label in (*shared, *free) if label not in chosen}
         chosen.append(min(found, key=lambda label: found[label].excess))
         one = found[chosen[-1]]
         if one.excess > CALIBRATED.form * excess:
             continue
-        texts = []
-        for label in chosen:
-            (value, sd), (before, other_sd) = one.values[label], others.values.get(label, (0.0, 0.0))
-            if not abs(value - before) > 2.0 * math.hypot(sd, other_sd):
-                return None
-            name = label.split("[")[0]
-            unit = next(p.unit for p in one.problem.parameters if p.name == name)
-            shown = name.removeprefix(BETWEEN).removesuffix("/deviation")
-            texts.append(
-                f"{shown} {numbers.measured(value, sd, unit)} in place of {numbers.number(before, 3)}"
-            )
-        return " and ".join(texts)
+        return _describe_parameters(one, others, chosen)
     return None
 
 
-class _Own(NamedTuple):
+def _describe_parameters(odd: _TrialFit, others: _TrialFit, labels: Sequence[str]) -> str | None:
+    """Return text with the values of parameters of an odd trial and of the others; None if they agree."""
+    texts = []
+    for label in labels:
+        (value, sd), (before, other_sd) = odd.values[label], others.values.get(label, (0.0, 0.0))
+        if not abs(value - before) > 2.0 * math.hypot(sd, other_sd):
+            return None
+        name = label.split("[")[0]
+        unit = next(p.unit for p in odd.problem.parameters if p.name == name)
+        shown = name.removeprefix(BETWEEN).removesuffix("/deviation")
+        changed = numbers.format_estimate(value, sd, unit)
+        texts.append(f"{shown} {changed} in place of {numbers.format_number(before, 3)}")
+    return " and ".join(texts)
+
+
+class _TrialFit(NamedTuple):
     """Fit of some trials: its problem, estimates and standard errors by label, and excess of the cost."""
 
     problem: Problem
@@ -241,14 +253,14 @@ class _Own(NamedTuple):
     excess: float
 
 
-def _fitted(
-    study: Study,
+def _fit_trials(
+    study: GapStudy,
     fit: Hypothesis,
     trials: Sequence[Trial],
     known: Mapping[str, float],
     *,
     iterations: int = 15,
-) -> _Own:
+) -> _TrialFit:
     """Return a fit of the model of another fit to some of its trials, with wide priors.
 
     Parameters
@@ -275,4 +287,4 @@ def _fitted(
     covariance = variance * np.linalg.pinv(jacobian.T @ jacobian + np.diag(weight**2), hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     values = zip(theta.tolist(), sd.tolist(), strict=True)
-    return _Own(problem, dict(zip(problem.labels, values, strict=True)), excess)
+    return _TrialFit(problem, dict(zip(problem.labels, values, strict=True)), excess)

@@ -11,9 +11,7 @@ from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers
 
 
-class DiagnoseOptions(
-    Options, command="diagnose", section="Diagnose", makes="gap|power", metrics=("closed.share",)
-):
+class DiagnoseOptions(Options, makes="gap|power", metrics=("closed.share",)):
     """Name the unmodelled effect behind a gap between trials and simulation.
 
     TRIALS is a trials file of any experiment. The parameter file says which model describes it; without one
@@ -74,7 +72,7 @@ class DiagnoseOptions(
         help="Write the trial that would separate rival causes best, as a log (.csv or .parquet) of commands."
         " It stays within 1.4 times the settings of the trials and the joint limits of the robot file.",
     )
-    robot: str | None = simulations.robot()
+    robot: str | None = simulations.other_robot()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step("max_step_s")
     tank_length_m: float | None = option(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from swimid.diagnosis import settings
 from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.remainder import beat_hz
-from swimid.diagnosis.study import Hypothesis, Study
+from swimid.diagnosis.study import GapStudy, Hypothesis
 
 #: Number of bins of the stroke phase in which the gap is computed.
 PHASES = 8
@@ -37,7 +37,7 @@ class Map:
     time_s, squares : ndarray, shape (n,)
     """
 
-    def __init__(self, study: Study, fit: Hypothesis, floors: Mapping[str, float]) -> None:
+    def __init__(self, study: GapStudy, fit: Hypothesis, floors: Mapping[str, float]) -> None:
         self.trials = study.trials
         trial, time_s, squares = [], [], []
         for k in range(len(self.trials)):
@@ -70,7 +70,7 @@ class Map:
 
 def regimes(where: Map) -> list[Cell]:
     """Return the gap at each value of each setting, and in each trial."""
-    known = [{**settings.words(t), "trial": t.id} for t in where.trials]
+    known = [{**settings.describe_settings(t), "trial": t.id} for t in where.trials]
     found = []
     for kind in dict.fromkeys(name for of_trial in known for name in of_trial):
         values = [of_trial.get(kind) for of_trial in known]

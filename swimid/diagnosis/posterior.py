@@ -1,12 +1,12 @@
 """Compute the posterior probability of each set of causes, of no gap, and of a cause outside the catalogue.
 
 The deviance of a hypothesis is minus twice its log predictive density of held-out data, with the noise of the
-noise model (:func:`swimid.diagnosis.crossval.deviances`). Its excess over that of noise alone is the gap that
-the hypothesis leaves. No hypothesis has exactly the form of the true cause. The excess is therefore modelled
-as a discrepancy of unknown variance, with a fixed number of directions in each fold. At the most likely
-variance, the log-evidence decreases by half the number of directions times the logarithm of the excess (a
-Student likelihood instead of a Gaussian one). A hypothesis is improbable only if its excess is several times
-larger than that of another one.
+noise model (:func:`swimid.diagnosis.crossval.compute_deviances`). Its excess over that of noise alone is the
+gap that the hypothesis leaves. No hypothesis has exactly the form of the true cause. The excess is therefore
+modelled as a discrepancy of unknown variance, with a fixed number of directions in each fold. At the most
+likely variance, the log-evidence decreases by half the number of directions times the logarithm of the excess
+(a Student likelihood instead of a Gaussian one). A hypothesis is improbable only if its excess is several
+times larger than that of another one.
 
 A further cause is compared with the form error of the causes already in the set, which has this number of
 directions in the whole record. If its change of the trials is similar to theirs, it adds no evidence. A cause
@@ -26,21 +26,21 @@ from scipy.special import logsumexp
 from swimid.fitting.model import Array
 
 #: Maximum root-mean-square error of the model, divided by that of the noise, that counts as no gap.
-TENTH = 0.1
+MODEL_ERROR_SHARE = 0.1
 #: Prior odds of each further cause in a set of causes. The value is chosen, not estimated: a gap with several
 #: causes is assumed to be rarer.
-FURTHER = 0.1
+FURTHER_CAUSE_ODDS = 0.1
 #: Probability of no gap below which a diagnosis reports a gap.
-UNSURE = 0.1
+MAX_NO_GAP_PROBABILITY = 0.1
 #: Relative difference of deviances below which two hypotheses count as the same. It is the tolerance of their
 #: fits.
-SAME_RTOL = 1e-4
+TWIN_RTOL = 1e-4
 #: Number of random samples of the weights of the cross-validation folds (Bayesian bootstrap).
-WEIGHTINGS = 200
+N_FOLD_WEIGHTS = 200
 
 
 @dataclass(frozen=True)
-class Calibration:
+class PosteriorConstants:
     """Constants of the posterior probabilities, calibrated on trials with known causes.
 
     Attributes
@@ -62,7 +62,7 @@ class Calibration:
 #: Constants of the posterior probabilities as ``python -m validation.calibrate`` computes them. The
 #: calibration uses trials that independent code simulates. Each case is also diagnosed with its
 #: true effect removed from the catalogue.
-CALIBRATED = Calibration(11.4, 0.22, -3.7)
+CALIBRATED = PosteriorConstants(11.4, 0.22, -3.7)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def are_twins(first: Candidate, second: Candidate) -> bool:
     if len(first.names) != len(second.names):
         return False
     difference = np.abs(first.deviances - second.deviances)
-    return bool((difference <= SAME_RTOL * np.abs(second.deviances)).all())
+    return bool((difference <= TWIN_RTOL * np.abs(second.deviances)).all())
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Posterior:
     candidates: tuple[Candidate, ...]
 
     @property
-    def known(self) -> dict[frozenset[str], float]:
+    def probabilities(self) -> dict[frozenset[str], float]:
         """Return for each set the probability that it closes most of the gap without other known effects.
 
         Known effects are those of the catalogue. A cause outside the catalogue may act in addition.
@@ -154,7 +154,7 @@ class Posterior:
 
         Its size is the smallest one that suffices with a probability above one half.
         """
-        known = self.known
+        known = self.probabilities
         total = sum(known.values())
         size, fewer = 1, 0.0
         while size < max((len(names) for names in known), default=1):
@@ -165,12 +165,12 @@ class Posterior:
         mine = {names: p for names, p in known.items() if len(names) == size}
         return max(mine, key=lambda names: mine[names], default=frozenset())
 
-    def having(self, *names: str) -> float:
+    def compute_probability(self, *names: str) -> float:
         """Return the probability that at least one of the named effects closes most of the gap.
 
         A cause outside the catalogue may act in addition.
         """
-        return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
+        return min(sum(p for found, p in self.probabilities.items() if found & set(names)), 1.0)
 
     def instead(self, name: str, among: frozenset[str]) -> dict[str, float]:
         """Return the probability of each effect that could replace ``name`` in the hypothesis ``among``.
@@ -179,7 +179,7 @@ class Posterior:
         """
         rest = among - {name}
         found = {}
-        for names, p in self.known.items():
+        for names, p in self.probabilities.items():
             if len(names) == len(among) and rest < names:
                 (other,) = names - rest
                 found[other] = p
@@ -187,13 +187,13 @@ class Posterior:
         return {n: p / total for n, p in sorted(found.items(), key=lambda item: -item[1])}
 
 
-def prior(size: int, effects: int) -> float:
+def compute_prior_log_odds(size: int, effects: int) -> float:
     """Return the prior log-odds of a set of ``size`` out of ``effects`` effects, against no effect."""
-    return math.log((1.0 - FURTHER) * FURTHER ** (size - 1) / math.comb(effects, size))
+    return math.log((1.0 - FURTHER_CAUSE_ODDS) * FURTHER_CAUSE_ODDS ** (size - 1) / math.comb(effects, size))
 
 
 @dataclass(frozen=True)
-class Record:
+class DataSize:
     """Size of the data set: numbers of residuals, of cross-validation folds, and of applicable effects.
 
     Attributes
@@ -211,17 +211,23 @@ class Record:
     effects: int
 
 
-def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
+def compute_tolerance(record: DataSize, gap: float, known: PosteriorConstants = CALIBRATED) -> float:
     """Return the largest excess that refutes no hypothesis.
 
     It is the sum of four terms: a discrepancy as large as the noise in all its directions, a model error of a
     tenth of the noise, two standard deviations of the squared noise, and the form error of a true effect.
     """
-    noise = known.directions * record.parts + TENTH**2 * record.samples + math.sqrt(8.0 * record.samples)
+    noise = (
+        known.directions * record.parts
+        + MODEL_ERROR_SHARE**2 * record.samples
+        + math.sqrt(8.0 * record.samples)
+    )
     return noise + known.form * max(gap, 0.0)
 
 
-def price(candidate: Candidate, null: Candidate, record: Record, known: Calibration = CALIBRATED) -> float:
+def compute_price(
+    candidate: Candidate, null: Candidate, record: DataSize, known: PosteriorConstants = CALIBRATED
+) -> float:
     """Return the log-evidence that a hypothesis loses by its parameters, and by their distance from priors.
 
     Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
@@ -239,17 +245,17 @@ def price(candidate: Candidate, null: Candidate, record: Record, known: Calibrat
     return 0.5 * math.log(record.samples) * candidate.numbers + candidate.widening + far
 
 
-def most(excess: float, record: Record) -> float:
+def compute_largest_gain(excess: float, record: DataSize) -> float:
     """Return the maximum log-evidence that a further effect can add to a set of effects with this excess."""
-    return 0.5 * CALIBRATED.directions * math.log1p(max(excess, 0.0) / unit(record, 0.0))
+    return 0.5 * CALIBRATED.directions * math.log1p(max(excess, 0.0) / compute_tolerance(record, 0.0))
 
 
-def posterior(
+def compute_posterior_probabilities(
     null: Candidate,
     candidates: Sequence[Candidate],
     *,
-    record: Record,
-    calibration: Calibration = CALIBRATED,
+    record: DataSize,
+    calibration: PosteriorConstants = CALIBRATED,
     seed: int = 0,
 ) -> Posterior:
     """Return the posterior probabilities of all hypotheses.
@@ -260,7 +266,7 @@ def posterior(
         The model without effects.
     candidates : sequence of Candidate
         At most one hypothesis for each set of effects.
-    record : Record
+    record : DataSize
         Amount of data.
 
     References
@@ -274,18 +280,18 @@ def posterior(
     totals, folds = np.array([c.deviance for c in every]), np.array([c.deviances for c in every])
     excess = totals - min(float(totals.min()), record.samples)
     count = folds.shape[1]
-    weight = np.random.default_rng(seed).dirichlet(np.ones(count), WEIGHTINGS) * count
+    weight = np.random.default_rng(seed).dirichlet(np.ones(count), N_FOLD_WEIGHTS) * count
     leader = int(np.argmin(excess))
     drawn = excess[:, None] + (folds - folds[leader]) @ (weight - 1.0).T
     drawn -= np.minimum(drawn.min(axis=0), 0.0)
-    size = np.log1p(drawn / unit(record, float(excess[0]), calibration))
-    small = np.log1p(drawn / unit(record, 0.0, calibration))
+    size = np.log1p(drawn / compute_tolerance(record, float(excess[0]), calibration))
+    small = np.log1p(drawn / compute_tolerance(record, 0.0, calibration))
     # Twins are one hypothesis, and share its prior probability.
     better = [c for c in candidates if c.deviance < null.deviance]
     same = [max(sum(are_twins(c, other) for other in better), 1) for c in candidates]
-    known = np.array([0.0, *(prior(len(c.names), record.effects) for c in candidates)])
+    known = np.array([0.0, *(compute_prior_log_odds(len(c.names), record.effects) for c in candidates)])
     known[1:] -= np.log(same)
-    known -= [price(c, null, record, calibration) for c in every]
+    known -= [compute_price(c, null, record, calibration) for c in every]
     closes = known[:, None] + 0.5 * calibration.directions * record.parts * (size[0] - size)
     _further(every, known, closes, small, calibration.directions)
     evidence = np.vstack((closes, closes + calibration.outside + 0.5 * calibration.directions * size))

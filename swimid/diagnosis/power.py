@@ -8,19 +8,19 @@ compared with the noise of the trials. The decision rule is that of a diagnosis.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chndtrinc
 
-from swimid.diagnosis import candidates, crossval, posterior
-from swimid.diagnosis.candidates import Trialled
-from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
-from swimid.diagnosis.search import Search, prepare
-from swimid.diagnosis.study import Study
+from swimid.diagnosis import crossval, posterior, screening
+from swimid.diagnosis.posterior import CALIBRATED, MAX_NO_GAP_PROBABILITY, DataSize
+from swimid.diagnosis.screening import ScreeningRuns
+from swimid.diagnosis.search import HypothesisSearch, prepare_study
+from swimid.diagnosis.study import GapStudy
 from swimid.effects.base import Effect
 from swimid.files import yamlio
 from swimid.files.yamlio import Number
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 FORMAT: Literal["swimid-power/1"] = "swimid-power/1"
 
 
-class Row(yamlio.Document):
+class EffectPower(yamlio.Document):
     """Detection power of one effect."""
 
     effect: str
@@ -61,13 +61,13 @@ class PowerFile(yamlio.ResultFile):
     experiment: str
     params: str
     trials: list[str]
-    effects: list[Row]
+    effects: list[EffectPower]
     #: Effects whose detection power could not be computed, with the reason.
     left_out: dict[str, str] = {}
     provenance: yamlio.Provenance = Field(default_factory=dict)
 
 
-def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:
+def build_power_evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:
     """Return the evidence of a power file: a table of the effects, and the number of detectable effects."""
     blind = [r.effect for r in file.effects if r.size is None]
     twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
@@ -76,11 +76,13 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
         f"Of {len(file.effects)} effects these trials would show {seen}, {twins} of them never distinguished."
     )
     unseen = f"not seen at any size within their bounds: {', '.join(blind)}"
-    check = ev.check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
+    check = ev.make_check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
     rows = []
     for r in file.effects:
         imitated = None if r.absorbed is None else 100.0 * r.absorbed
-        rows.append([r.effect, r.parameter, numbers.number(r.size, 2, r.unit), imitated, ", ".join(r.alike)])
+        rows.append(
+            [r.effect, r.parameter, numbers.format_number(r.size, 2, r.unit), imitated, ", ".join(r.alike)]
+        )
     table = ev.Table(
         id="power",
         title="The smallest size of each effect that is seen with 90 % power",
@@ -91,7 +93,7 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
     return ev.Evidence(
         command="diagnose",
         title=f"What trials could show: {file.robot}, {file.experiment}",
-        verdict=ev.judged(answer, [check]),
+        verdict=ev.make_verdict(answer, [check]),
         facts={"Trials": f"{len(file.trials)} against {file.params}"},
         notes=[f"{name}: {why}." for name, why in file.left_out.items()],
         checks=[check],
@@ -133,35 +135,38 @@ class DetectionPower(FileResult[PowerFile]):
 
     def bare(self) -> ev.Evidence:
         """Return the evidence that the power file alone provides, if its evidence file is missing."""
-        return evidence(self.file)
+        return build_power_evidence(self.file)
 
 
 # ---------------------------------------------------------------- computation
 
+#: Reasons why the detection power of an effect is unknown.
+NO_MEASURED_CHANGE = "it changes nothing that was measured in these trials"
+BROKEN_DOWN = "the model breaks down with it"
 #: Probability with which an effect of the reported size is detected.
 POWER = 0.9
 #: Minimum fraction of the squared change by an effect that must remain after the model's parameters are
 #: projected out. A smaller remainder is rounding error.
-ROUNDING = 1e-9
+MIN_REMAINING_SHARE = 1e-9
 
 
-def needed(record: Record, numbers: int) -> float:
+def compute_needed_excess(record: DataSize, numbers: int) -> float:
     """Return the minimum excess of squared residuals over the noise at which a gap is reported.
 
     The excess is that of the model without an effect. The effect is assumed to close the whole gap.
     """
-    costs = 0.5 * math.log(record.samples) * numbers - posterior.prior(1, record.effects)
-    wanted = math.log((1.0 - UNSURE) / UNSURE) + costs
+    costs = 0.5 * math.log(record.samples) * numbers - posterior.compute_prior_log_odds(1, record.effects)
+    wanted = math.log((1.0 - MAX_NO_GAP_PROBABILITY) / MAX_NO_GAP_PROBABILITY) + costs
     directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
     # The excess that refutes no hypothesis grows with the gap. If it grows too fast, no gap is ever reported.
     room = 1.0 - CALIBRATED.form * share
     if room <= 0:
         return math.inf
-    return share * posterior.unit(record, 0.0) / room
+    return share * posterior.compute_tolerance(record, 0.0) / room
 
 
-def noncentrality(drop: float, numbers: int) -> float:
+def compute_noncentrality(drop: float, numbers: int) -> float:
     """Return the squared change of the trials by an effect that is needed for detection with 90 % power.
 
     With this probability, a fit of the effect reduces the cost by at least ``drop``. The squared change is in
@@ -172,19 +177,19 @@ def noncentrality(drop: float, numbers: int) -> float:
     return float(chndtrinc(drop, numbers, 1.0 - POWER))
 
 
-def told_apart(record: Record, cosine: float) -> bool:
+def is_distinguishable(record: DataSize, cosine: float) -> bool:
     """Return whether the trials can distinguish an effect, if it is very large, from another effect.
 
     The cosine is the one between the changes of the trials by the two effects.
     """
     left = max(1.0 - cosine**2, 0.0)
     gain = 0.5 * CALIBRATED.directions * record.parts * math.log1p(left / CALIBRATED.form)
-    return gain > math.log((1.0 - UNSURE) / UNSURE)
+    return gain > math.log((1.0 - MAX_NO_GAP_PROBABILITY) / MAX_NO_GAP_PROBABILITY)
 
 
-def shown(
-    given: Study, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
-) -> tuple[list[Row], dict[str, str]]:
+def compute_power(
+    given: GapStudy, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
+) -> tuple[list[EffectPower], dict[str, str]]:
     """Return the detection power of each effect, and the reasons why it is unknown for some effects.
 
     The noise is estimated from the residuals of the model. Structure that a generic description finds in
@@ -199,85 +204,129 @@ def shown(
 
     Returns
     -------
-    list of Row
+    list of EffectPower
         One row for each effect, in the order given.
     dict of name to reason
         Effects without a detection power.
     """
-    study, fit, _ = prepare(given, effects)
-    search = Search(study, effects, effects, rng=np.random.default_rng(seed))
+    study, fit, _ = prepare_study(given, effects)
+    search = HypothesisSearch(study, effects, effects, rng=np.random.default_rng(seed))
     search.begin(study.start((), fit))
     search.learn(search.null)
     base, record = search.null, search.record
-    wanted = [e for e in effects if asked is None or e.name in asked]
     columns: list[list[Array]] = []
-    lines: list[tuple[Trialled, Parameter, Array, NDArray[np.intp]]] = []
+    lines: list[_Line] = []
     left_out: dict[str, str] = {}
-    for tried in candidates.simulate(search.study, base, wanted):
-        found = _lines(tried, columns)
-        lines += [(tried, *line) for line in found]
-        if not found:
-            why = "the model breaks down with it"
-            if tried.points:
-                why = "it changes nothing that was measured in these trials"
-            left_out.setdefault(tried.effect.name, why)
-    inner = crossval.normal_equations(search.study, base, columns)
-    left = crossval.projected(inner)[:-1, :-1]
-    whole = inner.products.sum(axis=0).diagonal()[inner.shared : -1]
-    best: dict[str, tuple[float, Row]] = {}
+    wanted = [e for e in effects if asked is None or e.name in asked]
+    for runs in screening.simulate_effects(search.study, base, wanted):
+        own = _lines(runs, columns)
+        lines += own
+        if not own:
+            left_out.setdefault(runs.effect.name, NO_MEASURED_CHANGE if runs.points else BROKEN_DOWN)
+    inner = crossval.form_normal_equations(search.study, base, columns)
+    products = crossval.project_columns(inner)[:-1, :-1]
+    squares = np.maximum(products.diagonal(), 0.0)
+    whole = inner.products.sum(axis=0).diagonal()[inner.n_shared : -1]
+    best: dict[str, tuple[float, EffectPower]] = {}
     every: dict[str, list[int]] = {}
-    for tried, p, values, places in lines:
-        effect, kinds = tried.effect, len(tried.parameters)
-        every.setdefault(effect.name, []).extend(places.tolist())
-        of_trials = sum(one.per_trial for one in tried.parameters)
-        count = kinds - of_trials + of_trials * len(study.trials)
-        needs = noncentrality(needed(record, kinds - of_trials), count)
-        squares, total = np.maximum(left.diagonal()[places], 0.0), whole[places]
-        strengths = np.abs(values - p.start) / p.scale
-        strength, at = _strength(strengths, np.where(squares > ROUNDING * total, squares, 0.0), needs)
-        if effect.name not in best or strength < best[effect.name][0]:
-            size = float(p.start + (values[at] - p.start) * strength / strengths[at])
-            row = Row(
-                effect=effect.name,
-                stage=effect.stage,
-                parameter=p.name,
-                size=size if p.lower <= size <= p.upper else None,
-                unit=p.unit,
-                absorbed=float(np.clip(1.0 - squares[at] / total[at], 0.0, 1.0)),
-            )
-            best[effect.name] = strength, row
+    for line in lines:
+        name, index = line.runs.effect.name, line.columns
+        every.setdefault(name, []).extend(index.tolist())
+        found = _find_size(line, squares[index], whole[index], record, len(study.trials))
+        if name not in best or found[0] < best[name][0]:
+            best[name] = found
     # A change that the parameters imitate is a rounding error, and like no other.
-    norm = np.where(left.diagonal() > ROUNDING * whole, np.sqrt(np.maximum(left.diagonal(), 0.0)), np.inf)
-    cosine = np.abs(left) / np.outer(norm, norm)
-    for name, (_, row) in best.items():
-        if row.size is not None:
-            row.alike = [
-                other
-                for other, places in every.items()
-                if other != name and not told_apart(record, float(cosine[np.ix_(every[name], places)].max()))
-            ]
-    return [row for _, row in best.values()], {n: why for n, why in left_out.items() if n not in best}
+    norm = np.where(products.diagonal() > MIN_REMAINING_SHARE * whole, np.sqrt(squares), np.inf)
+    cosine = np.abs(products) / np.outer(norm, norm)
+    rows = [row for _, row in best.values()]
+    for row in rows:
+        row.alike = _list_alike(row, cosine, every, record)
+    return rows, {n: why for n, why in left_out.items() if n not in best}
 
 
-def _lines(tried: Trialled, columns: list[list[Array]]) -> list[tuple[Parameter, Array, NDArray[np.intp]]]:
-    """Return the parameter directions in which an effect was simulated.
+def _list_alike(
+    row: EffectPower, cosine: Array, columns: Mapping[str, list[int]], record: DataSize
+) -> list[str]:
+    """Return the effects from which the trials never distinguish an effect that they detect.
 
-    A direction has the parameter that states the size of the effect, its tried values, and the column indices
-    of the resulting changes of the trials, which are appended to ``columns``. Further parameters that are not
-    at their null values state place and time.
+    Parameters
+    ----------
+    cosine : ndarray, shape (c, c)
+        Absolute cosines between the changes of the trials.
+    columns : mapping of str to list of int
+        Columns of each effect.
     """
-    null = np.array([p.start for p in tried.parameters])
+    if row.size is None:
+        return []
+    mine = columns[row.effect]
+    others = {name: float(cosine[np.ix_(mine, own)].max()) for name, own in columns.items()}
+    del others[row.effect]
+    return [name for name, largest in others.items() if not is_distinguishable(record, largest)]
+
+
+class _Line(NamedTuple):
+    """Parameter direction in which an effect was simulated.
+
+    Attributes
+    ----------
+    parameter : Parameter
+        Parameter that states the size of the effect. Further parameters that are not at their null values
+        state place and time.
+    values : ndarray, shape (m,)
+        Tried values of this parameter.
+    columns : ndarray of int, shape (m,)
+        Indices of the resulting changes of the trials.
+    """
+
+    runs: ScreeningRuns
+    parameter: Parameter
+    values: Array
+    columns: NDArray[np.intp]
+
+
+def _find_size(
+    line: _Line, squares: Array, whole: Array, record: DataSize, trial_count: int
+) -> tuple[float, EffectPower]:
+    """Return the smallest size of an effect that is detected, in typical scales, and its row.
+
+    Parameters
+    ----------
+    squares, whole : ndarray, shape (m,)
+        Squared changes of the trials, with and without the parameters of the model projected out.
+    """
+    p, parameters = line.parameter, line.runs.parameters
+    per_trial = sum(one.per_trial for one in parameters)
+    count = len(parameters) + per_trial * (trial_count - 1)
+    needs = compute_noncentrality(compute_needed_excess(record, len(parameters) - per_trial), count)
+    strengths = np.abs(line.values - p.start) / p.scale
+    seen = np.where(squares > MIN_REMAINING_SHARE * whole, squares, 0.0)
+    strength, at = _strength(strengths, seen, needs)
+    size = float(p.start + (line.values[at] - p.start) * strength / strengths[at])
+    row = EffectPower(
+        effect=line.runs.effect.name,
+        stage=line.runs.effect.stage,
+        parameter=p.name,
+        size=size if p.lower <= size <= p.upper else None,
+        unit=p.unit,
+        absorbed=float(np.clip(1.0 - squares[at] / whole[at], 0.0, 1.0)),
+    )
+    return strength, row
+
+
+def _lines(runs: ScreeningRuns, columns: list[list[Array]]) -> list[_Line]:
+    """Return the parameter directions of an effect, and append the changes of the trials to ``columns``."""
+    null = np.array([p.start for p in runs.parameters])
     groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
-    for point, changed in tried.points:
+    for point, changed in runs.points:
         moved = tuple(np.flatnonzero(point != null).tolist())
-        if moved and sum(float(c @ c) for c in changed) > candidates.NOTHING:
+        if moved and sum(float(c @ c) for c in changed) > screening.MIN_SQUARED_CHANGE:
             groups.setdefault(moved, []).append((float(point[moved[0]]), len(columns)))
             columns.append(changed)
-    found = []
+    lines = []
     for moved, members in groups.items():
-        values, places = (np.array(part) for part in zip(*members, strict=True))
-        found.append((tried.parameters[moved[0]], values, places))
-    return found
+        values, index = (np.array(part) for part in zip(*members, strict=True))
+        lines.append(_Line(runs, runs.parameters[moved[0]], values, index))
+    return lines
 
 
 def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:

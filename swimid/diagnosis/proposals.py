@@ -18,9 +18,9 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.diagnosis import settings
-from swimid.fitting.drives import Beat, Cycle, eased, straight
+from swimid.fitting.drives import Cycle, TailBeat, ease_in, straight
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Rig, SurgeInput, SwimInput, Trial
+from swimid.fitting.model import Array, Model, RigCoordinate, SurgeInput, SwimInput, Trial
 from swimid.logs.experiments import Drive
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ BIAS = HIGHER - 1.0
 #: Sample rate of the joint commands in a command file, Hz.
 COMMAND_RATE_HZ = 100.0
 #: Minimum number of beats in each segment of a proposed trial, after the ramp.
-MIN_BEATS = 2.0
+MIN_SEGMENT_BEATS = 2.0
 #: Minimum number of samples of a proposed trial.
-MIN_SAMPLES = 5
+MIN_PROPOSAL_SAMPLES = 5
 #: Maximum number of times that a proposed trial is shortened until its path fits into the tank.
 MAX_CUTS = 8
 #: Number of directions in a half circle along which the extent of a path is measured.
@@ -75,7 +75,7 @@ PROPOSALS: tuple[tuple[Segment, ...], ...] = (
 
 
 @dataclass(frozen=True)
-class Limits:
+class TrialLimits:
     """Limits of a proposed trial.
 
     The driven joints of the robot file may state further limits.
@@ -144,7 +144,7 @@ def _constant(segments: Sequence[Segment]) -> Segment | None:
     return first
 
 
-def rounded_down(value: float) -> float:
+def round_down(value: float) -> float:
     """Return a value with three significant digits that is not larger in size.
 
     >>> rounded_down(2.5199), rounded_down(-0.12345)
@@ -157,17 +157,17 @@ def rounded_down(value: float) -> float:
     return math.copysign(round(size, max(digits, 0)), value)
 
 
-def level(factor: float, values: Sequence[float], usual: float, most: float = math.inf) -> float:
+def choose_level(factor: float, values: Sequence[float], usual: float, most: float = math.inf) -> float:
     """Return the setting for a factor of a segment, at most ``most`` in size."""
     chosen = usual
     if factor > 1.0:
-        chosen = rounded_down(factor * max(values))
+        chosen = round_down(factor * max(values))
     elif factor < 1.0:
-        chosen = rounded_down(factor * min(values))
+        chosen = round_down(factor * min(values))
     return math.copysign(min(abs(chosen), most), chosen)
 
 
-def stepped(time_s: Array, levels: Sequence[float], edges_s: Sequence[float], ramp_s: float) -> Array:
+def change_levels(time_s: Array, levels: Sequence[float], edges_s: Sequence[float], ramp_s: float) -> Array:
     """Return a setting that changes smoothly from one segment to the next, shape (n,).
 
     Parameters
@@ -181,18 +181,32 @@ def stepped(time_s: Array, levels: Sequence[float], edges_s: Sequence[float], ra
     """
     found = np.full(len(time_s), levels[0], dtype=float)
     for change, at in zip(np.diff(levels), edges_s, strict=True):
-        found += change * eased(time_s - at, ramp_s)
+        found += change * ease_in(time_s - at, ramp_s)
     return found
 
 
 # ---------------------------------------------------------------- robots with links
 
 
-def _size(drive: Beat | Cycle) -> float:
+def _size(drive: TailBeat | Cycle) -> float:
     """Return the amplitude of a beat in degrees, or the scale of a stroke."""
-    if isinstance(drive, Beat):
+    if isinstance(drive, TailBeat):
         return math.degrees(drive.amplitude_rad)
     return drive.scale
+
+
+def _start_from_rest(swim: SwimInput) -> SwimInput:
+    """Return the input of a steady beat with the ramp that a trials file has by default."""
+    if swim.beat is None or not swim.steady:
+        return swim
+    ramp_s = Drive.model_fields["ramp_s"].default
+    return replace(swim, beat=replace(swim.beat, steady=False, ramp_s=ramp_s))
+
+
+def _find_beat_hz(trial: Trial) -> float:
+    """Return the frequency of a beat in recorded commands, Hz; NaN if unknown."""
+    frequency = settings.list_settings(trial).get("frequency")
+    return frequency.value if isinstance(frequency, settings.SettingValue) else math.nan
 
 
 class Swim:
@@ -203,19 +217,16 @@ class Swim:
     model : Swimmer
     trials : sequence of Trial
         Trials of the experiment, whose settings the segments multiply.
-    limits : Limits
+    limits : TrialLimits
     """
 
-    def __init__(self, model: Swimmer, trials: Sequence[Trial], limits: Limits) -> None:
+    def __init__(self, model: Swimmer, trials: Sequence[Trial], limits: TrialLimits) -> None:
         self.swimmer, self.limits = model, limits
         self.template = _longest([t for t in trials if t.swim.drive is not None] or trials)
         self.swim = self.template.swim
-        kind = type(self.swim.drive)
-        drives = [t.swim.drive for t in trials if t.swim.drive is not None and type(t.swim.drive) is kind]
-        if self.swim.beat is not None and self.swim.steady:
-            # A trial from rest begins with the ramp that a trials file has by default.
-            ramp_s = Drive.model_fields["ramp_s"].default
-            self.swim = replace(self.swim, beat=replace(self.swim.beat, steady=False, ramp_s=ramp_s))
+        every = [t.swim.drive for t in trials]
+        drives = [d for d in every if d is not None and isinstance(d, type(self.swim.drive))]
+        self.swim = _start_from_rest(self.swim)
         self.beat, self.stroke = self.swim.beat, self.swim.stroke
         #: Frequencies (Hz) and sizes of the drives of the trials; 1 for recorded commands.
         self.frequencies = [float(d.frequency_hz) for d in drives] or [1.0]
@@ -225,10 +236,7 @@ class Swim:
         if self.beat is not None:
             self.unit = math.radians(1.0)
         #: Unit of the frequencies: 1 Hz, or the frequency of a beat in recorded commands (NaN if unknown).
-        self.beat_hz = 1.0
-        if not drives:
-            found = settings.quantities(self.template).get("frequency")
-            self.beat_hz = found.value if isinstance(found, settings.Quantity) else math.nan
+        self.beat_hz = 1.0 if drives else _find_beat_hz(self.template)
 
     def __call__(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
         """Return a trial of these segments; its amplitude is lowered to the limits of the joints."""
@@ -249,6 +257,37 @@ class Swim:
 
         The excess is the largest ratio of an angle or a rate to its limit.
         """
+        usual = self.swim.drive
+        f, a, b = self._choose_levels(segments, factor)
+        if self.swim.joints is not None and usual is None:
+            # A record that is played faster ends earlier.
+            duration_s = min(duration_s, _duration(self.template) * len(f) / sum(f))
+        # The number of beats in each segment is NaN if the frequency of recorded commands is unknown.
+        lengths = np.full(len(f), duration_s / len(f))
+        lengths[0] -= getattr(usual, "ramp_s", 0.0)
+        beats = (lengths * f * self.beat_hz)[np.array(a) != 0.0]
+        sampled = _cut(self.template.time_s, duration_s)
+        if np.any(beats < MIN_SEGMENT_BEATS - 1e-3) or len(sampled) < MIN_PROPOSAL_SAMPLES:
+            return None, 0.0
+        time = np.arange(round(duration_s * COMMAND_RATE_HZ) + 1) / COMMAND_RATE_HZ
+        if usual is not None and len(f) == 1:
+            # A trials file can state this drive.
+            swim = self._scale_drive(f[0], self.unit * a[0], self.unit * b[0], steady=False)
+        else:
+            swim = self._join_segments(f, a, b, time, duration_s)
+        angles = [self.swimmer.command(k, swim, time, 0.0) for k in range(len(self.swimmer.actuators))]
+        names = [actuator.command for actuator in self.swimmer.actuators]
+        held = {"drive_phase", *(p.name for p in self.swimmer.parameters if p.name.startswith("initial_"))}
+        swim = replace(swim, pose=self.swim.pose)
+        trial = Trial("proposed", "fit", sampled - sampled[0], {}, swim=swim, held=tuple(sorted(held)))
+        text = f"{self._words(f, a, b)}, from rest, for {_duration(trial):.3g} s"
+        columns = {"t_s": time, **dict(zip(names, angles, strict=True))}
+        return Proposal(text, trial, _trial_entry(trial), columns), self._excess(angles)
+
+    def _choose_levels(
+        self, segments: Sequence[Segment], factor: float
+    ) -> tuple[list[float], list[float], list[float]]:
+        """Return frequency, size and bias of each segment, with all sizes multiplied by ``factor``."""
         limits, usual = self.limits, self.swim.drive
         hz, size = 1.0, 1.0
         most_hz, most = limits.max_frequency_hz, math.inf
@@ -258,44 +297,13 @@ class Swim:
             most_hz /= self.beat_hz
         if self.beat is not None:
             most = math.degrees(limits.max_amplitude_rad)
-        f = [level(s.frequency, self.frequencies, hz, most_hz) for s in segments]
-        a = [level(s.amplitude, self.sizes, size, most) for s in segments]
+        f = [choose_level(s.frequency, self.frequencies, hz, most_hz) for s in segments]
+        a = [choose_level(s.amplitude, self.sizes, size, most) for s in segments]
         if factor < 1.0:
-            a = [rounded_down(factor * one) for one in a]
-        b = [rounded_down(s.bias * one) for s, one in zip(segments, a, strict=True)]
-        if self.swim.joints is not None and usual is None:
-            # A record that is played faster ends earlier.
-            duration_s = min(duration_s, _duration(self.template) * len(f) / sum(f))
-        # The number of beats in each segment is NaN if the frequency of recorded commands is unknown.
-        lengths = np.full(len(f), duration_s / len(f))
-        lengths[0] -= getattr(usual, "ramp_s", 0.0)
-        beats = (lengths * f * self.beat_hz)[np.array(a) != 0.0]
-        sampled = _cut(self.template.time_s, duration_s)
-        if np.any(beats < MIN_BEATS - 1e-3) or len(sampled) < MIN_SAMPLES:
-            return None, 0.0
-        time = np.arange(round(duration_s * COMMAND_RATE_HZ) + 1) / COMMAND_RATE_HZ
-        if usual is not None and len(f) == 1:
-            # A trials file can state this drive.
-            swim = self._sized(f[0], self.unit * a[0], self.unit * b[0], steady=False)
-        else:
-            swim = self._joined(f, a, b, time, duration_s)
-        angles = [self.swimmer.command(k, swim, time, 0.0) for k in range(len(self.swimmer.actuators))]
-        names = [actuator.command for actuator in self.swimmer.actuators]
-        held = {"drive_phase", *(p.name for p in self.swimmer.parameters if p.name.startswith("initial_"))}
-        swim = replace(swim, pose=self.swim.pose)
-        trial = Trial("proposed", "fit", sampled - sampled[0], {}, swim=swim, held=tuple(sorted(held)))
-        entry: dict[str, Any] = {}
-        if swim.drive is not None:
-            from swimid.simulation.cases import drive_block
+            a = [round_down(factor * one) for one in a]
+        return f, a, [round_down(s.bias * one) for s, one in zip(segments, a, strict=True)]
 
-            entry["drive"] = drive_block(trial)
-        if self.swim.coefficients:
-            entry["coefficients"] = {name: float(v) for name, v in self.swim.coefficients.items()}
-        text = f"{self._words(f, a, b)}, from rest, for {_duration(trial):.3g} s"
-        columns = {"t_s": time, **dict(zip(names, angles, strict=True))}
-        return Proposal(text, trial, entry, columns), self._excess(angles)
-
-    def _sized(self, hz: float, size: float, bias_rad: float, *, steady: bool) -> SwimInput:
+    def _scale_drive(self, hz: float, size: float, bias_rad: float, *, steady: bool) -> SwimInput:
         """Return the input with a single drive: a beat (size in rad), a stroke, or recorded commands.
 
         Recorded commands have the size 1, or no motion at the size 0.
@@ -310,7 +318,7 @@ class Swim:
             return self.swim
         return replace(self.swim, joints=[straight for _ in self.swim.joints or ()])
 
-    def _joined(
+    def _join_segments(
         self, f: Sequence[float], a: Sequence[float], b: Sequence[float], time_s: Array, duration_s: float
     ) -> SwimInput:
         """Return the joint commands of several segments, as they are read from their command file."""
@@ -322,18 +330,20 @@ class Swim:
         if drive is not None:
             unit_hz, shift_s = drive.frequency_hz, 0.0
             begin_s, ramp_s = drive.ramp_s, max(drive.ramp_s, 0.5 / max(f))
-        frequency, size, bias = (stepped(time_s, levels, edges, ramp_s) for levels in (f, a, b))
+        frequency, size, bias = (change_levels(time_s, levels, edges, ramp_s) for levels in (f, a, b))
         if begin_s > 0.0:
-            size, bias = (series * eased(time_s, begin_s) for series in (size, bias))
+            size, bias = (series * ease_in(time_s, begin_s) for series in (size, bias))
         played_s = shift_s + cumulative_trapezoid(frequency / unit_hz, time_s, initial=0.0)
         size, bias = self.unit * size, self.unit * bias
-        idle, full = (self._sized(unit_hz, amplitude, 0.0, steady=True) for amplitude in (0.0, 1.0))
+        idle, full = (self._scale_drive(unit_hz, amplitude, 0.0, steady=True) for amplitude in (0.0, 1.0))
         motions = []
         for k, actuator in enumerate(self.swimmer.actuators):
-            law = actuator.driven
+            law = actuator.law
             rest, moved = (self.swimmer.command(k, one, played_s, 0.0) for one in (idle, full))
-            turn = driven.given(law.bias_gain, law.gain) * bias
-            motions.append(driven.spline_motion(driven.measured(time_s, rest + size * (moved - rest) + turn)))
+            turn = driven.use_default(law.bias_gain, law.gain) * bias
+            motions.append(
+                driven.spline_motion(driven.fit_spline(time_s, rest + size * (moved - rest) + turn))
+            )
         commanded = self.swim.commanded or drive is not None
         return replace(self.swim, beat=None, stroke=None, joints=motions, commanded=commanded)
 
@@ -341,7 +351,7 @@ class Swim:
         """Return the largest ratio of the angle or rate of an actuator to its limit."""
         found = [0.0]
         for actuator, angle in zip(self.swimmer.actuators, angles, strict=True):
-            law, rate = actuator.driven, float(np.max(np.abs(np.diff(angle)))) * COMMAND_RATE_HZ
+            law, rate = actuator.law, float(np.max(np.abs(np.diff(angle)))) * COMMAND_RATE_HZ
             if law.max_angle_deg is not None:
                 found.append(math.degrees(float(np.max(np.abs(angle)))) / law.max_angle_deg)
             if law.max_rate_deg_s is not None:
@@ -368,11 +378,23 @@ class Swim:
         return f"{run} {', then '.join(said)}"
 
 
+def _trial_entry(trial: Trial) -> dict[str, Any]:
+    """Return the keys of a trial of a robot with links in a trials file."""
+    entry: dict[str, Any] = {}
+    if trial.swim.drive is not None:
+        from swimid.simulation.cases import drive_block
+
+        entry["drive"] = drive_block(trial)
+    if trial.swim.coefficients:
+        entry["coefficients"] = {name: float(v) for name, v in trial.swim.coefficients.items()}
+    return entry
+
+
 # ---------------------------------------------------------------- other experiments
 
 
 def pull(
-    trials: Sequence[Trial], limits: Limits, segments: Sequence[Segment], duration_s: float
+    trials: Sequence[Trial], limits: TrialLimits, segments: Sequence[Segment], duration_s: float
 ) -> Proposal | None:
     """Return a trial of a body that another falling weight or constant force pulls.
 
@@ -387,7 +409,7 @@ def pull(
     key, unit, per = "driving_force_N", "N", 1.0
     if template.rig.pulley:
         key, unit, per = "pulling_mass_kg", "kg", gravity
-    size = level(only.amplitude, [one / per for one in forces], template.rig.pull / per)
+    size = choose_level(only.amplitude, [one / per for one in forces], template.rig.pull / per)
     force = size * per
     near = min(trials, key=lambda t: abs(math.log(t.rig.pull / force)))
     rig = replace(near.rig, force=force)
@@ -395,7 +417,7 @@ def pull(
         rig = replace(rig, inertia=rig.inertia + (force - near.rig.pull) / gravity)
     slower = math.sqrt(near.rig.pull / force)
     time = _cut(rig.begin_s + slower * (near.time_s - rig.begin_s), duration_s)
-    if len(time) < MIN_SAMPLES:
+    if len(time) < MIN_PROPOSAL_SAMPLES:
         return None
     trial = Trial("proposed", "fit", time, {}, rig=rig, held=near.held)
     columns = {"t_s": time, "force_N": np.full(len(time), force)}
@@ -416,12 +438,12 @@ def play(
     f, a = [s.frequency for s in segments], [s.amplitude for s in segments]
     duration_s = min(duration_s, _duration(template), _duration(template) * len(f) / sum(f))
     time = _cut(template.time_s, duration_s)
-    if len(time) < MIN_SAMPLES:
+    if len(time) < MIN_PROPOSAL_SAMPLES:
         return None
     # A step of the input takes one sampling interval.
     step_s = float(time[1] - time[0])
     edges = [time[0] + duration_s * k / len(f) for k in range(1, len(f))]
-    speed, size = (stepped(time, levels, edges, step_s) for levels in (f, a))
+    speed, size = (change_levels(time, levels, edges, step_s) for levels in (f, a))
     played = time[0] + cumulative_trapezoid(speed, time, initial=0.0)
     inputs = {column: size * np.interp(played, template.time_s, template.inputs[column])}
     trial = Trial("proposed", "fit", time, {}, inputs, template.rig, held=template.held)
@@ -434,7 +456,7 @@ def play(
 
 
 def cruise(
-    model: Model, trials: Sequence[Trial], limits: Limits, segments: Sequence[Segment], duration_s: float
+    model: Model, trials: Sequence[Trial], limits: TrialLimits, segments: Sequence[Segment], duration_s: float
 ) -> Proposal | None:
     """Return a steady beat with another frequency or amplitude, for a model that averages over beats.
 
@@ -445,14 +467,14 @@ def cruise(
         return None
     frequencies, sizes = (np.concatenate(parts) for parts in zip(*(t.steady for t in trials), strict=True))
     hz, size = (float(values[0]) for values in template.steady)
-    hz = level(only.frequency, frequencies.tolist(), hz, limits.max_frequency_hz)
+    hz = choose_level(only.frequency, frequencies.tolist(), hz, limits.max_frequency_hz)
     most = math.degrees(limits.max_amplitude_rad)
-    deg = level(only.amplitude, np.degrees(sizes).tolist(), math.degrees(size), most)
+    deg = choose_level(only.amplitude, np.degrees(sizes).tolist(), math.degrees(size), most)
     text = f"swim at {hz:.3g} Hz and {deg:.3g} deg"
     setting = {"frequency_hz": hz, "amplitude_deg": round(deg, 9)}
     if not model.timed_runs:
         time = _cut(template.time_s, duration_s)
-        if len(time) < MIN_SAMPLES or _duration(template) * hz < MIN_BEATS:
+        if len(time) < MIN_PROPOSAL_SAMPLES or _duration(template) * hz < MIN_SEGMENT_BEATS:
             return None
         surge = SurgeInput(hz, math.radians(deg), float(time[0]))
         trial = Trial("proposed", "fit", time, {}, surge=surge, held=template.held)
@@ -476,14 +498,14 @@ def cruise(
 
 
 def release(
-    rig: Rig, trials: Sequence[Trial], segments: Sequence[Segment], duration_s: float
+    rig: RigCoordinate, trials: Sequence[Trial], segments: Sequence[Segment], duration_s: float
 ) -> Proposal | None:
     """Return a free decay after a release from rest at another position or angle."""
     only, template = _constant(segments), _longest(trials)
     if only is None or only.frequency != 1.0:
         return None
     away = [abs(t.rig.x0) for t in trials]
-    x0 = math.copysign(level(only.amplitude, away, abs(template.rig.x0)), template.rig.x0)
+    x0 = math.copysign(choose_level(only.amplitude, away, abs(template.rig.x0)), template.rig.x0)
     own = replace(template.rig, x0=x0)
     trial = Trial("proposed", "fit", template.time_s, {}, rig=own, held=template.held)
     ends = np.array([own.begin_s, float(template.time_s[-1])])
@@ -492,15 +514,23 @@ def release(
     return Proposal(text, trial, {}, columns)
 
 
-def protocol_of(model: Model, trials: Sequence[Trial], limits: Limits) -> Protocol | None:
+def _swim_protocol(swimmer: Swimmer, trials: Sequence[Trial], limits: TrialLimits) -> Swim | None:
+    """Return the protocol of a robot with links; None if nothing drives it."""
+    moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
+    return Swim(swimmer, moved, limits) if moved and swimmer.driven else None
+
+
+def _is_steady(trial: Trial) -> bool:
+    """Return whether a trial is one steady beat of known frequency and amplitude."""
+    return len(trial.steady[0]) == 1 and bool(np.isfinite(trial.steady).all())
+
+
+def protocol_of(model: Model, trials: Sequence[Trial], limits: TrialLimits) -> Protocol | None:
     """Return the protocol of an experiment; None if nothing in it can be commanded."""
     swimmer, rig = model.swimmer, model.rig
     if swimmer is not None:
-        moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
-        if not moved or not swimmer.driven:
-            return None
-        return Swim(swimmer, moved, limits)
-    if all(len(t.steady[0]) == 1 and np.isfinite(t.steady).all() for t in trials):
+        return _swim_protocol(swimmer, trials, limits)
+    if all(_is_steady(t) for t in trials):
         return partial(cruise, model, trials, limits)
     if rig is not None and rig.swings:
         return partial(release, rig, trials)
@@ -538,7 +568,7 @@ def time_inside(time_s: Array, columns: Mapping[str, Array], length_m: float) ->
     return float(time_s[max(outside[0] - 1, 0)] - time_s[0])
 
 
-def tank_length(trials: Sequence[Trial], limits: Limits) -> float:
+def tank_length(trials: Sequence[Trial], limits: TrialLimits) -> float:
     """Return the maximum extent of a path, m: the stated one, or else the largest extent in the trials."""
     if limits.tank_length_m is not None:
         return limits.tank_length_m
@@ -546,7 +576,7 @@ def tank_length(trials: Sequence[Trial], limits: Limits) -> float:
     return max(found) or math.inf
 
 
-def shortened(
+def shorten(
     protocol: Protocol,
     segments: Sequence[Segment],
     length_m: float,

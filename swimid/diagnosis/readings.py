@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 #: Difference between two simulations, divided by the range of the channel, below which two interpretations of
 #: the robot's source are equivalent.
-ALIKE = 1e-9
+SAME_SIMULATION_RTOL = 1e-9
 #: Offset of the coefficients from their start values, in typical scales, when two interpretations of the
 #: robot are compared. A coefficient of zero would hide differences.
-AWAY = 0.1
+COEFFICIENT_SHIFT = 0.1
 #: Part of the simulated system (stage) to which an entry of the robot file belongs. The text is contained in
 #: the path of the entry. All other entries belong to the stage "structure".
-PLACES: tuple[tuple[str, Stage], ...] = (
+ENTRY_STAGES: tuple[tuple[str, Stage], ...] = (
     (".driven", "actuation"),
     (".actuators.", "actuation"),
     (".elements.", "fluid"),
@@ -141,7 +141,9 @@ class OtherReading(Effect):
         return self.name.encode()
 
 
-def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherReading], dict[str, str]]:
+def list_readings(
+    experiment: Experiment, trials: Sequence[Trial]
+) -> tuple[list[OtherReading], dict[str, str]]:
     """Return every interpretation of the robot that differs from the chosen one by a single answer.
 
     Parameters
@@ -161,7 +163,7 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
     if nominal is None or path is None or not experiment.robot.readings:
         return [], {}
     reread = Reread(path, nominal)
-    values = _away(nominal)
+    values = _shift_values(nominal)
     seen = [nominal.run(values, trial) for trial in trials]
     found, left_out = [], {}
     for key, reading in experiment.robot.readings.items():
@@ -181,14 +183,14 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
                 left_out[other.name] = "the trials tell the robot what it changes: choose it by --reading"
             elif not reread.stand({key: option}):
                 left_out[other.name] = "its coefficients or channels are not those of the reading chosen"
-            elif _alike(other.in_place_of(nominal), values, trials, seen):
+            elif _is_same(other.in_place_of(nominal), values, trials, seen):
                 left_out[other.name] = "it changes nothing that was measured in these trials"
             else:
                 found.append(other)
     return found, left_out
 
 
-def names(experiment: Experiment) -> list[str]:
+def list_names(experiment: Experiment) -> list[str]:
     """Return the names of all interpretations of the robot except the chosen ones."""
     questions = experiment.robot.readings.items()
     return [f"{READING}{key}={option}" for key, r in questions for option in r.options if option != r.chosen]
@@ -200,24 +202,29 @@ def _stage(places: Sequence[str]) -> Stage:
     If there are several stages, the first one is returned.
     """
     stages: list[Stage] = [
-        next((stage for word, stage in PLACES if word in place), "structure") for place in places
+        next((stage for word, stage in ENTRY_STAGES if word in place), "structure") for place in places
     ]
     return min(stages, key=STAGES.index, default="structure")
 
 
-def _away(model: Model) -> Array:
+def _shift_values(model: Model) -> Array:
     """Return values of the model parameters slightly off their start values, within their bounds."""
-    values = [p.start + AWAY * p.scale * (not p.per_trial) for p in model.parameters]
+    values = [p.start + COEFFICIENT_SHIFT * p.scale * (not p.per_trial) for p in model.parameters]
     return np.clip(values, [p.lower for p in model.parameters], [p.upper for p in model.parameters])
 
 
-def _alike(other: Model, values: Array, trials: Sequence[Trial], seen: Sequence[Mapping[str, Array]]) -> bool:
+def _is_same(
+    other: Model, values: Array, trials: Sequence[Trial], seen: Sequence[Mapping[str, Array]]
+) -> bool:
     """Return whether another model gives the same simulation of all measured channels."""
     for trial, plain in zip(trials, seen, strict=True):
         found = other.run(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(plain[channel]))
             # A simulation that diverges counts as different.
-            if not np.max(np.abs(found[channel] - plain[channel]), initial=0.0) <= ALIKE * span:
+            if (
+                not np.max(np.abs(found[channel] - plain[channel]), initial=0.0)
+                <= SAME_SIMULATION_RTOL * span
+            ):
                 return False
     return True

@@ -16,12 +16,21 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.candidates import within
-from swimid.diagnosis.crossval import solved
-from swimid.diagnosis.study import Hypothesis, Study
+from swimid.diagnosis.crossval import solve_normal
+from swimid.diagnosis.screening import is_sound
+from swimid.diagnosis.study import GapStudy, Hypothesis
 from swimid.effects.base import Effect
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
+from swimid.fitting.model import (
+    FORCE_SIGNATURE,
+    Array,
+    ExternalForce,
+    Hooks,
+    Model,
+    Parameter,
+    Trial,
+    traceable,
+)
 from swimid.fitting.problem import map_in_processes
 
 #: Candidates for the prior standard deviation of the terms that describe residuals without physics, in units
@@ -53,7 +62,7 @@ def least_gain(samples: float) -> float:
 
 
 @dataclass(frozen=True)
-class Left:
+class Structure:
     """Structure that a generic description finds in the residuals of a fit.
 
     Attributes
@@ -72,7 +81,7 @@ class Left:
     places: dict[str, float]
 
     @property
-    def found(self) -> bool:
+    def is_present(self) -> bool:
         """Return whether the generic description decreases the residuals by more than noise alone allows."""
         return self.gain > self.threshold
 
@@ -84,7 +93,7 @@ class Term(NamedTuple):
     changes: list[Array]
 
 
-def generic_terms(study: Study, base: Hypothesis) -> list[Term]:
+def simulate_terms(study: GapStudy, base: Hypothesis) -> list[Term]:
     """Return the changes of the trials by generic terms, linearised about a fit.
 
     Terms that change nothing, or with which the simulation diverges, are left out.
@@ -95,23 +104,25 @@ def generic_terms(study: Study, base: Hypothesis) -> list[Term]:
         return [
             Term(description.place, changed)
             for changed in study.changes(base, description, description.tries(parameters))
-            if all(within(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
+            if all(is_sound(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
         ]
 
-    found = map_in_processes(of, descriptions(study.model, study.trials), study.jobs)
+    found = map_in_processes(of, list_descriptions(study.model, study.trials), study.jobs)
     return [term for of_each in found for term in of_each]
 
 
-def find(study: Study, base: Hypothesis, terms: Sequence[Term], *, rng: np.random.Generator) -> Left:
+def find_structure(
+    study: GapStudy, base: Hypothesis, terms: Sequence[Term], *, rng: np.random.Generator
+) -> Structure:
     """Fit a generic description without physics to the residuals of a fit.
 
     The width of the prior of its terms is chosen on held-out folds.
     """
     columns = [term.changes for term in terms]
-    inner = crossval.normal_equations(study, base, columns)
-    plain = crossval.held_out(inner)
-    draws = crossval.noise_draws(inner, rng, DRAWS)
-    plain_drawn = crossval.held_out(inner, draws=draws)
+    inner = crossval.form_normal_equations(study, base, columns)
+    plain = crossval.compute_held_out(inner)
+    draws = crossval.draw_noise(inner, rng, DRAWS)
+    plain_drawn = crossval.compute_held_out(inner, draws=draws)
     every = list(range(len(columns)))
     samples = float(inner.samples.sum())
     gain, largest = 0.0, np.zeros(DRAWS)
@@ -119,23 +130,23 @@ def find(study: Study, base: Hypothesis, terms: Sequence[Term], *, rng: np.rando
         tried = [width**-2] * len(columns)
         if _freedom(inner, tried) > MOST_USED * samples:
             break
-        gain = max(gain, float((plain - crossval.held_out(inner, every, tried)).sum()))
-        drawn = (plain_drawn - crossval.held_out(inner, every, tried, draws)).sum(axis=0)
+        gain = max(gain, float((plain - crossval.compute_held_out(inner, every, tried)).sum()))
+        drawn = (plain_drawn - crossval.compute_held_out(inner, every, tried, draws)).sum(axis=0)
         largest = np.maximum(largest, drawn)
     places = {}
     for place in dict.fromkeys(term.place for term in terms):
         mine = [i for i, term in enumerate(terms) if term.place == place]
-        alone = (plain - crossval.held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
+        alone = (plain - crossval.compute_held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
         places[place] = max(float(gains.sum()) for gains in alone)
     least = max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples))
-    return Left(max([gain, *places.values()]), least, places)
+    return Structure(max([gain, *places.values()]), least, places)
 
 
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:
     """Return the effective number of parameters of the generic terms: the trace of their hat matrix."""
     normal = inner.whole[:-1, :-1]
     ridge = block_diag(inner.prior, np.diag(prior))
-    return float(np.trace(solved(normal + ridge, normal)[inner.shared :, inner.shared :]))
+    return float(np.trace(solve_normal(normal + ridge, normal)[inner.n_shared :, inner.n_shared :]))
 
 
 #: Terms of the residual force on a robot, in the order of their factors.
@@ -146,7 +157,7 @@ TERMS = (
 #: Levels of the frequency or amplitude in a table of steady swimming: minimum number of rows that share a
 #: level, relative tolerance within a level, and maximum number of levels. If there are more, none is used.
 SHARED, LEVEL, LEVELS = 3, 1e-3, 12
-AXES = {"surge": 0, "sway": 1, "yaw": 2}
+FORCE_AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
 
 @traceable(on="base", constants=17)
@@ -230,8 +241,8 @@ class ResidualForce(Description):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return the hook that adds the smooth force to the simulation of one trial."""
-        known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
-        return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
+        known = [FORCE_AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
+        return Hooks(force=(ExternalForce(smooth_force, np.concatenate((known, values))),))
 
 
 class ResidualPush(Description):
@@ -248,7 +259,7 @@ class ResidualPush(Description):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [*_window(trial), self.speed, self.span]
-        return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
+        return Hooks(force=(ExternalForce(smooth_push, np.concatenate((known, values))),))
 
 
 class StrokeDeviation(Description):
@@ -387,38 +398,54 @@ def beat_hz(trial: Trial) -> float:
     return 1.0 / length
 
 
-def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
+def list_descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
     """Return all generic descriptions of residuals for which the model has hooks and the trials have data."""
-    found: list[Description] = []
     dynamic = any(len(t.time_s) > 1 for t in trials)
-    channels = sorted({c for t in trials for c in t.measured})
-
-    def top(name: str, least: float) -> float:
-        """Return the largest absolute change of a channel since the start of a trial, but at least
-        ``least``.
-        """
-        series = (t.measured[name][np.isfinite(t.measured[name])] for t in trials if name in t.measured)
-        return max([least, *(float(np.max(np.abs(y - y[0]))) for y in series if len(y) > 1)])
-
-    length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
+    descriptions: list[Description] = []
     if "force" in model.offers and dynamic:
-        if model.body is None:
-            span = max((top(c, 1e-3) for c in channels if not c.endswith(("_s", "_s2"))), default=1.0)
-            inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
-            mass = float(np.median(inertia)) if inertia else 1.0
-            pushes = [abs(t.rig.pull) for t in trials]
-            swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
-            found.append(ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span))
-        elif model.body.free:
-            arm = sum(model.body.lengths_m)
-            distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
-            speed = max(distance / length, 1e-3)
-            push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
-            for axis in AXES:
-                found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed))
+        descriptions += _list_forces(model, trials)
     if "command" in model.offers and dynamic:
-        found.append(StrokeDeviation())
+        descriptions.append(StrokeDeviation())
     if "stroke" in model.offers and any({"frequency_hz", "amplitude_rad"} <= t.inputs.keys() for t in trials):
-        found.append(StrokeTable(trials))
-    found += [SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic) for channel in channels]
-    return found
+        descriptions.append(StrokeTable(trials))
+    for channel in _channels(trials):
+        descriptions.append(SensorTerm(channel, _top(trials, channel, 1e-6), dynamic=dynamic))
+    return descriptions
+
+
+def _channels(trials: Sequence[Trial]) -> list[str]:
+    """Return the measured channels of all trials."""
+    return sorted({c for t in trials for c in t.measured})
+
+
+def _top(trials: Sequence[Trial], channel: str, least: float) -> float:
+    """Return the largest absolute change of a channel since the start of a trial, at least ``least``."""
+    series = (t.measured[channel] for t in trials if channel in t.measured)
+    present = (y[np.isfinite(y)] for y in series)
+    return max([least, *(float(np.max(np.abs(y - y[0]))) for y in present if len(y) > 1)])
+
+
+def _describe_push(trials: Sequence[Trial], length_s: float) -> ResidualPush:
+    """Return the force on a rig, whose size follows from the pulls and from the motion of the body."""
+    spans = [_top(trials, c, 1e-3) for c in _channels(trials) if not c.endswith(("_s", "_s2"))]
+    span = max(spans, default=1.0)
+    inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
+    mass = float(np.median(inertia)) if inertia else 1.0
+    pushes = [abs(t.rig.pull) for t in trials]
+    swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
+    return ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length_s, 1e-3), span)
+
+
+def _list_forces(model: Model, trials: Sequence[Trial]) -> list[Description]:
+    """Return the forces on a rig, or on the base of a robot that moves freely."""
+    length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
+    if model.swimmer is None:
+        return [_describe_push(trials, length)]
+    if model.body is None or not model.body.free:
+        return []
+    arm = sum(model.body.lengths_m)
+    distance = max((_top(trials, c, 1e-3) for c in _channels(trials) if c.endswith("_m")), default=1.0)
+    speed = max(distance / length, 1e-3)
+    push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
+    sizes = {axis: push * (arm if axis == "yaw" else 1.0) for axis in FORCE_AXES}
+    return [ResidualForce(axis, size, speed) for axis, size in sizes.items()]

@@ -9,31 +9,32 @@ from typing import Any
 
 import numpy as np
 
-from swimid.diagnosis.answer import parameter_errors
-from swimid.diagnosis.crossval import covariance
+from swimid.diagnosis.answer import compute_stderr
+from swimid.diagnosis.crossval import compute_covariance
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.search import Search
-from swimid.diagnosis.study import Hypothesis, rms
+from swimid.diagnosis.search import SearchResult
+from swimid.diagnosis.study import Hypothesis
 from swimid.effects.base import Effect
 from swimid.effects.catalogue import constants
 from swimid.fitting import fit_common
 from swimid.fitting.model import Array, Parameter
 from swimid.results import parameters as parameters_format
-from swimid.results.numbers import listed
+from swimid.results.evidence import compute_rms
+from swimid.results.numbers import join_names
 from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
 from swimid.simulation.catalogue import Applied, Loaded
 from swimid.simulators.mjcf import MjcfModel
-from swimid.simulators.repaired import SimulatorFile, repaired_file
+from swimid.simulators.repaired import SimulatorFile, make_repaired_file
 
 
-def parameters(
-    search: Search,
+def build_repaired(
+    search: SearchResult,
     file: GapFile,
     loaded: Loaded,
     folder: Path,
     *,
-    readings: Mapping[str, str],
+    readings: dict[str, str],
     provenance: Mapping[str, Any],
 ) -> ParameterFile | None:
     """Return the model with the causes as the content of a parameter file; None if no cause is named.
@@ -56,33 +57,24 @@ def parameters(
     if not named or any(e.name not in causes for e in named):
         return None
     fit = search.base
-    own = [e for e in named if e.adds_to is None and not isinstance(e, OtherReading)]
-    apart = [e for e in own if any(p.per_trial for p in _parameters_of(fit, e))]
-    acting = [e for e in own if e not in apart]
+    acting, apart = _divide_effects(fit)
     status: dict[str, Status] = {}
     for e in named:
-        for name, value in causes[e.name].parameters.items():
-            status[e.adds_to or f"{e.name}/{name}"] = value.status
-    errors = parameter_errors(search.study, fit)
+        values = causes[e.name].parameters.items()
+        status |= {e.adds_to or f"{e.name}/{name}": value.status for name, value in values}
+    errors = compute_stderr(search.study, fit)
     shared = [p for p in search.study.parameters if not p.per_trial]
     written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
     found = {p.name: _estimate(fit, p, fit.changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
-    answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
-    said = [
-        f"the trials cannot distinguish {c.effect} from {listed(c.equivalent, 'or')}"
-        for c in file.causes
-        if c.equivalent
-    ]
-    said += [f"{e.name} differs from trial to trial and is not in this model" for e in apart]
     made = ParameterFile(
         model=model.name,
         robot=fit_common.robot_reference(experiment, folder),
         effects=[e.name for e in (*model.effects, *acting)],
         parameters=found,
-        identifiability=said,
+        identifiability=_list_limits(file, apart),
         correlation=_correlation(search, fit, found),
-        settings=_settings(loaded, [*model.effects, *acting], {**readings, **answers}),
+        settings=_settings(loaded, [*model.effects, *acting], readings | _list_answers(named)),
         fit=_fit_block(search, fit, loaded),
         provenance=dict(provenance),
     )
@@ -93,7 +85,30 @@ def parameters(
     return made
 
 
-def simulator_file(
+def _divide_effects(fit: Hypothesis) -> tuple[list[Effect], list[Effect]]:
+    """Return the effects of the model with the causes, and those that differ from trial to trial."""
+    acting: list[Effect] = []
+    apart: list[Effect] = []
+    for e in fit.effects:
+        if e.adds_to is None and not isinstance(e, OtherReading):
+            differs = any(p.per_trial for p in _parameters_of(fit, e))
+            (apart if differs else acting).append(e)
+    return acting, apart
+
+
+def _list_answers(effects: Sequence[Effect]) -> dict[str, str]:
+    """Return the answers to questions about the robot's source that are causes."""
+    return {e.question: e.option for e in effects if isinstance(e, OtherReading)}
+
+
+def _list_limits(file: GapFile, left_out: Sequence[Effect]) -> list[str]:
+    """Return texts on causes that the trials cannot distinguish, and on effects that are left out."""
+    alike = [c for c in file.causes if c.equivalent]
+    texts = [f"the trials cannot distinguish {c.effect} from {join_names(c.equivalent, 'or')}" for c in alike]
+    return texts + [f"{e.name} differs from trial to trial and is not in this model" for e in left_out]
+
+
+def build_simulator_file(
     loaded: Loaded, made: ParameterFile, place: Path, own_effects: Sequence[Path]
 ) -> SimulatorFile | None:
     """Return the user's file of a simulator with the causes; None if the model has no such file."""
@@ -105,7 +120,7 @@ def simulator_file(
     trials = loaded.experiment.trials
     applied = Applied(model, made, place, trials=trials, own_effects=own_effects)
     assert isinstance(applied.model, MjcfModel)
-    return repaired_file(applied.model, applied.values(), trials[0], place)
+    return make_repaired_file(applied.model, applied.values(), trials[0], place)
 
 
 def _parameters_of(fit: Hypothesis, effect: Effect) -> list[Parameter]:
@@ -148,14 +163,14 @@ def _estimate(
     return entry
 
 
-def _correlation(search: Search, fit: Hypothesis, found: Mapping[str, Estimate]) -> Correlation | None:
+def _correlation(search: SearchResult, fit: Hypothesis, found: Mapping[str, Estimate]) -> Correlation | None:
     """Return the correlation matrix of the estimates that have a standard error; None for fewer than two."""
     names = [name for name, one in found.items() if one.stderr]
     if len(names) < 2:
         return None
     # Each row of the matrix selects one parameter, or sums a parameter and its change.
     rows = np.array([np.isin(fit.labels, [n, fit.changes.get(n, n)]) for n in names], dtype=float)
-    whole = covariance(search.study, fit)
+    whole = compute_covariance(search.study, fit)
     part: Array = rows @ whole @ rows.T
     sd = np.sqrt(np.diag(part))
     return Correlation(names=names, matrix=(part / np.outer(sd, sd)).tolist())
@@ -178,24 +193,24 @@ def _settings(loaded: Loaded, effects: Sequence[Effect], readings: Mapping[str, 
     return found | {name: of for name, of in (("readings", chosen), ("effects", own)) if of}
 
 
-def _fit_block(search: Search, fit: Hypothesis, loaded: Loaded) -> parameters_format.Fit:
+def _fit_block(search: SearchResult, fit: Hypothesis, loaded: Loaded) -> parameters_format.Fit:
     """Return the trials, the errors of each channel and the noise of a fit."""
     study, file = search.study, loaded.applied.file
     units = {c.name: c.unit for c in study.model.channels}
-    samples = fit.measured()
+    samples = fit.collect_measured()
     channels, noise = {}, {}
     for channel, left in fit.by_channel().items():
         if file is not None and file.fit is not None and channel not in file.fit.channels:
             continue
-        error, size = rms(left), float(np.ptp(samples[channel])) or 1.0
+        error, size = compute_rms(left), float(np.ptp(samples[channel])) or 1.0
         known = {"rmse": error, "nrmse": error / size, "samples": len(left), "unit": units.get(channel, "1")}
         channels[channel], noise[channel] = known, {"value_sd": error}
     about: dict[str, Any] = {"method": "diagnosis"}
     about["samples_sha256"] = {t.id: t.digest for t in loaded.experiment.trials}
     if study.model.swimmer is not None:
-        from swimid.swimmer.trials import driven_range
+        from swimid.swimmer.trials import find_drive_range
 
-        drives = driven_range(study.trials)
+        drives = find_drive_range(study.trials)
         if drives:
             about["drives"] = {name: list(ends) for name, ends in drives.items()}
     trials = [t.id for t in loaded.experiment.trials if t.role == "fit"]

@@ -1,10 +1,7 @@
-"""Search the hypotheses of a diagnosis: fit each effect, and sets of effects, to their optimum.
+"""Search the causes of a gap: estimate the noise, fit sets of effects, and compare them.
 
-Each effect is fitted together with the model, from several sizes. A linear screen predicts the benefit of
-each effect. It orders the work and excludes no effect. Hypotheses that remain probable after a rough fit are
-fitted to their optimum. Sets of effects extend the best smaller sets by the effects with the largest
-predicted benefit. The noise is estimated with the whole catalogue, even if only some effects are requested.
-The fit of an effect therefore does not depend on the other requested effects.
+The noise is estimated with the whole catalogue, even if only some effects are requested. The fit of an effect
+therefore does not depend on the other requested effects.
 
 That a single trial has parameters of its own is a hypothesis as well. If it is the most probable one, the
 search begins again without this trial.
@@ -14,30 +11,28 @@ from __future__ import annotations
 
 import copy
 import math
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import candidates, noise, odd, posterior, remainder
-from swimid.diagnosis.candidates import Tried
-from swimid.diagnosis.dropouts import Dropouts, look
-from swimid.diagnosis.posterior import UNSURE, Candidate, Posterior, Record
-from swimid.diagnosis.readings import OtherReading
-from swimid.diagnosis.remainder import Left
-from swimid.diagnosis.study import FEW, FINE, HEAT, ROUGH, Hypothesis, Study
-from swimid.diagnosis.verdict import SURE
+from swimid.diagnosis import noise, odd, posterior, remainder, screening
+from swimid.diagnosis.dropouts import Dropouts, detect_failures
+from swimid.diagnosis.pool import CONTENDERS, MAX_EFFECTS, PROBABLE, HypothesisPool
+from swimid.diagnosis.posterior import MAX_NO_GAP_PROBABILITY, Posterior
+from swimid.diagnosis.remainder import Structure
+from swimid.diagnosis.screening import Screening
+from swimid.diagnosis.study import GapStudy, Hypothesis
+from swimid.diagnosis.verdict import MIN_SURE_PROBABILITY
 from swimid.effects.base import Effect
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.fit_common import step_check
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import map_in_processes
 from swimid.fitting.rivals import STRONG
-from swimid.fitting.steps import STEP_ERROR, Step, choose_step
+from swimid.fitting.steps import STEP_ERROR, StepChoice, choose_step
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
 
@@ -48,27 +43,17 @@ SMALL_CHANGE, SMALL_EFFECT = 1e-4, 0.5
 #: Search for larger sets of effects: number of hypotheses to which a further effect is added (PARENTS), and
 #: number of the resulting sets that are fitted (SETS).
 PARENTS, SETS = 3, 10
-#: Hypotheses whose rough fit continues after one iteration: number of the best ones (NEAREST), and maximum
-#: cost of others, divided by the lowest cost (FAR).
-NEAREST, FAR = 12, 4.0
 #: Number of alternatives to each effect of a set that are fitted together with the other effects of the set.
 RIVALS = 4
-#: Minimum posterior probability, divided by the largest one, with which a hypothesis is fitted to its optimum
-#: (PROBABLE), and number of the best hypotheses that are fitted in any case (CONTENDERS).
-PROBABLE, CONTENDERS = 1e-4, 6
 #: Minimum cosine between the changes of the trials by an effect and by a changed parameter at which the two
 #: changes count as equal. At this cosine, each change explains nine tenths of the square of the other.
-SAME_COSINE = 0.95
-#: Maximum number of effects in one hypothesis.
-COMBINED = 3
+MIN_SAME_COSINE = 0.95
 #: Maximum number of times that the noise is learnt before sets of effects are tried.
-LEARNT = 3
-
-Key = frozenset[int]
+MAX_NOISE_UPDATES = 3
 
 
 @dataclass
-class Round:
+class CauseComparison:
     """Comparison of one candidate cause with its alternatives, while all other causes are in the model.
 
     Attributes
@@ -86,7 +71,7 @@ class Round:
     @property
     def effect(self) -> Effect:
         """Return the cause."""
-        return self.ranked[0].added.effect
+        return self.ranked[0].last_screening.effect
 
     @property
     def name(self) -> str:
@@ -94,12 +79,62 @@ class Round:
         return self.effect.name
 
 
-def step_of(
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """Result of a search, from which the answer of a diagnosis follows.
+
+    Attributes
+    ----------
+    study : GapStudy
+        Trials without odd ones, with the noise model and its floors.
+    null : Hypothesis
+        The model without effects.
+    base : Hypothesis
+        The model with the causes, the most probable hypothesis.
+    between : list of Hypothesis
+        The model with the first cause, with the first two causes, and so on, without the last model
+        (:attr:`base`).
+    posterior : Posterior
+        Probabilities of all hypotheses.
+    comparisons : list of CauseComparison
+        One for each cause. Changed parameters come first, and then the causes in order of their gain.
+    singles : list of Hypothesis
+        Fits with a single effect, best first.
+    first_screen : list of Screening
+        Screening results of every effect added to the model without effects, at the first noise model.
+    left_out : dict of name to reason
+        Effects that could not be screened.
+    count : int
+        Number of different effects.
+    dropouts : Dropouts
+        Failed samples.
+    structure : Structure
+        Structure that remains with the causes.
+    odd_trials : dict of str to str
+        Trials that were left out because they have parameters of their own, and how these differ.
+    """
+
+    study: GapStudy
+    null: Hypothesis
+    base: Hypothesis
+    between: list[Hypothesis]
+    posterior: Posterior
+    comparisons: list[CauseComparison]
+    singles: list[Hypothesis]
+    first_screen: list[Screening]
+    left_out: dict[str, str]
+    count: int
+    dropouts: Dropouts
+    structure: Structure
+    odd_trials: dict[str, str]
+
+
+def choose_model_step(
     model: Model,
     vectors: Sequence[Array],
     trials: Sequence[Trial],
     changes: Sequence[Mapping[str, float]] = (),
-) -> Step:
+) -> StepChoice:
     """Choose the integration step of a model for its simulations of the trials.
 
     Parameters
@@ -124,7 +159,7 @@ def step_of(
     return choose_step(model, runs, allowances)
 
 
-def step_of_search(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> Step:
+def choose_search_step(study: GapStudy, fit: Hypothesis, effects: Sequence[Effect]) -> StepChoice:
     """Choose the integration step by the fitted model, and by the model with each effect on the commands.
 
     A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. The
@@ -133,13 +168,13 @@ def step_of_search(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> 
     """
     trials = study.trials
     vectors = [fit.problem.vector(fit.theta, k) for k in range(len(trials))]
-    found = step_of(study.model, vectors, trials, [{}] * len(trials))
+    found = choose_model_step(study.model, vectors, trials, [{}] * len(trials))
     without = study.model.run_many(list(zip(vectors, trials, strict=True)))
     for effect in effects:
         tries = effect.tries(effect.parameters(study.model, trials))
         if not tries or effect.in_place_of(study.model) is not study.model:
             continue
-        affected = study.affected((effect,))
+        affected = study.build_model((effect,))
         own = [np.concatenate((values, tries[len(tries) // 2])) for values in vectors]
         if not affected.hooks(own[0], trials[0]).command:
             continue
@@ -148,18 +183,18 @@ def step_of_search(study: Study, fit: Hypothesis, effects: Sequence[Effect]) -> 
             {name: float(np.max(np.abs(seen[name] - plain[name]))) for name in trial.measured}
             for trial, seen, plain in zip(trials, simulated, without, strict=True)
         ]
-        needed = step_of(affected, own, trials, changes)
+        needed = choose_model_step(affected, own, trials, changes)
         if needed.halvings > found.halvings:
             found = needed
     return found
 
 
-def prepare(given: Study, effects: Sequence[Effect]) -> tuple[Study, Hypothesis, Dropouts]:
+def prepare_study(given: GapStudy, effects: Sequence[Effect]) -> tuple[GapStudy, Hypothesis, Dropouts]:
     """Remove failed samples from the trials, estimate the noise, and fit the model without effects.
 
     Returns
     -------
-    Study
+    GapStudy
         The study without the failed samples, with its noise model.
     Hypothesis
     Dropouts
@@ -168,284 +203,54 @@ def prepare(given: Study, effects: Sequence[Effect]) -> tuple[Study, Hypothesis,
     fine, trials = given.model, given.trials
     start = [np.array([p.start for p in given.parameters])] * len(trials)
     # The search may take twice the given step if that is accurate enough.
-    model = step_of(fine.coarser() or fine, start, trials, [{}] * len(trials)).model
-    study = given.replaced(model, trials)
-    known, fit = noise.weigh(study)
-    dropouts = look(study.trials, fit.problem.simulations(fit.theta))
+    model = choose_model_step(fine.coarser() or fine, start, trials, [{}] * len(trials)).model
+    study = given.copy_with(model, trials)
+    known, fit = noise.estimate_weights(study)
+    dropouts = detect_failures(study.trials, fit.problem.simulations(fit.theta))
     if dropouts.count:
-        study = given.replaced(model, dropouts.without(trials))
-        known, fit = noise.weigh(study)
+        study = given.copy_with(model, dropouts.remove_from(trials))
+        known, fit = noise.estimate_weights(study)
     # The step was small enough at the start values of the parameters. It may be too large at the fitted
     # values, or for effects.
-    needed = step_of_search(study, fit, effects)
+    needed = choose_search_step(study, fit, effects)
     if needed.halvings:
         study = study.finer(needed.halvings)
-        known, fit = noise.weigh(study)
+        known, fit = noise.estimate_weights(study)
     if study.model is not fine and fine.swimmer is not None:
         # The model with the original step is not simulated any more.
         fine.swimmer.forget(study.trials)
     study = study.with_noise(known)
-    terms = remainder.generic_terms(study, fit)
-    differing = noise.possible(study, fit, effects)
+    terms = remainder.simulate_terms(study, fit)
+    differing = noise.list_random_candidates(study, fit, effects)
     changes = [t.changes for t in terms]
-    known = noise.learn(study, fit, changes, differing)
+    known = noise.estimate_measurement_noise(study, fit, changes, differing)
     return study.with_noise(known), fit, dropouts
 
 
 @dataclass(eq=False)
-class Search:
-    """Search over all hypotheses for one set of trials.
+class HypothesisSearch(HypothesisPool):
+    """Pool of hypotheses whose noise model and integration step follow the most probable one.
 
     Parameters
     ----------
-    effects : sequence of Effect
-        Effects in every form.
     every : sequence of Effect
         All effects, also those that are not requested. The noise is estimated with them.
-    step : callable
-        Function that is called with the name of each fitted effect.
 
     Attributes
     ----------
-    null : Hypothesis
-        The model without effects.
-    pool : dict of frozenset of int to Hypothesis
-        All hypotheses, by the identities of their effects.
     first : list of Hypothesis
         Fits with a single effect before the noise was estimated with the leading hypothesis.
-    screens : dict of frozenset of int to list of Tried
-        Screening results of the effects that can be added to a hypothesis, largest predicted gain first.
-    first_screen : list of Tried
-        Screening results of every effect added to the model without effects, at the first noise model.
-    left_out : dict of name to reason
-        Effects that could not be screened.
     posterior : Posterior
         Probabilities of all hypotheses.
     base : Hypothesis
-        The model with the causes, the most probable hypothesis.
-    between : list of Hypothesis
-        The model with the first cause, with the first two causes, and so on, without the last model
-        (:attr:`base`).
-    singles : list of Hypothesis
-        Fits with a single effect, best first.
-    rounds : list of Round
-        One for each cause. Changed parameters come first, and then the causes in order of their gain.
-    dropouts : Dropouts
-        Failed samples.
-    left : Left
-        Structure that remains with the causes.
-    odd_trials : dict of str to str
-        Trials that were left out because they have parameters of their own, and how these differ.
+        The most probable hypothesis.
     """
 
-    study: Study
-    effects: Sequence[Effect]
     every: Sequence[Effect]
     rng: np.random.Generator
-    step: Callable[[str], None] = lambda _: None
-    checkpoint: Checkpoint = field(default_factory=Checkpoint)
-    #: Number of fits of each set of effects so far, by its name in the checkpoint.
-    fits: Counter[str] = field(default_factory=Counter)
-    null: Hypothesis = field(init=False)
-    pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
     first: list[Hypothesis] = field(init=False, default_factory=list)
-    screens: dict[Key, list[Tried]] = field(init=False, default_factory=dict)
-    first_screen: list[Tried] = field(init=False, default_factory=list)
-    left_out: dict[str, str] = field(init=False, default_factory=dict)
     posterior: Posterior = field(init=False)
     base: Hypothesis = field(init=False)
-    between: list[Hypothesis] = field(init=False, default_factory=list)
-    singles: list[Hypothesis] = field(init=False, default_factory=list)
-    rounds: list[Round] = field(init=False, default_factory=list)
-    dropouts: Dropouts = field(init=False)
-    left: Left = field(init=False)
-    odd_trials: dict[str, str] = field(init=False, default_factory=dict)
-    _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
-
-    # ------------------------------------------------------------ fits
-
-    def prepare(self, acting: Iterable[Sequence[Effect]]) -> None:
-        """Compile the models of all interpretations of the robot among sets of effects.
-
-        Worker processes would compile them several times.
-        """
-        for effects in acting:
-            self.study.affected(effects).prepare(effects=True)
-
-    def begin(self, start: Array) -> Hypothesis:
-        """Fit the model without effects.
-
-        If the coefficients are far from their prior means, a second fit starts at the prior means. Without
-        it, an effect could seem to explain the difference between a poor optimum and the best one.
-        """
-        others = self.study.begins(self.study.problem(()), start)
-        self.null = self.study.fit((), [start], others=others, tolerance=FINE)
-        self.pool[self.null.key] = self.null
-        return self.null
-
-    def screened(self, parent: Hypothesis) -> list[Tried]:
-        """Screen all effects that can be added to a hypothesis.
-
-        The screening simulates each effect at several sizes and linearises the model about each of them.
-        """
-        if parent.key not in self.screens:
-            self.prepare([parent.effects])
-            rest = [e for e in self.effects if e.joins(parent.effects)]
-            found: list[Tried] = []
-            left_out: dict[str, str] = {}
-            for readings in (False, True):
-                # Screen the interpretations of the robot separately from all other effects, so that they do
-                # not change the rounding errors of the other inner products.
-                part = [e for e in rest if isinstance(e, OtherReading) == readings]
-                more, without = candidates.screen(
-                    self.study, parent, candidates.simulate(self.study, parent, part)
-                )
-                found += more
-                left_out |= without
-            found.sort(key=lambda t: -t.gain)
-            self.screens[parent.key] = found
-            if not self.first_screen:
-                self.first_screen, self.left_out = found, left_out
-        return self.screens[parent.key]
-
-    def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
-        """Fit each hypothesis of ``parents`` with one more effect, and add the results to the pool.
-
-        All hypotheses are fitted roughly first. Those that are not improbable are then fitted to the optimum.
-        If ``most`` is given, only this number of the most promising combinations is fitted.
-        """
-        promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
-        for parent in parents:
-            for t in self.screened(parent):
-                key = parent.key | {id(t.effect)}
-                expected = parent.deviance - t.gain
-                if key not in promised or expected < promised[key][0]:
-                    promised[key] = expected, parent, t
-        order = sorted(promised.values(), key=lambda p: p[0])
-        new = [(p, t) for _, p, t in order[:most] if p.key | {id(t.effect)} not in self.pool]
-        self.prepare((*parent.effects, tried.effect) for parent, tried in new)
-        self._fit_all([(self._name((*p.effects, t.effect)), p, t) for p, t in new])
-        self.finish()
-
-    def _fit_all(self, new: Sequence[tuple[str, Hypothesis, Tried]]) -> None:
-        """Add rough fits of hypotheses with one more effect to the pool, or those of an interrupted run.
-
-        The fits of hypotheses that are far from the best one after one iteration end there.
-        """
-        kept = [self.checkpoint.get(name) for name, _, _ in new]
-
-        def begin(k: int) -> Array:
-            known = kept[k]
-            return self._packed(self.fitted(*new[k][1:])) if known is None else known
-
-        def proceed(k: int) -> Array:
-            _, parent, tried = new[k]
-            effects = (*parent.effects, tried.effect)
-            start = self._unpacked(effects, results[k]).theta
-            return self._packed(
-                self.study.fit(effects, [start], tolerance=ROUGH, iterations=HEAT, brief=True, hold=parent)
-            )
-
-        results = list(map_in_processes(begin, range(len(new)), self.study.jobs))
-        order = sorted(range(len(new)), key=lambda k: results[k][-1])
-        near = [
-            k
-            for rank, k in enumerate(order)
-            if kept[k] is None and (rank < NEAREST or results[k][-1] < FAR * results[order[0]][-1])
-        ]
-        for k, found in zip(near, map_in_processes(proceed, near, self.study.jobs), strict=True):
-            results[k] = found
-        for k, found in enumerate(results):
-            name, parent, tried = new[k]
-            if kept[k] is None:
-                self.checkpoint.put(name, found)
-            h = self._unpacked((*parent.effects, tried.effect), found, tried)
-            self.pool[h.key] = h
-            self.step(tried.effect.name)
-
-    def _packed(self, h: Hypothesis) -> Array:
-        """Return a hypothesis with its deviances as one array, for a checkpoint or another process."""
-        return np.concatenate((h.deviances, h.log_determinant, h.theta, [h.strain, h.cost]))
-
-    def _unpacked(self, effects: Sequence[Effect], values: Array, tried: Tried | None = None) -> Hypothesis:
-        """Return the hypothesis with the given numbers (:meth:`_packed`). Its fit is rough."""
-        own, log, theta = np.split(values[:-2], np.array([1, 2]) * self.study.folds.count)
-        strain, cost = values[-2:].tolist()
-        h = self.study.at(effects, theta, cost)
-        h.tried, h.rough = tried, True
-        vars(h).update(deviance_parts=(own, log, strain))
-        return h
-
-    def _name(self, effects: Sequence[Effect]) -> str:
-        """Return the name under which the next fit of a set of effects is stored.
-
-        It states the form of each effect, the number of trials and of random effects, and how often the set
-        was fitted before. The search is deterministic, so that a resumed search gives each fit the same name.
-        """
-        model, trials = self.study.model, self.study.trials
-        own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
-        name = "+".join([*own, str(len(trials)), str(len(self.study.noise.random_effects))])
-        self.fits[name] += 1
-        return f"{name}+{self.fits[name]}"
-
-    def fitted(self, parent: Hypothesis, tried: Tried) -> Hypothesis:
-        """Return the first step of a joint fit of the hypothesis ``parent`` and one more effect.
-
-        The starting points are the size that the screen predicts, the size that reduced the residuals most
-        without a refit, and the prior means of the coefficients.
-        """
-        study = self.study
-        effects = (*parent.effects, tried.effect)
-        names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
-        points = [tried.point]
-        # The trials are nearly linear in a changed parameter, so that its predicted optimum is enough.
-        if names and tried.effect.adds_to is None and tried.start is not None:
-            points.append(tried.start)
-        starts = [study.start(effects, parent, dict(zip(names, p, strict=True))) for p in points]
-        others = study.begins(study.problem(effects), starts[0])
-        steps = 1
-        if others:
-            # From distorted coefficients, the predicted size is inaccurate, and one step does not show which
-            # starting point is best.
-            steps, starts = FEW, starts[-1:]
-        fit = study.fit(
-            effects, starts, others=others, tolerance=ROUGH, iterations=steps, brief=True, hold=parent
-        )
-        if names and not fit.cost <= parent.cost:
-            # An added effect cannot increase the cost, because its null value gives the model without it.
-            fit = replace(fit, theta=study.start(effects, parent), cost=parent.cost)
-        return fit
-
-    def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
-        """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
-
-        The starting points are the optima of the hypothesis and of the smaller one. Otherwise further effects
-        could seem to explain the difference between a poor optimum and the best one.
-        """
-        study = self.study
-        rest = tuple(e for e in h.effects if e is not effect)
-        known = self.pool.get(h.key - {id(effect)})
-        if known is not None and not known.rough and (h.key, known.key) in self._returned:
-            return known
-        near = self.null if known is None else known
-        starts = [study.start(rest, fit) for fit in (h, near)]
-        smaller = study.fit(rest, starts, tolerance=ROUGH, iterations=HEAT, brief=True, hold=h)
-        if known is not None and not smaller.cost < known.cost:
-            smaller = known
-        if smaller is not known or known.rough:
-            smaller = study.refit(study.at(rest, smaller.theta, smaller.cost), tolerance=ROUGH)
-            smaller.tried = None if known is None else known.tried
-        self._put(smaller)
-        self._returned.add((h.key, smaller.key))
-        return smaller
-
-    _returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
-
-    def _put(self, h: Hypothesis) -> None:
-        """Add a hypothesis to the pool, or replace it by the same hypothesis at another optimum."""
-        self.pool[h.key] = h
-        self.screens.pop(h.key, None)
-        self.null = self.pool[frozenset()]
 
     def compare(self) -> None:
         """Compute the posterior probabilities, after refits of the most probable set without each effect.
@@ -453,82 +258,27 @@ class Search:
         The refits make sure that the smaller sets are at their best optima.
         """
         while True:
-            self.posterior = self.weighed()
+            self.posterior = self.compute_posterior()
             likeliest = (h for h in self.best(len(self.posterior.best)) if h.names == self.posterior.best)
             self.base = next(likeliest, self.null)
             before = len(self._returned)
             for effect in self.base.effects:
-                self.without(self.base, effect)
+                self.refit_without(self.base, effect)
             if len(self._returned) == before:
                 return
 
-    def best(self, size: int) -> list[Hypothesis]:
-        """Return the hypotheses with a given number of effects, best first.
-
-        If an effect has several forms, only the best form of each set is returned.
-        """
-        found = [h for h in self.pool.values() if len(h.effects) == size and not h.is_imitating]
-        first: dict[frozenset[str], Hypothesis] = {}
-        for h in sorted(found, key=lambda h: h.deviance):
-            first.setdefault(h.names, h)
-        return list(first.values())
-
-    def contenders(self) -> list[Hypothesis]:
-        """Return the hypotheses that are not improbable, and the best ones of each size."""
-        sets = self.weighed().sets
-        least = PROBABLE * max(sets.values(), default=0.0)
-        found = []
-        for size in range(1, COMBINED + 1):
-            for rank, h in enumerate(self.best(size)):
-                if rank < CONTENDERS or sets.get(h.names, 0.0) > least:
-                    found.append(h)
-        return found
-
-    def finish(self) -> None:
-        """Fit the hypotheses that are not improbable to their optimum."""
-        while wanted := [h for h in self.contenders() if h.rough]:
-            for h in self._refitted(self.study, wanted):
-                self._put(h)
-
-    def _refitted(self, study: Study, wanted: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
-        """Yield hypotheses in a study, which are continued to their optimum."""
-
-        def one(h: Hypothesis) -> tuple[Array, float, list[Array], list[Array]]:
-            fit = study.refit(h, tolerance=ROUGH)
-            return fit.theta, fit.cost, fit.residuals, fit.derivatives
-
-        for h, result in zip(wanted, map_in_processes(one, wanted, study.jobs), strict=True):
-            theta, cost, residuals, derivatives = result
-            fit = study.at(h.effects, theta, cost)
-            fit.tried = h.tried
-            # Keep what the worker process has computed.
-            vars(fit).update(residuals=residuals, derivatives=derivatives)
-            yield fit
-
-    def restrict(self, effects: Sequence[Effect]) -> None:
-        """Continue with some of the effects only."""
-        keys, names = {id(e) for e in effects}, {e.name for e in effects}
-        self.effects = effects
-        self.pool = {key: h for key, h in self.pool.items() if key <= keys}
-        self.first = [h for h in self.first if h.added.effect.name in names]
-        self.first_screen = [t for t in self.first_screen if t.effect.name in names]
-        self.left_out = {name: why for name, why in self.left_out.items() if name in names}
-        self.finish()
-
-    # ------------------------------------------------------------ noise and integration step
-
-    def leading(self) -> Hypothesis:
+    def select_leading(self) -> Hypothesis:
         """Return the hypothesis from whose residuals the noise is estimated.
 
-        It is the one whose probability exceeds that of a sure answer (:data:`SURE`). Otherwise the trials'
-        random effects may change which hypothesis is probable. The most probable effects and the model
-        without effects are then compared by :meth:`likelihood`. That comparison is not used for a sure
-        answer, because its linear step is too optimistic far from an optimum.
+        It is the one whose probability exceeds that of a sure answer (:data:`MIN_SURE_PROBABILITY`).
+        Otherwise the trials' random effects may change which hypothesis is probable. The most probable
+        effects and the model without effects are then compared by :meth:`likelihood`. That comparison is not
+        used for a sure answer, because its linear step is too optimistic far from an optimum.
         """
-        known = self.posterior.known
-        if self.posterior.sets.get(self.posterior.best, 0.0) > SURE:
+        known = self.posterior.probabilities
+        if self.posterior.sets.get(self.posterior.best, 0.0) > MIN_SURE_PROBABILITY:
             return self.base
-        if self.posterior.none > SURE:
+        if self.posterior.none > MIN_SURE_PROBABILITY:
             return self.null
         likeliest = sorted(self.best(1), key=lambda h: -known[h.names])
         scores = {h.key: self.likelihood(h) for h in (self.null, *likeliest[:CONTENDERS])}
@@ -543,14 +293,14 @@ class Search:
         """
         study = self.study
         self.prepare([h.effects])
-        differing = noise.possible(study, h, self.every)
+        differing = noise.list_random_candidates(study, h, self.every)
         known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
-        strain = self._moved(h, study.with_noise(known), h).strain
-        price = posterior.price(
+        strain = self._shift(h, study.with_noise(known), h).strain
+        price = posterior.compute_price(
             replace(self._candidate(h), strain=strain), self._candidate(self.null), self.record
         )
         if h.names:
-            price -= posterior.prior(len(h.names), self.count)
+            price -= posterior.compute_prior_log_odds(len(h.names), self.count)
         return known.log_likelihood - price
 
     def learn(self, leading: Hypothesis) -> float:
@@ -569,17 +319,17 @@ class Search:
         uncertain = any(trial.stamps_uncertain for trial in study.trials)
         # Repeats show the error of the stamps by themselves.
         if uncertain and not noise.has_repeats(study.trials):
-            study = study.with_noise(noise.reweigh(study, fit))
-            fit = self._moved(leading, study, leading)
-        terms = remainder.generic_terms(study, fit)
-        differing = noise.possible(study, fit, self.every)
+            study = study.with_noise(noise.update_weights(study, fit))
+            fit = self._shift(leading, study, leading)
+        terms = remainder.simulate_terms(study, fit)
+        differing = noise.list_random_candidates(study, fit, self.every)
         changes = [t.changes for t in terms]
-        known = noise.learn(study, fit, changes, differing)
-        left = remainder.find(study.with_noise(known), fit, terms, rng=self.rng)
+        known = noise.estimate_measurement_noise(study, fit, changes, differing)
+        structure = remainder.find_structure(study.with_noise(known), fit, terms, rng=self.rng)
         largest = noise.BESIDE_GAP
-        if not left.found:
+        if not structure.is_present:
             # Nothing that the trials share remains, so that everything else is noise.
-            known = noise.learn(study, fit, [], differing, brief=bool(fit.effects))
+            known = noise.estimate_measurement_noise(study, fit, [], differing, brief=bool(fit.effects))
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
         self.change(study.with_noise(known))
@@ -593,19 +343,19 @@ class Search:
 
         The first leading hypothesis was fitted with other random effects, and may have absorbed them.
         """
-        leading = self.leading()
-        for _ in range(LEARNT):
+        leading = self.select_leading()
+        for _ in range(MAX_NOISE_UPDATES):
             largest = self.learn(leading)
             self.compare()
-            before, leading = leading, self.leading()
+            before, leading = leading, self.select_leading()
             study = self.study
-            differing = noise.possible(study, leading, self.every)
+            differing = noise.list_random_candidates(study, leading, self.every)
             known = noise.with_random_effects(study, leading, study.noise, differing, largest=largest)
             names = [{e.name for e in of.random_effects} for of in (known, study.noise)]
             if leading.key == before.key and names[0] == names[1]:
                 return
 
-    def change(self, study: Study) -> None:
+    def change(self, study: GapStudy) -> None:
         """Continue with another noise model or integration step.
 
         The model without effects is refitted. The deviances of all other hypotheses follow from one step at
@@ -613,8 +363,8 @@ class Search:
         """
         kept = [h for h in self.pool.values() if h.effects]
         if not self.first:
-            self.first = self.ranked(self.null, self.best(1))
-        (fit,) = self._refitted(study, [self.null])
+            self.first = self.rank(self.null, self.best(1))
+        (fit,) = self._refit_all(study, [self.null])
         self.study = study
         for known in (self.pool, self.screens, self._cosines, self._returned):
             known.clear()
@@ -630,7 +380,7 @@ class Search:
                 if known is None or h.deviance < known.deviance:
                     self._put(h)
 
-        put([self._moved(h, study, fit) for h in kept])
+        put([self._shift(h, study, fit) for h in kept])
         # An effect cannot increase the deviance, because its null value gives the model without it. Where it
         # does, the parameters are far from their optimum with the other noise. A step from the null value
         # finds it again if the effect is smooth.
@@ -639,10 +389,10 @@ class Search:
             for h in self.pool.values()
             if h.effects and h.deviance > fit.deviance and all(e.smooth for e in h.effects)
         ]
-        put([self._moved(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
+        put([self._shift(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
         self.finish()
 
-    def _moved(self, h: Hypothesis, study: Study, null: Hypothesis) -> Hypothesis:
+    def _shift(self, h: Hypothesis, study: GapStudy, null: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the same parameters in another study.
 
         Its derivatives are those that are known, or else those of ``null`` and of its own effects. Further
@@ -662,60 +412,38 @@ class Search:
         """
         study, best = self.study, self.base
         vectors = [best.problem.vector(best.theta, k) for k in range(len(study.trials))]
-        needed = step_of(study.affected(best.effects), vectors, study.trials)
+        needed = choose_model_step(study.build_model(best.effects), vectors, study.trials)
         if not needed.halvings:
             step_check([trial.id for trial in study.trials], needed.changes)
             return False
         self.change(study.finer(needed.halvings))
         return True
 
-    # ------------------------------------------------------------ probabilities
+    def restrict(self, effects: Sequence[Effect]) -> None:
+        """Continue with some of the effects only."""
+        keys, names = {id(e) for e in effects}, {e.name for e in effects}
+        self.effects = effects
+        self.pool = {key: h for key, h in self.pool.items() if key <= keys}
+        self.first = [h for h in self.first if h.last_screening.effect.name in names]
+        self.first_screen = [t for t in self.first_screen if t.effect.name in names]
+        self.left_out = {name: why for name, why in self.left_out.items() if name in names}
+        self.finish()
 
-    def weighed(self) -> Posterior:
-        """Return the posterior probability of each set of effects fitted so far."""
-        found = [self._candidate(h) for size in range(1, COMBINED + 1) for h in self.best(size)]
-        return posterior.posterior(self._candidate(self.null), found, record=self.record)
-
-    @property
-    def count(self) -> int:
-        """Return the number of different effects in the search. Without effects, return 1."""
-        return max(len({e.name for e in self.effects}), 1)
-
-    @property
-    def record(self) -> Record:
-        """Return the size of the data set: numbers of residuals, folds and effects."""
-        return Record(float(sum(self.null.problem.counts)), self.study.folds.count, self.count)
-
-    def _candidate(self, h: Hypothesis) -> Candidate:
-        mine = {e.name for e in h.effects}
-        shared = [n for n in h.labels if "[" not in n and n.rpartition("/")[0] in mine]
-        wider = self.study.loosened(h.problem)
-        widening = sum(math.log(sd / self.study.prior[name][1]) for name, (_, sd) in wider.items())
-        deviances = h.deviances - self.null.log_determinant
-        return Candidate(h.names, deviances, h.strain, len(shared), widening, self._alike(h))
-
-    def _alike(self, h: Hypothesis) -> dict[str, float]:
-        """Return for each effect of a hypothesis its largest similarity to another effect of the hypothesis.
-
-        The similarity of two effects is the squared cosine between the changes of the trials that they
-        cause.
+    def find_screening(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Screening:
+        """Return the screening result of an effect of hypothesis ``h`` that is added to hypothesis
+        ``base``.
         """
-        if len(h.names) < 2:
-            return {}
-        screened = {id(t.effect): t for t in self.first_screen}
-        mine = [(e.name, screened.get(id(e))) for e in h.effects]
-        found = dict.fromkeys(sorted(h.names), 0.0)
-        for (one, first), (other, second) in combinations(mine, 2):
-            # An effect that changes nothing when it is the only effect has no screening result.
-            if first is None or second is None:
-                continue
-            pair = frozenset((id(first), id(second)))
-            if pair not in self._cosines:
-                self._cosines[pair] = candidates.alike(self.study, self.null, first, second)
-            found[one], found[other] = (max(found[n], self._cosines[pair] ** 2) for n in (one, other))
+        if h.tried is not None and h.tried.effect is effect:
+            return h.tried
+        found = next((t for t in self.screen(base) if t.effect is effect), None)
+        if found is None:
+            parameters = effect.parameters(self.study.model, self.study.trials)
+            null = np.array([p.start for p in parameters])
+            signature = [np.zeros(count) for count in base.problem.counts]
+            found = Screening(effect, parameters, null, np.zeros(self.study.folds.count), 1.0, signature)
         return found
 
-    def ranked(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def rank(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return copies of hypotheses sorted by deviance, best first, with their gains over ``base``.
 
         Each hypothesis has one effect more than the hypothesis ``base``.
@@ -724,35 +452,21 @@ class Search:
         for h in sorted(hypotheses, key=lambda h: h.deviance):
             (last,) = [e for e in h.effects if id(e) not in base.key]
             one = copy.copy(h)
-            one.tried, one.gains = self.tried(base, h, last), base.deviances - h.deviances
+            one.tried, one.gains = self.find_screening(base, h, last), base.deviances - h.deviances
             found.append(one)
         return found
 
-    def tried(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Tried:
-        """Return the screening result of an effect of hypothesis ``h`` that is added to hypothesis
-        ``base``.
-        """
-        if h.tried is not None and h.tried.effect is effect:
-            return h.tried
-        found = next((t for t in self.screened(base) if t.effect is effect), None)
-        if found is None:
-            parameters = effect.parameters(self.study.model, self.study.trials)
-            null = np.array([p.start for p in parameters])
-            signature = [np.zeros(count) for count in base.problem.counts]
-            found = Tried(effect, parameters, null, np.zeros(self.study.folds.count), 1.0, signature)
-        return found
 
-
-def run(
-    given: Study,
+def search_causes(
+    given: GapStudy,
     effects: Sequence[Effect],
     *,
     asked: Collection[str] | None = None,
     seed: int = 0,
-    most: int = COMBINED,
+    most: int = MAX_EFFECTS,
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
-) -> Search:
+) -> SearchResult:
     """Run the complete search of a diagnosis: noise, fits of hypotheses, and choice of the causes.
 
     Parameters
@@ -763,73 +477,96 @@ def run(
     asked : collection of str, optional
         Names of the effects that may be causes; all effects by default.
     """
-    odd_trials: dict[str, str] = {}
 
-    def begun(study: Study, fit: Hypothesis) -> Search:
+    def start_search(study: GapStudy, fit: Hypothesis) -> HypothesisSearch:
         """Return a search with the fits of single effects."""
         with progress("effects", total=len(effects)) as shown:
-            found = Search(
-                study, effects, effects, rng=np.random.default_rng(seed),
+            search = HypothesisSearch(
+                study, effects, effects, np.random.default_rng(seed),
                 checkpoint=checkpoint or Checkpoint(),
                 step=partial(show, shown),
             )  # fmt: skip
-            found.begin(study.start((), fit))
-            found.beside([found.null])
-            found.compare()
-        return found
+            search.begin(study.start((), fit))
+            search.add_effects([search.null])
+            search.compare()
+        return search
 
+    odd_trials: dict[str, str] = {}
     with threadpool_limits(limits=1, user_api="blas"):
         while True:
-            study, fit, dropouts = prepare(given, effects)
-            differing = noise.possible(study, fit, effects)
-            search = begun(odd.usual(study, differing), fit)
-            known = [search.null, *search.best(1)[:PARENTS]]
-            trial = odd.find(known, search.record, differing)
-            said = None if trial is None else odd.describe(trial, differing)
-            if trial is None or said is None:
+            study, fit, dropouts = prepare_study(given, effects)
+            differing = noise.list_random_candidates(study, fit, effects)
+            search = start_search(odd.add_random_effects(study, differing), fit)
+            fits = [search.null, *search.best(1)[:PARENTS]]
+            trial = odd.find_contradicting_trial(fits, search.record, differing)
+            text = None if trial is None else odd.describe(trial, differing)
+            if trial is None or text is None:
                 break
-            odd_trials[trial.trial] = said
-            given = given.replaced(given.model, [t for t in given.trials if t.id != trial.trial])
+            odd_trials[trial.trial] = text
+            given = given.copy_with(given.model, [t for t in given.trials if t.id != trial.trial])
         search.settle()
         if search.posterior.outside > 0.5 and search.study.noise.random_effects:
             # The random values of the trials may have taken up what an effect explains.
-            other = begun(study, fit)
+            other = start_search(study, fit)
             other.settle()
             if other.posterior.outside < search.posterior.outside:
                 search = other
         search.restrict([e for e in effects if asked is None or e.name in asked])
-        search.odd_trials, search.dropouts = odd_trials, dropouts
-        choose(search, most, progress)
-        if dropouts.count:
-            simulated = search.base.problem.simulations(search.base.theta)
-            search.dropouts = dropouts.confirmed(look(given.trials, simulated))
-        search.study = search.study.with_noise(noise.with_floors(search.study, search.base))
-        terms = remainder.generic_terms(search.study, search.base)
-        search.left = remainder.find(search.study, search.base, terms, rng=search.rng)
-    return search
+        add_larger_sets(search, most, progress)
+        return _build_result(search, given.trials, dropouts, odd_trials)
 
 
-def choose(search: Search, most: int, progress: Progress = silent) -> None:
-    """Choose the most probable set of causes, and compare each cause with its alternatives.
+def _build_result(
+    search: HypothesisSearch, trials: Sequence[Trial], dropouts: Dropouts, odd_trials: dict[str, str]
+) -> SearchResult:
+    """Compare the causes with their alternatives, and describe what remains with them.
 
-    Larger sets are tried as long as the remaining excess could make one of them more probable.
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Fitted trials with failed samples.
     """
+    search.base = base = prefer_parameters(search)
+    singles = search.rank(search.null, search.best(1))
+    known = {h.last_screening.effect.name for h in singles}
+    singles += [h for h in search.first if h.last_screening.effect.name not in known]
+    comparisons = [compare_with_alternatives(search, effect) for effect in base.effects]
+    # A changed parameter comes first, because it needs no additional physics.
+    comparisons.sort(key=lambda c: (c.effect.adds_to is None, -c.ranked[0].gain))
+    between: list[Hypothesis] = []
+    for last in reversed(comparisons[1:]):
+        between.insert(0, search.refit_without(between[0] if between else base, last.effect))
+    if dropouts.count:
+        dropouts = dropouts.confirm(detect_failures(trials, base.problem.simulations(base.theta)))
+    study = search.study.with_noise(noise.with_floors(search.study, base))
+    terms = remainder.simulate_terms(study, base)
+    structure = remainder.find_structure(study, base, terms, rng=search.rng)
+    return SearchResult(
+        study, search.null, base, between, search.posterior, comparisons, singles, search.first_screen,
+        search.left_out, search.count, dropouts, structure, odd_trials,
+    )  # fmt: skip
+
+
+def add_larger_sets(search: HypothesisSearch, most: int, progress: Progress = silent) -> None:
+    """Fit larger sets of effects, as long as the remaining excess could make one of them more probable."""
     search.compare()
     count = search.count
     while 0 < len(search.base.names) < min(most, count):
         best, size = search.base, len(search.base.names)
-        loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
+        loses = posterior.compute_prior_log_odds(size, count)
+        loses -= posterior.compute_prior_log_odds(size + 1, count)
         # The noise was estimated from the residuals of the best hypothesis, so it may contain part of the
         # excess of this hypothesis. Add the gain that the screening predicts.
-        gains = [0.0, *(t.gain for t in search.screened(best))]
-        if posterior.most(search.posterior.excess[best.names] + max(gains), search.record) < loses:
+        gains = [0.0, *(t.gain for t in search.screen(best))]
+        excess = search.posterior.excess[best.names] + max(gains)
+        if posterior.compute_largest_gain(excess, search.record) < loses:
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:
             search.step = partial(show, shown)
             parents = search.best(size)[:PARENTS]
-            search.beside([*parents, *([best] if best not in parents else [])], SETS)
+            search.add_effects([*parents, *([best] if best not in parents else [])], SETS)
         larger = min(search.best(size + 1), key=lambda h: h.deviance, default=best)
-        if best.deviance - larger.deviance < posterior.unit(search.record, 0.0):
+        if best.deviance - larger.deviance < posterior.compute_tolerance(search.record, 0.0):
             break
         # The noise was estimated from residuals that may contain what a larger set explains.
         before = search.study.noise
@@ -837,74 +574,65 @@ def choose(search: Search, most: int, progress: Progress = silent) -> None:
         search.compare()
         if len(search.base.names) <= size:
             # With the noise of the larger set, that set is not needed. Go back, unless no gap is left then.
-            if search.posterior.none < SURE:
+            if search.posterior.none < MIN_SURE_PROBABILITY:
                 search.change(search.study.with_noise(before))
                 search.compare()
             break
     best = search.base
     for effect in best.effects if len(best.names) > 1 else ():
-        search.beside([search.without(best, effect)], RIVALS)
+        search.add_effects([search.refit_without(best, effect)], RIVALS)
     search.compare()
     if search.refine():
         search.compare()
-    search.base = best = in_parameters(search)
-    search.singles = search.ranked(search.null, search.best(1))
-    known = {h.added.effect.name for h in search.singles}
-    search.singles += [h for h in search.first if h.added.effect.name not in known]
-    for effect in best.effects:
-        base = search.without(best, effect)
-        rivals = [h for h in search.best(len(best.names)) if base.key < h.key and h.key != best.key]
-        ranked = [*search.ranked(base, [best]), *search.ranked(base, rivals)]
-        likely = search.posterior.known
-        least = PROBABLE * likely.get(best.names, 0.0)
-        same = [
-            h.added.effect.name
-            for h in ranked[1:]
-            if _twins(search.posterior, best.names, base.names | {h.added.effect.name})
-            or (
-                effect.adds_to is not None
-                and likely.get(h.names, 0.0) > least
-                and _same_change(search, base, ranked[0].added, h.added)
-            )
-        ]
-        search.rounds.append(Round(ranked, tuple(same)))
-    # A changed parameter comes first, because it needs no additional physics.
-    search.rounds.sort(key=lambda r: (r.effect.adds_to is None, -r.ranked[0].gain))
-    smaller = best
-    for last in reversed(search.rounds[1:]):
-        smaller = search.without(smaller, last.effect)
-        search.between.insert(0, smaller)
 
 
-def in_parameters(search: Search) -> Hypothesis:
+def compare_with_alternatives(search: HypothesisSearch, effect: Effect) -> CauseComparison:
+    """Compare an effect of the most probable hypothesis with others in its place."""
+    best, odds = search.base, search.posterior
+    base = search.refit_without(best, effect)
+    rivals = [h for h in search.best(len(best.names)) if base.key < h.key and h.key != best.key]
+    ranked = [*search.rank(base, [best]), *search.rank(base, rivals)]
+    probabilities = odds.probabilities
+    least = PROBABLE * probabilities.get(best.names, 0.0)
+    same = []
+    for h in ranked[1:]:
+        other = h.last_screening
+        is_same = effect.adds_to is not None and probabilities.get(h.names, 0.0) > least
+        is_same = is_same and _is_same_change(search, base, ranked[0].last_screening, other)
+        if is_same or _are_twins(odds, best.names, base.names | {other.effect.name}):
+            same.append(other.effect.name)
+    return CauseComparison(ranked, tuple(same))
+
+
+def prefer_parameters(search: HypothesisSearch) -> Hypothesis:
     """Return the most probable hypothesis, with changed parameters in place of equivalent effects.
 
     The changed parameter is preferred because it needs no additional physics.
     """
-    best, known = search.base, search.posterior.known
+    best, known = search.base, search.posterior.probabilities
     for effect in best.effects:
         if effect.adds_to is not None:
             continue
-        base = search.without(best, effect)
-        mine = search.tried(base, best, effect)
+        base = search.refit_without(best, effect)
+        mine = search.find_screening(base, best, effect)
         for h in search.best(len(best.names)):
             rest = [e for e in h.effects if id(e) not in base.key]
             if not base.key < h.key or rest[0].adds_to is None:
                 continue
-            likely = known.get(h.names, 0.0) >= UNSURE * known.get(best.names, 0.0)
-            if likely and _same_change(search, base, mine, search.tried(base, h, rest[0])):
+            likely = known.get(h.names, 0.0) >= MAX_NO_GAP_PROBABILITY * known.get(best.names, 0.0)
+            if likely and _is_same_change(search, base, mine, search.find_screening(base, h, rest[0])):
                 best = h
                 break
     return best
 
 
-def _twins(found: Posterior, *sets: frozenset[str]) -> bool:
+def _are_twins(found: Posterior, *sets: frozenset[str]) -> bool:
     """Return whether two sets of effects leave the same residuals."""
     known = {c.names: c for c in found.candidates}
     return all(names in known for names in sets) and posterior.are_twins(*(known[names] for names in sets))
 
 
-def _same_change(search: Search, base: Hypothesis, first: Tried, second: Tried) -> bool:
+def _is_same_change(search: HypothesisSearch, base: Hypothesis, first: Screening, second: Screening) -> bool:
     """Return whether two effects change the trials in the same way when added to a hypothesis.
 
     The deviances with the two effects, and with their strains, must differ by no more than noise. Effects
@@ -912,6 +640,9 @@ def _same_change(search: Search, base: Hypothesis, first: Tried, second: Tried) 
     """
     known = {c.names: c.deviance + c.strain for c in search.posterior.candidates}
     one, other = (known.get(base.names | {t.effect.name}, np.inf) for t in (first, second))
-    if not abs(one - other) <= posterior.unit(search.record, 0.0):
+    if not abs(one - other) <= posterior.compute_tolerance(search.record, 0.0):
         return False
-    return abs(one - other) < STRONG or abs(candidates.alike(search.study, base, first, second)) > SAME_COSINE
+    return (
+        abs(one - other) < STRONG
+        or abs(screening.compute_cosine(search.study, base, first, second)) > MIN_SAME_COSINE
+    )

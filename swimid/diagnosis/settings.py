@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.fitting.model import Array, Trial
-from swimid.logs.beat import find_beat
+from swimid.kinematics.frequency import find_beat
 from swimid.logs.log import FREQUENCY_RTOL
 
 
 @dataclass(frozen=True, eq=False)
-class Quantity:
+class SettingValue:
     """Quantity that the experimenter set in a trial, for example the beat frequency.
 
     Attributes
@@ -40,53 +40,53 @@ class Quantity:
 
     def __eq__(self, other: object) -> bool:
         """Return whether two values are equal to within the tolerance of beat frequencies."""
-        if not isinstance(other, Quantity):
+        if not isinstance(other, SettingValue):
             return False
         size = max(abs(self.value), abs(other.value), self.against, other.against)
         return abs(self.value - other.value) <= FREQUENCY_RTOL * size
 
 
-def quantities(trial: Trial) -> dict[str, Quantity | str]:
+def list_settings(trial: Trial) -> dict[str, SettingValue | str]:
     """Return the settings of a trial by name.
 
     For joints that follow a log, the settings are those of the beat found in their motion.
     """
-    found: dict[str, Quantity | str] = {}
+    found: dict[str, SettingValue | str] = {}
     swim = trial.swim
     if swim.beat is not None:
-        found |= _beaten(swim.beat.frequency_hz, swim.beat.amplitude_rad, swim.beat.bias_rad)
+        found |= _list_beat(swim.beat.frequency_hz, swim.beat.amplitude_rad, swim.beat.bias_rad)
     elif swim.stroke is not None:
         found |= {
             "stroke": swim.stroke.name,
-            "frequency": Quantity(swim.stroke.frequency_hz, "Hz"),
-            "scale": Quantity(swim.stroke.scale, "times"),
+            "frequency": SettingValue(swim.stroke.frequency_hz, "Hz"),
+            "scale": SettingValue(swim.stroke.scale, "times"),
         }
     elif swim.joints is not None:
-        found |= _logged(trial)
+        found |= _list_logged(trial)
     frequency_hz, amplitude_rad = _steady(trial)
     if not math.isnan(frequency_hz):
-        found["frequency"] = Quantity(frequency_hz, "Hz")
+        found["frequency"] = SettingValue(frequency_hz, "Hz")
     if not math.isnan(amplitude_rad):
-        found["amplitude"] = Quantity(math.degrees(amplitude_rad), "deg")
+        found["amplitude"] = SettingValue(math.degrees(amplitude_rad), "deg")
     if trial.cruise.fin:
         found["fin"] = trial.cruise.fin
     if trial.rig.force is not None:
-        found["force"] = Quantity(trial.rig.force, "N")
+        found["force"] = SettingValue(trial.rig.force, "N")
     return found
 
 
-def _beaten(
+def _list_beat(
     frequency_hz: float, amplitude_rad: float, bias_rad: float, digits: int = 3
-) -> dict[str, Quantity | str]:
+) -> dict[str, SettingValue | str]:
     amplitude, bias = math.degrees(amplitude_rad), math.degrees(bias_rad)
     return {
-        "frequency": Quantity(frequency_hz, "Hz", digits=digits),
-        "amplitude": Quantity(amplitude, "deg", digits=digits),
-        "bias": Quantity(bias, "deg", abs(amplitude), digits),
+        "frequency": SettingValue(frequency_hz, "Hz", digits=digits),
+        "amplitude": SettingValue(amplitude, "deg", digits=digits),
+        "bias": SettingValue(bias, "deg", abs(amplitude), digits),
     }
 
 
-def _logged(trial: Trial) -> dict[str, Quantity | str]:
+def _list_logged(trial: Trial) -> dict[str, SettingValue | str]:
     """Return frequency, amplitude and bias of the joint that moves most.
 
     The result is empty if the motion of that joint has no beat.
@@ -96,7 +96,7 @@ def _logged(trial: Trial) -> dict[str, Quantity | str]:
     beat = find_beat(trial.time_s, largest)
     if beat is None:
         return {}
-    return _beaten(beat.frequency_hz, beat.amplitude, float(np.mean(largest)), 2)
+    return _list_beat(beat.frequency_hz, beat.amplitude, float(np.mean(largest)), 2)
 
 
 def _steady(trial: Trial) -> tuple[float, float]:
@@ -107,12 +107,12 @@ def _steady(trial: Trial) -> tuple[float, float]:
     return float(frequency_hz[0]), float(amplitude_rad[0])
 
 
-def words(trial: Trial) -> dict[str, str]:
+def describe_settings(trial: Trial) -> dict[str, str]:
     """Return the settings of a trial as texts."""
-    return {name: str(value) for name, value in quantities(trial).items()}
+    return {name: str(value) for name, value in list_settings(trial).items()}
 
 
-def repeated(trial: Trial) -> str:
+def describe_setting(trial: Trial) -> str:
     """Return a text of the settings of a trial. Two trials are repeats if their texts are equal.
 
     Repeats differ only by random effects and noise.
@@ -138,21 +138,21 @@ def repeated(trial: Trial) -> str:
     return "; ".join(parts) or trial.id
 
 
-def count(trials: Sequence[Trial]) -> int:
+def count_settings(trials: Sequence[Trial]) -> int:
     """Return the number of different settings among the trials.
 
     Each trial without known settings counts as one setting. Trials with the same replayed command count once.
     """
-    kinds: list[dict[str, Quantity | str]] = []
+    kinds: list[dict[str, SettingValue | str]] = []
     unknown: set[str] = set()
     for trial in trials:
         beat = trial.swim.beat
         own = {**(trial.swim.coefficients or {}), **_drop(trial)}
-        mine = {**quantities(trial), **{name: Quantity(value, "") for name, value in own.items()}}
+        mine = {**list_settings(trial), **{name: SettingValue(value, "") for name, value in own.items()}}
         if beat is not None:
-            mine |= {"waveform": beat.waveform, "asymmetry": Quantity(beat.asymmetry, "", 1.0)}
+            mine |= {"waveform": beat.waveform, "asymmetry": SettingValue(beat.asymmetry, "", 1.0)}
         if not mine:
-            unknown.add(repeated(trial))
+            unknown.add(describe_setting(trial))
         elif mine not in kinds:
             kinds.append(mine)
     return len(kinds) + len(unknown)
@@ -172,9 +172,9 @@ def _drop(trial: Trial) -> dict[str, float]:
 
 #: Minimum number of settings or trials for cross-validation folds of whole trials. With fewer settings and
 #: trials, the folds are segments of trials.
-FEWEST = 4
+MIN_WHOLE_FOLDS = 4
 #: Minimum total number of cross-validation folds if the folds are segments of trials.
-STRETCHES = 8
+MIN_SEGMENT_FOLDS = 8
 #: Maximum number of cross-validation folds of a table of steady trials. A table with fewer settings has one
 #: fold for each setting.
 TABLE_FOLDS = 10
@@ -200,7 +200,7 @@ class Folds:
     count: int
 
 
-def folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
+def divide_folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
     """Divide trials into cross-validation folds.
 
     Each fold has whole trials. If there are only a few trials, each fold is a segment of one trial, and all
@@ -211,12 +211,12 @@ def folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
     times : sequence of ndarray, shape (n_k,)
         Time of each row of each trial. The rows are the samples of all channels.
     """
-    names = [repeated(t) for t in trials]
+    names = [describe_setting(t) for t in trials]
     groups = list(dict.fromkeys(names))
-    if len(groups) < FEWEST <= len(trials):
+    if len(groups) < MIN_WHOLE_FOLDS <= len(trials):
         names = [t.id for t in trials]
         groups = list(dict.fromkeys(names))
-    if len(groups) >= FEWEST:
+    if len(groups) >= MIN_WHOLE_FOLDS:
         count = len(groups)
         if all(len(t) == 1 for t in times):
             # Assign the rows of a table to the folds in rotation, so that neighbouring rows are in different
@@ -224,7 +224,7 @@ def folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
             count = min(count, TABLE_FOLDS)
         owner = [np.full(len(t), groups.index(n) % count) for t, n in zip(times, names, strict=True)]
         return Folds(True, owner, count)
-    per = -(-STRETCHES // len(trials))
+    per = -(-MIN_SEGMENT_FOLDS // len(trials))
     owner = []
     for k, time in enumerate(times):
         begin = np.min(time, initial=np.inf)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,24 +15,15 @@ from scipy.linalg import norm
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.noise import NoiseModel
-from swimid.diagnosis.nominal import OWN_PRIOR, PREFIX
-from swimid.diagnosis.settings import folds
+from swimid.diagnosis.priors import NO_CORRELATION, Correlation, StudyPriors
+from swimid.diagnosis.settings import divide_folds
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem, Watch, map_in_processes
 
 if TYPE_CHECKING:
-    from swimid.diagnosis.candidates import Tried
+    from swimid.diagnosis.screening import Screening
 
-#: Prior standard deviation of the parameters of an effect, in units of their typical scales.
-EFFECT_PRIOR = 5.0
-#: Factor by which the prior of a changed parameter is wider. Its typical scale is that of a small change.
-CHANGE_WIDTH = 10.0
-#: Prior standard deviation of the initial state of a trial, in units of the typical scales of its parameters.
-#: The prior mean comes from the first samples of the trial.
-START_PRIOR = 30.0
-#: Weight of the mean of a random effect that is held at 0, in units of its standard error by chance.
-CENTRED = 100.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
 #: Search from several starting points: number of iterations from the best one (HEAT), maximum number of
@@ -40,26 +31,12 @@ TOLERANCE = 1e-5
 #: (ROUGH) and in them (FINE).
 HEAT, STEPS, ROUGH, FINE = 4, 80, 1e-3, 1e-4
 #: Ratio of the costs of two brief searches, after the same number of iterations, at which the worse one ends.
-BEATEN = 3.0
+MAX_COST_RATIO = 3.0
 #: Maximum number of iterations of a refit without one fold, which begins at the fit to all folds, and of the
 #: first steps from distorted coefficients.
-FEW = 3
-#: Distance of a coefficient from its prior mean, in prior standard deviations, above which a missing effect
-#: may have distorted the coefficient.
-DISTORTED = 2.0
-#: Maximum standard deviation of an informative prior, as a fraction of the coefficient. In place of a wider
-#: prior, a prior of this width about the published value is used.
-LOOSE = 0.3
+MAX_FOLD_ITERATIONS = 3
 #: Maximum change of the parameters, in standard errors, up to which a fit uses earlier derivatives again.
-NEAR = 0.3
-
-
-#: Type of a prior correlation: names of coefficients, and the correlation matrix of their priors.
-Correlation = tuple[Sequence[str], Array]
-NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
-#: Number added to the diagonal of a correlation matrix to make it positive definite. This is necessary
-#: because files round correlations to a few digits.
-ROUNDING = 1e-6
+MAX_REUSE_STDERR = 0.3
 
 
 @dataclass(eq=False)
@@ -70,7 +47,7 @@ class Hypothesis:
 
     Attributes
     ----------
-    study : Study
+    study : GapStudy
         Study with the noise model of the fit.
     effects : tuple of Effect
         Effects of the hypothesis.
@@ -80,7 +57,7 @@ class Hypothesis:
         Sum of squared whitened residuals and squared prior terms.
     problem : Problem
         The residual problem that was solved.
-    tried : Tried or None
+    tried : Screening or None
         Screening result of the effect that was added last; None for the model without effects.
     rough : bool
         Whether the fit has not reached its optimum.
@@ -89,12 +66,12 @@ class Hypothesis:
         last; empty if the two were not compared.
     """
 
-    study: Study
+    study: GapStudy
     effects: tuple[Effect, ...]
     theta: Array
     cost: float
     problem: Problem
-    tried: Tried | None = None
+    tried: Screening | None = None
     rough: bool = False
     gains: Array = field(default_factory=lambda: np.empty(0))
 
@@ -109,7 +86,7 @@ class Hypothesis:
         return frozenset(e.name for e in self.effects)
 
     @property
-    def added(self) -> Tried:
+    def last_screening(self) -> Screening:
         """Return the screening result of the effect that was added last."""
         assert self.tried is not None
         return self.tried
@@ -132,9 +109,9 @@ class Hypothesis:
         strain : float
             Squared distance of the parameters from their prior means.
         """
-        equations = crossval.normal_equations(self.study, self)
-        distance, log_determinant = crossval.deviances(equations)
-        return distance + log_determinant, log_determinant, crossval.strain(equations)
+        equations = crossval.form_normal_equations(self.study, self)
+        distance, log_determinant = crossval.compute_deviances(equations)
+        return distance + log_determinant, log_determinant, crossval.compute_strain(equations)
 
     @property
     def deviances(self) -> Array:
@@ -253,7 +230,7 @@ class Hypothesis:
                 parts.setdefault(channel, []).append(series[np.isfinite(series)])
         return {c: np.concatenate(p) for c, p in parts.items()}
 
-    def measured(self) -> dict[str, Array]:
+    def collect_measured(self) -> dict[str, Array]:
         """Return the measured samples of all trials by channel, in the channel's unit."""
         parts: dict[str, list[Array]] = {}
         for k, trial in enumerate(self.problem.trials):
@@ -282,7 +259,7 @@ def _brief_watch(tolerance: float) -> Watch:
     def watch(theta: Array, cost: float, iteration: int) -> str | None:
         nonlocal last
         lowered, last = last - cost, cost
-        beaten = cost > BEATEN * lowest.get(iteration, cost)
+        beaten = cost > MAX_COST_RATIO * lowest.get(iteration, cost)
         lowest[iteration] = min(cost, lowest.get(iteration, cost))
         if iteration and (beaten or lowered <= tolerance * cost):
             return "another starting point is better, or the cost falls slowly"
@@ -291,7 +268,7 @@ def _brief_watch(tolerance: float) -> Watch:
     return watch
 
 
-class Study:
+class GapStudy(StudyPriors):
     """Model, trials, priors and noise that all fits of a diagnosis share.
 
     Parameters
@@ -334,27 +311,27 @@ class Study:
             np.concatenate([np.empty(0), *(trial.time_s[mask] for mask in masks)])
             for trial, masks in zip(self.trials, self.shape.masks, strict=True)
         ]
-        self.folds = folds(self.trials, stamps)
+        self.folds = divide_folds(self.trials, stamps)
 
-    def replaced(self, model: Model, trials: Sequence[Trial]) -> Study:
+    def copy_with(self, model: Model, trials: Sequence[Trial]) -> GapStudy:
         """Return a study with the same priors, but with another model and other trials."""
         more = {"correlation": self.correlation, "jobs": self.jobs}
-        return Study(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
+        return GapStudy(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
-    def finer(self, halvings: int) -> Study:
+    def finer(self, halvings: int) -> GapStudy:
         """Return a study with the same trials and noise, whose model has a halved integration step."""
         model = self.model
         for _ in range(halvings):
-            model = model.refined() or model
-        return self.replaced(model, self.trials).with_noise(self.noise)
+            model = model.refine() or model
+        return self.copy_with(model, self.trials).with_noise(self.noise)
 
-    def with_noise(self, noise: NoiseModel) -> Study:
+    def with_noise(self, noise: NoiseModel) -> GapStudy:
         """Return a study with another noise model."""
         other = copy.copy(self)
         other.noise = noise
         return other
 
-    def affected(self, effects: Sequence[Effect]) -> Model:
+    def build_model(self, effects: Sequence[Effect]) -> Model:
         """Return the model with the random effects and the given effects added."""
         # Cache the model with effects, because the typical scales of effects are computed from the trials.
         acting = [*(one.effect for one in self.noise.random_effects), *effects]
@@ -363,29 +340,13 @@ class Study:
             self._known[key] = self.model.with_effects(acting, self.trials)
         return self._known[key]
 
-    def random(self, problem: Problem, k: int) -> NDArray[np.intp]:
-        """Return the indices of the random effects of trial ``k`` among the unknowns of a problem."""
-        names = {one.parameter for one in self.noise.random_effects}
-        own = [j for j in problem.own(k) if problem.parameters[problem.slots[j][0]].name in names]
-        return np.array(own, dtype=np.intp)
-
-    @property
-    def centred(self) -> list[str]:
-        """Return the names of the random effects whose mean over the trials is held at 0."""
-        return [one.parameter for one in self.noise.random_effects if one.is_centred]
-
-    def settled(self, problem: Problem, k: int, own: Iterable[int]) -> NDArray[np.intp]:
-        """Return those of the unknowns ``own`` of trial ``k`` that are no random effects."""
-        random = self.random(problem, k).tolist()
-        return np.array([j for j in own if j not in random], dtype=np.intp)
-
     def chance(self, fit: Hypothesis, k: int) -> Array:
         """Return the weighted change of trial ``k`` by one standard deviation of each random effect.
 
         The shape is (n_k, q).
         """
         random = self.random(fit.problem, k)
-        return fit.columns(k, random) / self.expected(fit.problem)[1][random]
+        return fit.columns(k, random) / self.compute_prior(fit.problem)[1][random]
 
     def problem(
         self,
@@ -404,140 +365,16 @@ class Study:
         known : mapping of label to float, optional
             Shared parameters that are held at these values.
         """
-        model = self.affected(effects)
+        model = self.build_model(effects)
         own = model.parameters[len(self.parameters) :]
-        parameters = held_at((*self.parameters, *own), known or {})
+        parameters = fix_parameters((*self.parameters, *own), known or {})
         problem = Problem(
             model, parameters, self.trials if trials is None else trials, jobs=jobs or self.jobs
         )
-        problem.near = NEAR
+        problem.near = MAX_REUSE_STDERR
         if trials is None and self.noise.sd:
             problem.sd = [list(sds) for sds in self.noise.sd]
         return problem
-
-    def single(self, problem: Problem) -> NDArray[np.bool_]:
-        """Return a mask of the parameters that are refitted in each held-out fold, shape (p,).
-
-        The initial states of trials are refitted. If whole trials are held out, per-trial values of effects
-        are refitted as well.
-        """
-        return np.array(
-            [
-                owner is not None and (self.folds.whole or "/" not in problem.parameters[index].name)
-                for index, owner in problem.slots
-            ],
-            dtype=bool,
-        )
-
-    def shared(self, fit: Hypothesis) -> NDArray[np.intp]:
-        """Return the indices of the parameters that all folds share and that are not at a bound."""
-        return np.flatnonzero(~self.single(fit.problem) & fit.inside)
-
-    def apart(self, fit: Hypothesis, k: int) -> NDArray[np.intp]:
-        """Return the indices of the parameters of trial ``k`` that are refitted in a held-out fold.
-
-        Parameters at a bound are left out.
-        """
-        free = self.single(fit.problem) & fit.inside
-        return np.array([j for j in fit.problem.own(k) if free[j]], dtype=int)
-
-    def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
-        """Return wider priors of coefficients for a model with another interpretation of the robot's source.
-
-        The result is empty for the interpretation in the robot file. The usual priors come from other trials
-        that were fitted with that interpretation, and are too narrow for another one.
-        """
-        added = problem.model.acting[len(self.model.acting) :]
-        if all(acting.model is self.model for acting in added):
-            return {}
-        own = {p.name: OWN_PRIOR * max(abs(p.start), 0.1 * p.scale) for p in self.parameters}
-        return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
-
-    def expected(self, problem: Problem) -> tuple[Array, Array]:
-        """Return the prior mean and the inverse prior standard deviation of each parameter.
-
-        The inverse standard deviation of a parameter without a prior is 0.
-        """
-        mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
-        random = {one.parameter: one.sd for one in self.noise.random_effects}
-        known = {**self.prior, **self.loosened(problem)}
-        for j, (index, owner) in enumerate(problem.slots):
-            p = problem.parameters[index]
-            if owner is None and p.name in known:
-                mean[j], sd = known[p.name]
-                if sd > 0:
-                    weight[j] = 1.0 / sd
-            elif p.name in random:
-                weight[j] = 1.0 / (random[p.name] * p.scale)
-            elif "/" in p.name:
-                wide = EFFECT_PRIOR * (CHANGE_WIDTH if p.name.startswith(PREFIX) else 1.0)
-                mean[j], weight[j] = p.start, 1.0 / (wide * p.scale)
-            elif owner is not None:
-                weight[j] = 1.0 / (START_PRIOR * p.scale)
-        return mean, weight
-
-    def root(self, problem: Problem, left_out: Collection[int] = ()) -> Array:
-        """Return a square root of the prior precision matrix, shape (m, p).
-
-        The prior precision matrix is ``root.T @ root``. It has a row for each parameter with a prior, and for
-        each random effect whose mean over the trials is held at 0.
-
-        Parameters
-        ----------
-        left_out : collection of int, optional
-            Indices of trials that are not fitted. They do not belong to the mean.
-        """
-        _, weight = self.expected(problem)
-        root, loosened = np.diag(weight), self.loosened(problem)
-        names, correlation = self.correlation
-        at = {problem.parameters[i].name: j for j, (i, owner) in enumerate(problem.slots) if owner is None}
-        known = [(at[n], i) for i, n in enumerate(names) if n in at and n not in loosened]
-        if known:
-            places, rows = (list(ends) for ends in zip(*known, strict=True))
-            own = correlation[np.ix_(rows, rows)]
-            inverse = np.linalg.inv(own + ROUNDING * np.eye(len(rows)))
-            root[np.ix_(places, places)] = np.linalg.cholesky(inverse).T * weight[places]
-        rows = [root[weight > 0]]
-        for name in self.centred if len(problem.trials) > 1 else ():
-            mine = [
-                problem.parameters[i].name == name and owner not in left_out for i, owner in problem.slots
-            ]
-            rows.append(np.atleast_2d(CENTRED * weight * mine / math.sqrt(max(sum(mine), 1))))
-        return np.concatenate(rows)
-
-    def precision(self, problem: Problem) -> Array:
-        """Return the prior precision matrix of all parameters, shape (p, p); see :meth:`root`."""
-        root = self.root(problem)
-        return np.asarray(root.T @ root)
-
-    def begins(self, problem: Problem, theta: Array) -> list[Array]:
-        """Return further starting points of a fit: the prior means, if ``theta`` is far from them.
-
-        A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
-        there may end in a poor local optimum. A second starting point has the start values of the initial
-        states beside the prior means, because the initial states may be distorted as well.
-        """
-        plain, distorted = theta.copy(), False
-        known = {**self.prior, **self.loosened(problem)}
-        for j, (index, owner) in enumerate(problem.slots):
-            p = problem.parameters[index]
-            if owner is not None or p.name not in known:
-                continue
-            mean, sd = known[p.name]
-            size = max(abs(mean), p.scale)
-            if p.known is not None and sd > LOOSE * size:
-                # The prior was estimated from these trials, so a missing effect biases the prior too. Use the
-                # published value of the coefficient instead of this prior.
-                mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
-            plain[j] = mean
-            distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
-        if not distorted:
-            return []
-        rest = plain.copy()
-        for j, (index, owner) in enumerate(problem.slots):
-            if owner is not None and "/" not in problem.parameters[index].name:
-                rest[j] = problem.start[j]
-        return [plain, rest]
 
     def fit(
         self,
@@ -563,8 +400,8 @@ class Study:
             Further starting points, of which only the one with the lowest cost is used.
         brief : bool
             Whether the fit only has to show which starting point is best. A search then ends as soon as its
-            cost is :data:`BEATEN` times that of an earlier one after the same number of iterations, or when
-            its cost falls by less than the tolerance.
+            cost is :data:`MAX_COST_RATIO` times that of an earlier one after the same number of iterations,
+            or when its cost falls by less than the tolerance.
         hold : Hypothesis, optional
             Nearby fit, whose derivatives replace those with respect to the parameters that both fits have.
         reuse : Hypothesis, optional
@@ -576,7 +413,7 @@ class Study:
         """
         problem = self.problem(effects, jobs=None if hold is None and reuse is None else 1, known=known)
         left_out = [] if kept is None else [k for k, fitted in enumerate(kept) if not fitted.any()]
-        problem.prior = self.expected(problem)[0], self.root(problem, left_out)
+        problem.prior = self.compute_prior(problem)[0], self.root(problem, left_out)
         if hold is not None:
             problem.hold_derivatives(hold.problem, hold.derivatives)
         if reuse is not None:
@@ -612,7 +449,7 @@ class Study:
             fit.effects, [start], tolerance=tolerance, iterations=STEPS, reuse=fit if is_same else None
         )
 
-    def without_each(self, fit: Hypothesis) -> list[Array]:
+    def refit_folds(self, fit: Hypothesis) -> list[Array]:
         """Return the estimates of refits that leave out one fold each, one array of shape (p,) for each fold.
 
         The noise model is not re-estimated. Per-trial parameters of the held-out fold are not estimated.
@@ -621,7 +458,12 @@ class Study:
         def one(f: int) -> Array:
             kept = [owner != f for owner in self.folds.owner]
             theta = self.fit(
-                fit.effects, [fit.theta], tolerance=ROUGH, iterations=FEW, reuse=fit, kept=kept
+                fit.effects,
+                [fit.theta],
+                tolerance=ROUGH,
+                iterations=MAX_FOLD_ITERATIONS,
+                reuse=fit,
+                kept=kept,
             ).theta.copy()
             # Nothing determines the initial state of a trial that is held out as a whole.
             for k in (k for k, fitted in enumerate(kept) if not fitted.any()):
@@ -672,46 +514,6 @@ class Study:
             ]
         )
 
-    def project_out(
-        self,
-        fit: Hypothesis,
-        k: int,
-        block: Array,
-        *,
-        to: NDArray[np.intp] | None = None,
-        noise: NoiseModel | None = None,
-    ) -> Array:
-        """Return whitened columns of a trial, with the parameters that only this trial has projected out.
-
-        Parameters
-        ----------
-        block : ndarray, shape (n_k, c)
-            Columns divided by the weights; the last column is the residual.
-        to : ndarray of int, optional
-            Indices of the parameters that are projected out. By default these are all parameters that only
-            this trial has and that are not at a bound.
-        noise : NoiseModel, optional
-            Default: the noise of the study.
-
-        Returns
-        -------
-        ndarray, shape (n_k + m, c)
-            One row for each sample, then one row for the prior of each of the m projected parameters. Inner
-            products of the columns account for the uncertainty of these parameters.
-        """
-        problem, noise = fit.problem, noise or self.noise
-        inside = fit.inside
-        mine = np.array([j for j in problem.own(k) if inside[j]], dtype=int) if to is None else to
-        if not len(mine):
-            return noise.whiten(problem, k, block)
-        mean, weight = self.expected(problem)
-        n, scale = len(block), problem.scale[mine]
-        seen = noise.whiten(problem, k, np.column_stack((fit.columns(k, mine) * scale, block)))
-        own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
-        wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
-        wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
-        return np.asarray(wanted - own @ crossval.solved(own.T @ own, own.T @ wanted))
-
     def changes(self, base: Hypothesis, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
         """Return the changes of the simulated samples by an effect for several parameter values.
 
@@ -725,34 +527,29 @@ class Study:
         points : sequence of ndarray
             Values of all parameters of the effect.
         """
-        model = self.affected((*base.effects, effect))
+        model = self.build_model((*base.effects, effect))
         own = [base.problem.vector(base.theta, k) for k in range(len(self.trials))]
         runs = [
             (np.concatenate((values, point[: len(model.acting[-1].parameters)])), trial)
             for point in points
             for values, trial in zip(own, self.trials, strict=True)
         ]
-        without = self.affected(base.effects).run_many(list(zip(own, self.trials, strict=True)))
+        without = self.build_model(base.effects).run_many(list(zip(own, self.trials, strict=True)))
         simulated = iter(model.run_many(runs))
-        unaffected = [base.problem.stacked(k, seen) for k, seen in enumerate(without)]
+        unaffected = [base.problem.stack(k, seen) for k, seen in enumerate(without)]
         return [
             [
-                (base.problem.stacked(k, next(simulated)) - unaffected[k]) * base.problem.sample_weights(k)
+                (base.problem.stack(k, next(simulated)) - unaffected[k]) * base.problem.sample_weights(k)
                 for k in range(len(self.trials))
             ]
             for _ in points
         ]
 
 
-def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
+def fix_parameters(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
     """Return the parameters, with those in ``known`` fixed at the values given there."""
     found = list(parameters)
     for i, p in enumerate(parameters):
         if p.name in known:
             found[i] = replace(p, free=False, start=known[p.name])
     return tuple(found)
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square of an array."""
-    return float(np.sqrt(np.mean(values**2)))

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from swimid.effects import base
 from swimid.effects.base import Parameters, Trials, parameter
 from swimid.files.kernels import numba
-from swimid.fitting.drives import eased
+from swimid.fitting.drives import ease_in
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Stroke, Trial, typical
 from swimid.swimmer.drive import apply_lag
 
@@ -68,20 +68,20 @@ class AmplitudeOffset(base.Actuation):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the trim to the command, and reduce the amplitude of a steady beat."""
         offset = float(values[0])
-        laws = [] if model.body is None else [actuator.driven for actuator in model.body.actuators]
+        laws = [] if model.body is None else [actuator.law for actuator in model.body.actuators]
         still = [k for k, law in enumerate(laws) if law.gain == 0]
         begin = model.onset(trial)
-        trimmed = base.for_every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+        trimmed = base.for_every_joint(lambda time, angle: angle + offset * ease_in(time - begin, EASE_S))
 
         def command(time_s: Array, angle: Array, joint: int) -> Array:
             if joint in still:
                 return angle
             return trimmed(time_s, angle, joint)
 
-        def beaten(stroke: Stroke) -> Stroke:
+        def change_beat(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        return replace(base.on_command(model, trial, command, of_angles=True), stroke=(beaten,))
+        return replace(base.on_command(model, trial, command, of_angles=True), stroke=(change_beat,))
 
 
 #: Ratio of a rate limit to the largest rate of a sine below which the rate-limited sine is a triangle wave:
@@ -93,7 +93,8 @@ class RateLimit(base.Actuation):
     """Limit of the rate with which a joint follows its command.
 
     The effect has no influence if the limit is the largest commanded rate. In models of the average over a
-    beat, the steady beat has the amplitude of the fundamental of the limited sine (:func:`describing_gain`).
+    beat, the steady beat has the amplitude of the fundamental of the limited sine
+    (:func:`compute_fundamental_gain`).
     """
 
     name = "rate-limit"
@@ -117,7 +118,7 @@ class RateLimit(base.Actuation):
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Return the amplitude of a steady beat: that of the fundamental of the rate-limited sine."""
         rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
-        return stroke.amplitude_rad * describing_gain(value / np.maximum(rate, 1e-12))
+        return stroke.amplitude_rad * compute_fundamental_gain(value / np.maximum(rate, 1e-12))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -145,7 +146,7 @@ def limit_rate(time, signal, limit):  # type: ignore[no-untyped-def]
     return output
 
 
-def describing_gain(ratio: Array | float) -> Array:
+def compute_fundamental_gain(ratio: Array | float) -> Array:
     """Return the amplitude of the fundamental of a rate-limited sine, divided by the amplitude of the sine.
 
     Parameters
@@ -153,7 +154,7 @@ def describing_gain(ratio: Array | float) -> Array:
     ratio : ndarray or float
         Rate limit divided by the largest rate of the sine. From a ratio of one, the sine is unchanged.
 
-    >>> [round(float(v), 6) for v in describing_gain(np.array([0.0, 0.5, 1.0, 2.0]))]
+    >>> [round(float(v), 6) for v in compute_fundamental_gain(np.array([0.0, 0.5, 1.0, 2.0]))]
     [0.0, 0.63662, 1.0, 1.0]
     """
     nodes, gains = _middle()
@@ -178,10 +179,10 @@ def _middle() -> tuple[Array, Array]:
     for k, ratio in enumerate(ratios[1:-1], start=1):
         leave = math.asin(ratio)
 
-        def ahead(theta: float, ratio: float = ratio, leave: float = leave) -> float:
+        def line_gap(theta: float, ratio: float = ratio, leave: float = leave) -> float:
             return math.cos(leave) - math.cos(theta) - ratio * (theta - leave)
 
-        meet = brentq(ahead, max(math.pi - leave, leave + 1e-9), math.pi + leave)
+        meet = brentq(line_gap, max(math.pi - leave, leave + 1e-9), math.pi + leave)
         theta = np.linspace(leave, leave + math.pi, 4001)
         line = -math.cos(leave) + ratio * (theta - leave)
         angle = np.where(theta < meet, line, -np.cos(theta))
@@ -341,6 +342,6 @@ class Slip(base.Actuation):
         first = float(trial.time_s[0]) + begin - 0.5 * ramp
 
         def command(time_s: Array, angle: Array) -> Array:
-            return angle * (1.0 - loss * eased(time_s - first, ramp))
+            return angle * (1.0 - loss * ease_in(time_s - first, ramp))
 
         return base.on_command(model, trial, base.for_every_joint(command))

@@ -25,7 +25,7 @@ from swimid.fitting.model import (
     POSITIONS,
     Array,
     Command,
-    Force,
+    ExternalForce,
     Hooks,
     Model,
     Parameter,
@@ -35,7 +35,7 @@ from swimid.fitting.model import (
 )
 
 if TYPE_CHECKING:
-    from swimid.swimmer.planar.model import Body
+    from swimid.swimmer.planar.model import PlanarBody
 
 Choice = TypeVar("Choice")
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
@@ -234,7 +234,7 @@ def is_held(model: Model) -> bool:
     return model.body is not None and not model.body.free
 
 
-def free_body(model: Model) -> Body | None:
+def free_body(model: Model) -> PlanarBody | None:
     """Return the body of a swimmer whose base moves; None for other models."""
     return model.body if model.body is not None and model.body.free else None
 
@@ -254,10 +254,10 @@ def add_to_coefficient(value: float, *names: str) -> Hooks:
     return Hooks(coefficients=(change,))
 
 
-def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
+def force_at_hull(body: PlanarBody, function: Any, constants: Array) -> ExternalForce:
     """Return a force that acts at the centre of mass of the heaviest link of a swimmer."""
     x, y = body.centre(body.hull)
-    return Force(function, constants, body.hull, x, y)
+    return ExternalForce(function, constants, body.hull, x, y)
 
 
 def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: int) -> Hooks:
@@ -274,10 +274,10 @@ def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: in
         for name, place in places.items():
             values[place] = coefficients[name]
 
-    return Hooks(coefficients=(take,), force=(Force(function, values),))
+    return Hooks(coefficients=(take,), force=(ExternalForce(function, values),))
 
 
-def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> Hooks:
+def change_springs(body: PlanarBody, change: Callable[[float], dict[str, float]]) -> Hooks:
     """Return hooks that change the springs and dampers of all passive joints.
 
     Parameters
@@ -342,7 +342,7 @@ class Actuation(Effect, ABC):
         """Return whether the effect applies: a command must drive joints or inputs in some trial."""
         if self.of_angles and model.swimmer is not None and not model.swimmer.driven:
             return False
-        return super().applies(model, trials) and any(model.commanded(t) for t in trials)
+        return super().applies(model, trials) and any(model.is_commanded(t) for t in trials)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the motion of a joint that follows the command ``angle`` with the effect, shape (n,).
@@ -359,11 +359,11 @@ class Actuation(Effect, ABC):
         """Return hooks that change the commands of the joints, and the amplitude of a steady beat."""
         value = float(values[0])
 
-        def beaten(stroke: Stroke) -> Stroke:
+        def change_beat(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
         hooks = follow_commands(model, trial, partial(self.follow, value), of_angles=self.of_angles)
-        return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
+        return replace(hooks, stroke=(change_beat,)) if "stroke" in self.needs else hooks
 
 
 def on_command(model: Model, trial: Trial, change: Command, *, of_angles: bool = False) -> Hooks:
@@ -371,7 +371,7 @@ def on_command(model: Model, trial: Trial, change: Command, *, of_angles: bool =
 
     A change of angles applies to the commands of joints, and not to the inputs of a robot.
     """
-    if not model.commanded(trial):
+    if not model.is_commanded(trial):
         return Hooks()
     joints = len(model.swimmer.actuators) if of_angles and model.swimmer is not None else math.inf
 
@@ -446,7 +446,7 @@ def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signa
 def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float]]:
     """Yield time, command and largest known rate of the command, for each driven joint of each trial."""
     for trial in trials:
-        if model.commanded(trial):
+        if model.is_commanded(trial):
             yield from model.commands(trial)
 
 
@@ -495,7 +495,7 @@ def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
 
-class Clock(Effect, ABC):
+class ClockError(Effect, ABC):
     """Error of the clock of a log, or only of the clock of the camera.
 
     Parameters
@@ -517,7 +517,7 @@ class Clock(Effect, ABC):
         Joint angles that drive the simulation do not count, because the clock of the log is relative to them.
         """
         forms = [*super().variants(model, trials)]
-        measured = {c for t in trials for c in t.measured if c not in model.given(t)}
+        measured = {c for t in trials for c in t.measured if c not in model.list_input_channels(t)}
         aboard = any(c.endswith(("_rad", "_rate_rad_s")) for c in measured - set(POSES))
         if "output" in model.offers and aboard and measured & set(POSES):
             forms.append(type(self)(camera=True))
@@ -530,7 +530,7 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
     A sample with time stamp ``time_s`` has the pose of the time ``happened(time_s)``.
     """
 
-    def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+    def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
         # A cubic spline extrapolates well over two samples, but not further.
         end = time_s[-1] + 2.0 * np.median(np.diff(time_s))
         then = np.clip(happened(time_s), time_s[0], end)
@@ -542,7 +542,7 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
         shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
         return {**channels, **dict(zip(poses, shifted.T, strict=True))}
 
-    return Hooks(output=(seen,) * (len(trial.time_s) > 3))
+    return Hooks(output=(observe,) * (len(trial.time_s) > 3))
 
 
 class Sensing(Effect, ABC):
@@ -561,8 +561,8 @@ class Sensing(Effect, ABC):
     def show(self, change: Callable[[str, Array], Array]) -> Hooks:
         """Return hooks that apply ``change(name, simulated)`` to every channel of the effect."""
 
-        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             mine = {n: change(n, v) for n, v in channels.items() if n in self.channels}
             return {**channels, **mine}
 
-        return Hooks(output=(seen,))
+        return Hooks(output=(observe,))

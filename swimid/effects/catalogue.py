@@ -18,7 +18,7 @@ from swimid.files.user_code import find_classes, last_line, run_file
 from swimid.fitting.model import Model, Trial
 
 #: Names of the simulation hooks that an effect may use in :attr:`Effect.needs`.
-PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
+HOOK_NAMES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
 
 
 @functools.cache
@@ -32,7 +32,7 @@ def _every_effect() -> dict[tuple[str, str | None], Effect]:
 
 
 @functools.cache
-def catalogue() -> tuple[Effect, ...]:
+def list_effects() -> tuple[Effect, ...]:
     """Return every effect of this package in the order of `STAGES`, and by name within a stage.
 
     Of the forms of an effect for kinds of models, only the general one is included, if there is one.
@@ -68,7 +68,7 @@ def constants(effect: Effect) -> dict[str, Any]:
     }
 
 
-def restored(
+def restore_form(
     effect: Effect,
     names: Collection[str],
     given: Mapping[str, Any],
@@ -116,7 +116,7 @@ def from_file(path: str | Path) -> list[Effect]:
     path = Path(path)
     module = run_file(path, "effects")
     effects: dict[str, Effect] = {}
-    taken = [e.name for e in catalogue()]
+    taken = [e.name for e in list_effects()]
     for kind in find_classes(module, Effect):
         if inspect.isabstract(kind) and not hasattr(kind, "name"):
             continue
@@ -140,12 +140,16 @@ def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
         lacking.append("needs")
     lacking += [f"{name}()" for name in sorted(kind.__abstractmethods__)]
     name, stage, meaning, needs = (getattr(kind, n, "") for n in ("name", "stage", "meaning", "needs"))
-    hooks, stages = f"a set of: {', '.join(sorted(PLACES))}", suggestion(f"{stage}", STAGES)
+    hooks, stages = f"a set of: {', '.join(sorted(HOOK_NAMES))}", suggestion(f"{stage}", STAGES)
     faults = (
         (lacking, f"lacks {', '.join(lacking)}", None),
         (not name or {type(name), type(meaning)} != {str}, "needs a name and a meaning in words", None),
         (stage not in STAGES, f"is at the stage '{stage}', which there is not", stages),
-        (isinstance(needs, str) or not set(needs) <= PLACES, f"needs {needs!r}, which are no hooks", hooks),
+        (
+            isinstance(needs, str) or not set(needs) <= HOOK_NAMES,
+            f"needs {needs!r}, which are no hooks",
+            hooks,
+        ),
         (name in taken, f"has a name that is used already: '{name}'", None),
     )
     for fault, problem, hint in faults:

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from swimid.effects import base
 from swimid.effects.base import SIZES, Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Parameter, traceable, typical
+from swimid.fitting.model import FORCE_SIGNATURE, ExternalForce, Hooks, Parameter, traceable, typical
 
 
 @traceable(on="hull", constants=2)
@@ -105,7 +105,7 @@ class Current(Effect):
 
 
 #: Height above the water level over which the loss of buoyancy increases smoothly from zero, m.
-ROUND = 0.002
+SURFACE_ROUNDING_M = 0.002
 
 
 @traceable(on="hull", constants=5)
@@ -119,7 +119,11 @@ def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     middle = pose[1] + constants[2] * s + constants[3] * c - constants[1]
     for side in (-1.0, 1.0):
         above = middle + side * constants[4] * s
-        down = -0.25 * constants[0] * (above + math.sqrt(above * above + ROUND * ROUND))
+        down = (
+            -0.25
+            * constants[0]
+            * (above + math.sqrt(above * above + SURFACE_ROUNDING_M * SURFACE_ROUNDING_M))
+        )
         wrench[0] += down * s
         wrench[1] += down * c
         wrench[2] += side * constants[4] * down * c
@@ -185,7 +189,7 @@ def _heights(trial: Trial) -> Trial:
 
 #: Minimum distance from the anchor of a tether, m, in the direction of its pull. It avoids a division by
 #: zero.
-TINY = 1e-30
+MIN_DISTANCE_M = 1e-30
 
 
 @traceable(on="base", constants=5)
@@ -201,7 +205,7 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
     wrench[0] -= drag * u
     wrench[1] -= drag * v
     # The pull is zero at the anchor itself.
-    pull = constants[0] * max(distance - constants[1], 0.0) / max(distance, TINY)
+    pull = constants[0] * max(distance - constants[1], 0.0) / max(distance, MIN_DISTANCE_M)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] -= pull * (c * dx + s * dy)
     wrench[1] -= pull * (c * dy - s * dx)
@@ -224,7 +228,8 @@ class Tether(Effect):
 
         It applies to a pulled body on a rig, timed cruising or a free swimmer.
         """
-        return base.is_pulled(model) or model.timed_runs or base.free_body(model) is not None
+        swims = model.swimmer is not None and model.swimmer.free_base
+        return base.is_pulled(model) or model.timed_runs or swims
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the parameters of the tether that the trials can show.
@@ -233,16 +238,19 @@ class Tether(Effect):
         line, N s2/m3. A swimmer also shows the distance of the anchor behind the start, m.
         """
         scales, size = model.scales(trials), _reach(model, trials)
-        stiffness = 0.3 * scales.force / size
+        force = scales.force
+        if model.swimmer is not None:
+            force = model.swimmer.typical_force(scales)
+        stiffness = 0.3 * force / size
         pull = (
             parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
             parameter("slack_m", "m", 0.2 * size, "length before it pulls", 0.0, size),
         )
-        drag, words = 0.3 * scales.force / (size * scales.speed**2), "distance of the anchor behind the start"
+        drag, words = 0.3 * force / (size * scales.speed**2), "distance of the anchor behind the start"
         line = parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, "drag of the line per length", lower=0.0)
         if model.timed_runs:
             return pull
-        if model.body is None:
+        if model.swimmer is None:
             return (*pull, line)
         return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
@@ -265,12 +273,12 @@ class Tether(Effect):
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
             return base.add_to_coefficient(mean, "dry")
         line, anchor, (x, y) = list(values), (trial.rig.x0, 0.0), (0.0, 0.0)
-        if model.body is not None:
+        if model.swimmer is not None:
             *line, behind = values
-            start_x, start_y, heading = trial.swim.posed()
+            start_x, start_y, heading = model.swimmer.start_course(trial)
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
-            x, y = model.body.reference_m
-        return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
+            x, y = model.swimmer.reference_m[:2]
+        return Hooks(force=(ExternalForce(pull_back, np.array([*line, *anchor]), x=x, y=y),))
 
 
 def _reach(model: Model, trials: Trials) -> float:
@@ -418,7 +426,7 @@ TRAVELLED = 1
 #: Water depth of a shallow pool for which wavenumbers are computed, m.
 DEPTH = 0.5
 #: Fraction of a track's variance at one frequency above which the track counts as an oscillation.
-MOST = 0.5
+MIN_OSCILLATION_SHARE = 0.5
 
 
 #: Minimum density of a fluid with a free surface, kg/m^3. Liquids in which robots swim have at least half the
@@ -470,7 +478,7 @@ class Waves(Effect):
             np.isfinite(t.measured.get(f"{model.axes[0]}_m", math.nan)).sum() > ORDER for t in trials
         )
         for axis in model.axes:
-            strongest = lines(model, trials, axis)
+            strongest = find_lines(model, trials, axis)
             found += [Waves(axis, line) for line in strongest]
             found += [_Travelling(axis, line) for line in strongest[: TRAVELLED * tracked]]
         return found
@@ -610,7 +618,7 @@ def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
     return np.asarray(np.interp(time_s, trial.time_s[there], series[there]))
 
 
-def _simulated(model: Model, trial: Trial, channel: str) -> Array:
+def _simulate_channel(model: Model, trial: Trial, channel: str) -> Array:
     """Return a simulated channel with the parameters at their start values; zeros if the simulation fails."""
     own = [p.name for p in model.parameters if p.per_trial]
     starts = {name: trial.starts[name] for name in own if name in trial.starts}
@@ -621,7 +629,7 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     return series
 
 
-def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
+def find_lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     """Return the frequencies, Hz, of the strongest spectral lines of the tracks along an axis.
 
     Lines that the model or the beat explains are excluded. A polynomial in time and the beat are removed by
@@ -638,18 +646,8 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     grid = np.linspace(max(LOWEST, PERIODS / length), HIGHEST, count)
     power, weight = np.zeros(count), np.zeros(count)
     for trial in use:
-        there = np.isfinite(trial.measured[name])
-        time = trial.time_s[there] - trial.time_s[0]
+        time, rest, known, harmonics = _remove_beat(model, trial, name)
         width = 1.0 / max(float(time[-1]), 1e-9)
-        beat = trial.swim.beat
-        simulated = _simulated(model, trial, name)[there]
-        beating = oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
-        harmonics = [k * beating for k in (1, 2, 3) if beating > 0.0]
-        slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
-        waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
-        known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
-        rest = trial.measured[name][there] - simulated
-        rest = rest - known @ (known.T @ rest)
         highest = 0.5 / max(float(np.median(np.diff(time))), 1e-9)
         for k, f in enumerate(grid):
             if f > highest or any(abs(f - h) < width for h in harmonics):
@@ -666,7 +664,33 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     return tuple(strongest[:LINES])
 
 
-def oscillation(time_s: Array, series: Array) -> float:
+def _remove_beat(model: Model, trial: Trial, channel: str) -> tuple[Array, Array, Array, list[float]]:
+    """Remove a polynomial in time and the harmonics of the beat from the residuals of a track.
+
+    Returns
+    -------
+    time, rest : ndarray, shape (n,)
+        Time since the start of the trial, s, and what remains of the residuals.
+    known : ndarray, shape (n, m)
+        Orthonormal basis of what was removed.
+    harmonics : list of float
+        Frequencies of the beat, Hz.
+    """
+    there = np.isfinite(trial.measured[channel])
+    time = trial.time_s[there] - trial.time_s[0]
+    width = 1.0 / max(float(time[-1]), 1e-9)
+    beat = trial.swim.beat
+    simulated = _simulate_channel(model, trial, channel)[there]
+    beating = find_oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
+    harmonics = [k * beating for k in (1, 2, 3) if beating > 0.0]
+    slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
+    waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
+    known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
+    rest = trial.measured[channel][there] - simulated
+    return time, rest - known @ (known.T @ rest), known, harmonics
+
+
+def find_oscillation(time_s: Array, series: Array) -> float:
     """Return the dominant frequency of a series, Hz.
 
     Return 0 if less than half of the variance is at one frequency.
@@ -682,6 +706,6 @@ def oscillation(time_s: Array, series: Array) -> float:
     grid = np.arange(2.0, max(lasting * min(2.0 * HIGHEST, highest), 2.5), 0.25) / lasting
     share = lombscargle(time_s, centred, 2.0 * np.pi * grid, normalize=True)
     best = int(np.argmax(share))
-    if share[best] <= MOST:
+    if share[best] <= MIN_OSCILLATION_SHARE:
         return 0.0
     return float(grid[best])

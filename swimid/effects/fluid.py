@@ -14,10 +14,10 @@ from swimid.fitting.model import Array, Hooks, Model, Trial, traceable, typical
 from swimid.logs.log import FREQUENCY_RTOL
 
 #: Minimum inertia that must remain if the added mass is negative, as a fraction of the rigid body's inertia.
-LEAST = 0.5
+MIN_INERTIA_SHARE = 0.5
 
 
-class AddedMass(Effect):
+class AddedMassFactor(Effect):
     """Added mass in addition to that of the model, for the body on a rig or for the links of a swimmer.
 
     On a swimmer, the added mass differs along and across the links. It acts at the centres of mass of the
@@ -45,15 +45,15 @@ class AddedMass(Effect):
             own, across = sum(masses), body.words[4]
             size, tail = 0.05 * own, f"{across} of the last link's added mass"
             return (
-                parameter("surge_kg", "kg", size, "surge added mass", lower=-LEAST * own),
-                parameter("sway_kg", "kg", size, f"{across} added mass", lower=-LEAST * own),
-                parameter("tail_kg", "kg", size, tail, lower=-0.5 * LEAST * masses[-1]),
+                parameter("surge_kg", "kg", size, "surge added mass", lower=-MIN_INERTIA_SHARE * own),
+                parameter("sway_kg", "kg", size, f"{across} added mass", lower=-MIN_INERTIA_SHARE * own),
+                parameter("tail_kg", "kg", size, tail, lower=-0.5 * MIN_INERTIA_SHARE * masses[-1]),
             )
         linear, angular = ("added_kg", "kg", "added mass"), ("added_kg_m2", "kg m^2", "added inertia")
         name, unit, words = base.pick_by_motion(model, linear, angular)
         size = model.scales(trials).inertia
         own = size - model.start("added_mass", "added_inertia")
-        return (parameter(name, unit, 0.05 * size, words, lower=-LEAST * own),)
+        return (parameter(name, unit, 0.05 * size, words, lower=-MIN_INERTIA_SHARE * own),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the added mass to the inertia of the model."""
@@ -73,17 +73,17 @@ class AddedMass(Effect):
 
 
 #: Speed, m/s or rad/s, below which the drag is zero. It avoids a division by zero.
-TINY = 1e-30
+MIN_SPEED = 1e-30
 
 
 @traceable(on="hull", constants=3)
-def changed_drag(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+def add_drag_change(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add to the wrench the change of the drag ``-k u |u|`` by ``C = C_0 (|u| / u_ref)^-n``.
 
     The constants are k, n and u_ref.
     """
     u = velocity[0]
-    speed = max(abs(u), TINY)
+    speed = max(abs(u), MIN_SPEED)
     wrench[0] -= constants[0] * u * abs(u) * ((speed / constants[2]) ** -constants[1] - 1.0)
 
 
@@ -116,7 +116,7 @@ class DragReynolds(Effect):
         body, typical = model.body, model.scales(trials).speed
         forms = [DragReynolds(typical)]
         if body is None:
-            return forms * ("force" in model.offers)
+            return forms * ("force" in model.offers and model.swimmer is None)
         if not body.free or body.axial_drag(body.tables()) <= 0:
             return []
         speeds = [model.scales([trial]).speed for trial in trials]
@@ -147,9 +147,9 @@ class DragReynolds(Effect):
             def read(tables: dict[str, Any]) -> None:
                 constants[0] = body.axial_drag(tables)
 
-            return Hooks(tables=(read,), force=(base.force_at_hull(body, changed_drag, constants),))
+            return Hooks(tables=(read,), force=(base.force_at_hull(body, add_drag_change, constants),))
 
-        return base.force_on_rig(changed_drag, constants, quadratic=0)
+        return base.force_on_rig(add_drag_change, constants, quadratic=0)
 
 
 class LiftDamping(Effect):
@@ -293,7 +293,7 @@ class ThrustLoss(Effect):
         """
         swimmer = model.swimmer
         _, inputs, forces = swimmer.thrusters(swimmer.tree.tables(swimmer.start_coefficients))
-        sizes = [np.abs(swimmer.acting_inputs(trial)[:, inputs]) * forces for trial in trials]
+        sizes = [np.abs(swimmer.compute_inputs(trial)[:, inputs]) * forces for trial in trials]
         typical_N = typical([float(np.median(size[size > 0.0])) for size in sizes if size.any()], 1.0)
         whole = math.sqrt(typical_N) / model.scales(trials).speed
         words = "loss of thrust per speed of advance and per square root of the thrust"
@@ -306,7 +306,7 @@ class ThrustLoss(Effect):
 
 
 #: Maximum added mass per length at the trailing edge, divided by that of a square plate of the link's length.
-MOST = 10.0
+MAX_PLATE_FACTOR = 10.0
 
 
 class WakeLift(Effect):
@@ -334,7 +334,7 @@ class WakeLift(Effect):
         body = model.body
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         words = "added mass per length at the trailing edge"
-        most = MOST * plate
+        most = MAX_PLATE_FACTOR * plate
         return (parameter("added_mass_kg_m", "kg/m", 0.1 * plate, words, 0.0, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:

@@ -22,12 +22,12 @@ KIND = "mjcf"
 #: Typical motion of a joint, m and rad, if the commands do not show it.
 USUAL = {SLIDE: 0.05, HINGE: base.USUAL_ANGLE}
 #: Damping and friction that a diagnosis tries first, as a fraction of the typical torque of the joint.
-SMALL = 0.05
+SMALL_TORQUE_SHARE = 0.05
 #: Maximum change of the drag coefficients, as a fraction of their values.
 MAX_DRAG_CHANGE = 4.0
 
 
-class Joint(NamedTuple):
+class MjcfJoint(NamedTuple):
     """Joint of a compiled model with one coordinate, and its typical motion."""
 
     name: str
@@ -44,14 +44,16 @@ class Joint(NamedTuple):
         return ("N m", "N m s/rad", "kg m^2") if self.kind == HINGE else ("N", "N s/m", "kg")
 
 
-def joints(model: Any, trials: Trials) -> list[Joint]:
+def joints(model: Any, trials: Trials) -> list[MjcfJoint]:
     """Return the joints between the links of a robot."""
     compiled, omega = model.compiled, 2.0 * math.pi / base.typical_period(model, trials)
     found = []
     for k in sorted({*range(compiled.njnt)} - {*base_joints(compiled)}):
         dof, kind = int(compiled.jnt_dofadr[k]), int(compiled.jnt_type[k])
         stiffness = max(float(compiled.jnt_stiffness[k]), float(compiled.dof_M0[dof]) * omega**2)
-        found.append(Joint(model.joint_names[k], k, dof, kind, stiffness * USUAL[kind], omega * USUAL[kind]))
+        found.append(
+            MjcfJoint(model.joint_names[k], k, dof, kind, stiffness * USUAL[kind], omega * USUAL[kind])
+        )
     return found
 
 
@@ -106,7 +108,29 @@ def load(fields: Any, body: int, mass: float, offset: Array) -> None:
     fields["body_iquat"][body] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
 
 
-class OfJoint(Effect):
+class MjcfEffect(Effect):
+    """Effect that changes arrays of the compiled model."""
+
+    of_model = KIND
+
+    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
+        """Return the hook that changes the arrays."""
+        return Hooks(tables=(lambda fields: self.change(fields, values, model),))
+
+    @abstractmethod
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Change the arrays of the compiled model in place."""
+
+
+class OfBase(MjcfEffect):
+    """Effect on a robot whose base moves."""
+
+    def applies(self, model: Any, trials: Trials) -> bool:
+        """Return whether the base of the robot moves."""
+        return bool(drift_dofs(model.compiled))
+
+
+class OfJoint(MjcfEffect):
     """Effect on one joint, with one parameter that is added to an array of the model.
 
     Parameters
@@ -115,7 +139,6 @@ class OfJoint(Effect):
         Name of the joint.
     """
 
-    of_model = KIND
     smooth = True
     #: Array of the compiled model, and word of the parameter.
     field: ClassVar[str]
@@ -138,17 +161,13 @@ class OfJoint(Effect):
         return (parameter(name, unit, size, f"{self.word} of {self.joint} beyond the model's", lower=least),)
 
     @abstractmethod
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the parameter."""
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that add to the array of the compiled model."""
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Add to the array of the compiled model."""
         dof = int(model.compiled.jnt_dofadr[model.joint_names.index(self.joint)])
-
-        def change(fields: dict[str, Any]) -> None:
-            fields[self.field][dof] += values[0]
-
-        return Hooks(tables=(change,))
+        fields[self.field][dof] += values[0]
 
 
 class MjcfJointDamping(OfJoint, structure.JointDamping):
@@ -156,9 +175,9 @@ class MjcfJointDamping(OfJoint, structure.JointDamping):
 
     field, word = "dof_damping", "damping"
 
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the damping."""
-        return joint.units[1], SMALL * joint.torque / joint.rate
+        return joint.units[1], SMALL_TORQUE_SHARE * joint.torque / joint.rate
 
 
 class MjcfJointFriction(OfJoint, structure.JointFriction):
@@ -166,9 +185,9 @@ class MjcfJointFriction(OfJoint, structure.JointFriction):
 
     field, word = "dof_frictionloss", "friction"
 
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the friction."""
-        return joint.units[0], SMALL * joint.torque
+        return joint.units[0], SMALL_TORQUE_SHARE * joint.torque
 
 
 class JointArmature(OfJoint):
@@ -180,18 +199,16 @@ class JointArmature(OfJoint):
     sources = ("MuJoCo documentation, XML reference, joint/armature",)
     field, word = "dof_armature", "armature"
 
-    def measure(self, joint: Joint, model: Any) -> tuple[str, float]:
+    def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
         """Return unit and scale of the inertia."""
         return joint.units[2], 0.1 * float(model.compiled.dof_M0[joint.dof])
 
 
-class MjcfJointLocked(structure.JointLocked):
+class MjcfJointLocked(MjcfEffect, structure.JointLocked):
     """Joint without an actuator that gains the stiffness ``K lock / (1 - lock)``.
 
     K is its own stiffness, or that of :data:`~swimid.effects.structure.HELD_HZ`.
     """
-
-    of_model = KIND
 
     def variants(self, model: Any, trials: Trials) -> Effects:
         """Return one form for each joint between the links that no actuator drives."""
@@ -203,43 +220,31 @@ class MjcfJointLocked(structure.JointLocked):
         }
         return [MjcfJointLocked(joint.name) for joint in joints(model, trials) if joint.number not in driven]
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that stiffen the joint."""
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Stiffen the joint."""
         compiled, number, lock = model.compiled, model.joint_names.index(self.column), float(values[0])
         inertia = float(compiled.dof_M0[compiled.jnt_dofadr[number]])
-
-        def change(fields: dict[str, Any]) -> None:
-            own = float(fields["jnt_stiffness"][number])
-            own = own or inertia * (2.0 * math.pi * structure.HELD_HZ) ** 2
-            fields["jnt_stiffness"][number] += own * lock / (1.0 - lock)
-
-        return Hooks(tables=(change,))
+        own = float(fields["jnt_stiffness"][number])
+        own = own or inertia * (2.0 * math.pi * structure.HELD_HZ) ** 2
+        fields["jnt_stiffness"][number] += own * lock / (1.0 - lock)
 
 
-class MjcfJointStiffness(structure.JointStiffness):
+class MjcfJointStiffness(MjcfEffect, structure.JointStiffness):
     """Relative change of the stiffness of all springs, of joints and of tendons."""
-
-    of_model = KIND
 
     def applies(self, model: Any, trials: Trials) -> bool:
         """Return whether the file has a spring."""
         compiled = model.compiled
         return bool(np.any(compiled.jnt_stiffness > 0) or np.any(compiled.tendon_stiffness > 0))
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that multiply the stiffnesses."""
-
-        def change(fields: dict[str, Any]) -> None:
-            for name in ("jnt_stiffness", "tendon_stiffness"):
-                fields[name] *= 1.0 + values[0]
-
-        return Hooks(tables=(change,))
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Multiply the stiffnesses."""
+        for name in ("jnt_stiffness", "tendon_stiffness"):
+            fields[name] *= 1.0 + values[0]
 
 
-class MjcfHardening(structure.Hardening):
+class MjcfHardening(MjcfEffect, structure.Hardening):
     """Springs ``-K (1 + h q^2) q`` that stiffen with the deflection q (``joint/@stiffnesspoly``)."""
-
-    of_model = KIND
 
     def applies(self, model: Any, trials: Trials) -> bool:
         """Return whether a joint has a spring."""
@@ -250,23 +255,13 @@ class MjcfHardening(structure.Hardening):
         words = "relative growth of stiffness with squared deflection"
         return (parameter("hardening_rad_2", "rad^-2", 2.0, words, -10.0, 60.0),)
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that set the quadratic term of the stiffness."""
-
-        def change(fields: dict[str, Any]) -> None:
-            fields["jnt_stiffnesspoly"][:, 1] += values[0] * fields["jnt_stiffness"]
-
-        return Hooks(tables=(change,))
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Set the quadratic term of the stiffness."""
+        fields["jnt_stiffnesspoly"][:, 1] += values[0] * fields["jnt_stiffness"]
 
 
-class MjcfWaterIngress(structure.WaterIngress):
+class MjcfWaterIngress(OfBase, structure.WaterIngress):
     """Mass without weight that is added to the heaviest body at a place along its x axis."""
-
-    of_model = KIND
-
-    def applies(self, model: Any, trials: Trials) -> bool:
-        """Return whether the base of the robot moves."""
-        return bool(drift_dofs(model.compiled))
 
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the mass of the water (kg), and its distance ahead of the centre of mass of the body (m)."""
@@ -277,20 +272,14 @@ class MjcfWaterIngress(structure.WaterIngress):
             parameter("along_m", "m", 0.3 * radius, words, -radius, radius),
         )
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that add the mass."""
-        body, (mass, along) = heaviest(model.compiled), (float(v) for v in values)
-        return Hooks(tables=(lambda fields: load(fields, body, mass, np.array([along, 0.0, 0.0])),))
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Add the mass."""
+        mass, along = (float(v) for v in values)
+        load(fields, heaviest(model.compiled), mass, np.array([along, 0.0, 0.0]))
 
 
-class MjcfComOffset(structure.ComOffset):
+class MjcfComOffset(OfBase, structure.ComOffset):
     """Displacement of the centre of mass of the heaviest body along the axes of the body."""
-
-    of_model = KIND
-
-    def applies(self, model: Any, trials: Trials) -> bool:
-        """Return whether the base of the robot moves."""
-        return bool(drift_dofs(model.compiled))
 
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the displacements along the axes of the body, m."""
@@ -300,58 +289,42 @@ class MjcfComOffset(structure.ComOffset):
         words = "displacement of the centre of mass along"
         return tuple(parameter(f"{a}_m", "m", size, f"{words} {a}", -20.0 * size, 20.0 * size) for a in axes)
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that move the centre of mass."""
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Move the centre of mass."""
         body = heaviest(model.compiled)
-
-        def change(fields: dict[str, Any]) -> None:
-            fields["body_ipos"][body, : len(values)] += values
-
-        return Hooks(tables=(change,))
+        fields["body_ipos"][body, : len(values)] += values
 
 
-class MjcfAddedMass(fluid.AddedMass):
+class MjcfAddedMass(OfBase, fluid.AddedMassFactor):
     """Added mass in acceleration, which the fluid forces of MuJoCo do not have.
 
     Each body gains a share of the mean added mass and added inertia that MuJoCo computes for its ellipsoids
     (Lamb 1932), or of the displaced water of its own mass if it has none. The mass has no direction.
     """
 
-    of_model = KIND
-
     def applies(self, model: Any, trials: Trials) -> bool:
         """Return whether the file has a fluid, and the base of the robot moves."""
-        return in_fluid(model.compiled) and bool(drift_dofs(model.compiled))
+        return super().applies(model, trials) and in_fluid(model.compiled)
 
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the share of the theoretical added mass, without unit."""
         return (parameter("share", "1", 0.2, "added mass over that of theory", 0.0, 5.0),)
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that add mass and inertia to the bodies."""
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Add mass and inertia to the bodies."""
         compiled, share = model.compiled, float(values[0])
         shaped = compiled.geom_fluid[:, 0] > 0
-
-        def change(fields: dict[str, Any]) -> None:
-            if not shaped.any():
-                for body in range(1, compiled.nbody):
-                    carry(fields, body, share * float(compiled.body_mass[body]))
-            for geom in np.flatnonzero(shaped):
-                mass, inertia = (compiled.geom_fluid[geom, at : at + 3].mean() for at in (6, 9))
-                density = share * float(compiled.opt.density)
-                carry(fields, int(compiled.geom_bodyid[geom]), density * mass, density * inertia)
-
-        return Hooks(tables=(change,))
+        if not shaped.any():
+            for body in range(1, compiled.nbody):
+                carry(fields, body, share * float(compiled.body_mass[body]))
+        for geom in np.flatnonzero(shaped):
+            mass, inertia = (compiled.geom_fluid[geom, at : at + 3].mean() for at in (6, 9))
+            density = share * float(compiled.opt.density)
+            carry(fields, int(compiled.geom_bodyid[geom]), density * mass, density * inertia)
 
 
-class MjcfLinearDrag(fluid.LinearDrag):
+class MjcfLinearDrag(OfBase, fluid.LinearDrag):
     """Linear drag ``-c v`` of the base in the world, equal in all directions (damping of its joints)."""
-
-    of_model = KIND
-
-    def applies(self, model: Any, trials: Trials) -> bool:
-        """Return whether the base of the robot moves."""
-        return bool(drift_dofs(model.compiled))
 
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the drag per speed as a parameter, N s/m."""
@@ -359,20 +332,14 @@ class MjcfLinearDrag(fluid.LinearDrag):
         size = scales.inertia / max(scales.duration, 1e-9)
         return (parameter("linear_N_s_m", "N s/m", size, "drag per speed", lower=0.0),)
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that add to the damping of the base."""
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Add to the damping of the base."""
         dofs = drift_dofs(model.compiled)
-
-        def change(fields: dict[str, Any]) -> None:
-            fields["dof_damping"][dofs] += values[0]
-
-        return Hooks(tables=(change,))
+        fields["dof_damping"][dofs] += values[0]
 
 
-class MjcfQuadraticDrag(fluid.QuadraticDrag):
+class MjcfQuadraticDrag(MjcfEffect, fluid.QuadraticDrag):
     """Relative change of the drag coefficients of all ellipsoids; without them, of the fluid's density."""
-
-    of_model = KIND
 
     def applies(self, model: Any, trials: Trials) -> bool:
         """Return whether the file has a fluid."""
@@ -382,55 +349,39 @@ class MjcfQuadraticDrag(fluid.QuadraticDrag):
         """Return the relative change of the drag, without unit."""
         return (parameter("change", "1", 0.1, "relative change of the drag", -0.95, MAX_DRAG_CHANGE),)
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that multiply the drag coefficients."""
-
-        def change(fields: dict[str, Any]) -> None:
-            if (fields["geom_fluid"][:, 0] > 0).any():
-                fields["geom_fluid"][:, 1:4] *= 1.0 + values[0]
-            else:
-                fields["opt.density"] *= 1.0 + values[0]
-
-        return Hooks(tables=(change,))
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Multiply the drag coefficients."""
+        if (fields["geom_fluid"][:, 0] > 0).any():
+            fields["geom_fluid"][:, 1:4] *= 1.0 + values[0]
+        else:
+            fields["opt.density"] *= 1.0 + values[0]
 
 
-class MjcfCurrent(environment.Current):
+class MjcfCurrent(OfBase, environment.Current):
     """Steady current of the fluid (``option/@wind``)."""
-
-    of_model = KIND
 
     def applies(self, model: Any, trials: Trials) -> bool:
         """Return whether the file has a fluid, and the base of the robot moves."""
-        return in_fluid(model.compiled) and bool(drift_dofs(model.compiled)) and bool(model.axes)
+        return super().applies(model, trials) and in_fluid(model.compiled) and bool(model.axes)
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that set the velocity of the fluid."""
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Set the velocity of the fluid."""
         axes = ["xyz".index(axis) for axis in model.axes]
-
-        def change(fields: dict[str, Any]) -> None:
-            fields["opt.wind"][axes] += values
-
-        return Hooks(tables=(change,))
+        fields["opt.wind"][axes] += values
 
 
-class MjcfBuoyancy(environment.Buoyancy):
+class MjcfBuoyancy(OfBase, environment.Buoyancy):
     """Buoyancy of the heaviest body, as a share of its weight (``body/@gravcomp``)."""
-
-    of_model = KIND
 
     def applies(self, model: Any, trials: Trials) -> bool:
         """Return whether gravity acts, and the base of the robot moves."""
-        return bool(np.any(model.compiled.opt.gravity)) and bool(drift_dofs(model.compiled))
+        return super().applies(model, trials) and bool(np.any(model.compiled.opt.gravity))
 
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the share of the weight that is lifted, without unit."""
         return (parameter("share", "1", 0.02, "share of the weight that is lifted", -0.5, 0.5),)
 
-    def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return hooks that lift the heaviest body."""
+    def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
+        """Lift the heaviest body."""
         body = heaviest(model.compiled)
-
-        def change(fields: dict[str, Any]) -> None:
-            fields["body_gravcomp"][body] += values[0]
-
-        return Hooks(tables=(change,))
+        fields["body_gravcomp"][body] += values[0]

@@ -116,7 +116,7 @@ GRAVITY = 9.81
 
 
 @numba.njit(cache=True, nogil=True)
-def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-def]
+def solve_oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-def]
     """Solve the damped oscillation ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from rest at ``start``.
 
     Parameters
@@ -210,14 +210,14 @@ class StringStretch(Effect):
         release = trial.rig.begin_s
         coordinate, rate = model.rig.displacement.name, model.rig.speed.name
 
-        def shown(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        def add_stretch(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             after = time_s > release
             time = np.concatenate(([release], time_s[after]))
             speed = np.concatenate(([0.0], channels[rate][after]))
             stretch = np.zeros(len(time_s))
             if len(time) > 2:
                 pull = -np.gradient(speed, time)
-                stretch[after] = oscillation(time, pull, omega, damping, start)[1:] - start
+                stretch[after] = solve_oscillation(time, pull, omega, damping, start)[1:] - start
             return {**channels, coordinate: channels[coordinate] + stretch}
 
-        return Hooks(output=(shown,))
+        return Hooks(output=(add_stretch,))

@@ -38,11 +38,11 @@ class CameraRotation(Effect):
         # Add the difference to the unrotated position, so that a zero angle changes nothing.
         turn = np.exp(1j * values[0]) - 1.0
 
-        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             change = turn * (channels[first] - origin[first] + 1j * (channels[second] - origin[second]))
             return {**channels, first: channels[first] + change.real, second: channels[second] + change.imag}
 
-        return Hooks(output=(seen,))
+        return Hooks(output=(observe,))
 
 
 def _both_measured(model: Model, trials: Trials) -> bool:
@@ -144,7 +144,7 @@ class _Lens(CameraScale):
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
-        def moved(place: Any) -> Any:
+        def displace(place: Any) -> Any:
             """Return the displacement from a position to its image."""
             off = place - centre
             return off * (error * (1.0 + bent * np.abs(off) ** 2) - 1.0)
@@ -159,14 +159,14 @@ class _Lens(CameraScale):
             distance -= (distance * (1.0 + bent * distance**2) - shown) / slope
         away = off * (distance / (abs(off) or 1.0) - 1.0)
 
-        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             place = channels[first] + 1j * channels[second] + away
-            change = moved(place) + away
+            change = displace(place) + away
             speeds = {n: error * v for n, v in channels.items() if n in base.SPEEDS}
             shown = {first: channels[first] + change.real, second: channels[second] + change.imag}
             return {**channels, **speeds, **shown}
 
-        return Hooks(output=(seen,))
+        return Hooks(output=(observe,))
 
 
 def _places(model: Model, trial: Trial) -> Array:
@@ -184,7 +184,7 @@ def _places(model: Model, trial: Trial) -> Array:
 LARGEST = 0.1
 
 
-class ClockRate(base.Clock):
+class ClockRate(base.ClockError):
     """Rate error of a clock: a log whose clock runs fast shows later times than the true ones.
 
     The time stamp ``t`` belongs to the event at the true time ``t_0 + (t - t_0) / (1 + rate)``. The clocks of
@@ -326,7 +326,7 @@ class MarkerOffset(Effect):
         # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
         offset, turn = complex(along, across), np.exp(-1j * angle) - 1.0
 
-        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             place = offset * np.exp(1j * channels[heading])
             moved = {
                 first: channels[first] + (place - place[0]).real,
@@ -340,14 +340,14 @@ class MarkerOffset(Effect):
                 moved |= {ahead: velocity.real, beside: velocity.imag}
             return {**channels, **moved}
 
-        return Hooks(output=(seen,))
+        return Hooks(output=(observe,))
 
 
 #: Maximum offset of the clock of a log, s.
 LARGEST_S = 2.0
 
 
-class TimeOffset(base.Clock):
+class TimeOffset(base.ClockError):
     """Constant offset of the clock: the log shows events earlier, and a timed course takes longer.
 
     If a log contains turn rates or joint angles in addition to poses, only the clock of the camera may be
@@ -387,11 +387,11 @@ class TimeOffset(base.Clock):
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]
 
-        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        def observe(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             speed = channels[MEAN_SPEED]
             with np.errstate(divide="ignore"):
                 # Limit the measured duration to at least a tenth of the true duration.
                 longer = np.maximum(1.0 + offset * speed / distance, 0.1)
             return {**channels, MEAN_SPEED: speed / longer}
 
-        return Hooks(output=(seen,))
+        return Hooks(output=(observe,))

@@ -13,7 +13,7 @@ import numpy as np
 from swimid.effects import base
 from swimid.effects.base import Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
 from swimid.files.kernels import numba
-from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Stroke, traceable, typical
+from swimid.fitting.model import FORCE_SIGNATURE, ExternalForce, Hooks, Stroke, traceable, typical
 
 
 class ComOffset(Effect):
@@ -66,7 +66,7 @@ class ComOffset(Effect):
 
 
 @traceable(on="last", constants=3)
-def bent_fin(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+def add_bent_fin_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add the change of the fin's normal force by bending to the wrench.
 
     The constants are the compliance c, the quadratic drag coefficient k and the lift coefficient l. The force
@@ -144,7 +144,9 @@ class FinFlexibility(Effect):
             def read(tables: dict[str, Any]) -> None:
                 constants[1:3] = body.fin(tables)[:2]
 
-            return Hooks(tables=(read,), force=(Force(bent_fin, constants, body.last, x, y),))
+            return Hooks(
+                tables=(read,), force=(ExternalForce(add_bent_fin_force, constants, body.last, x, y),)
+            )
 
         def weaken(stroke: Stroke) -> Stroke:
             inertia = stroke.inertia_kg_m2 if math.isfinite(stroke.inertia_kg_m2) else self.inertia_kg_m2
@@ -318,7 +320,7 @@ class JointFriction(Effect):
 
 
 #: Maximum locked fraction of a joint, which makes a passive joint 33 times as stiff.
-MOST = 0.97
+MAX_LOCK = 0.97
 #: Natural frequency that a locked fraction of one half gives to a passive joint without a spring, Hz.
 HELD_HZ = 1.0
 #: Maximum product of natural frequency and integration step of a locked joint, well within the limit of
@@ -355,7 +357,7 @@ class JointLocked(Effect):
             return []
         given = any(t.swim.commanded for t in trials)
         beaten = any(t.swim.joints is None for t in trials)
-        laws = [(actuator.column, actuator.driven) for actuator in model.body.actuators]
+        laws = [(actuator.column, actuator.law) for actuator in model.body.actuators]
         columns = [name for name, law in laws if given or (beaten and (law.gain or law.bias_gain))]
         columns += [axis.column for axis in model.body.passive]
         return [JointLocked(column) for column in sorted(columns)]
@@ -363,7 +365,7 @@ class JointLocked(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the locked fraction of the joint, from 0 to nearly 1."""
         words = f"share to which {self.column} is held"
-        return (parameter(f"locked_{self.column.removesuffix('_rad')}", "1", 0.3, words, 0.0, MOST),)
+        return (parameter(f"locked_{self.column.removesuffix('_rad')}", "1", 0.3, words, 0.0, MAX_LOCK),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that reduce the command of the joint, or increase its stiffness."""
@@ -440,11 +442,11 @@ class JointStiffness(Effect):
 
 
 #: Speed range around zero over which dry friction changes sign smoothly, as a fraction of the typical speed.
-ROUND = 0.02
+FRICTION_ROUNDING = 0.02
 
 
 @numba.cfunc(FORCE_SIGNATURE, cache=True)
-def loaded(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+def add_load_friction(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add the friction ``-mu |load| sgn(v)`` to the wrench, with a smoothed sign.
 
     The load is the sum of a spring force and a measured force. The constants are mu, the smoothing speed, the
@@ -488,7 +490,7 @@ class Friction(Effect, ABC):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the effect applies: a command must drive the joints in some trial."""
-        return "command" in model.offers and any(model.commanded(t) for t in trials)
+        return "command" in model.offers and any(model.is_commanded(t) for t in trials)
 
 
 class LoadFriction(Friction):
@@ -557,11 +559,11 @@ class LoadFriction(Friction):
         measured = trial.inputs.get("force_N")
         if measured is None and not model.rig.swings:
             return base.add_to_coefficient(share * abs(trial.rig.pull), "dry")
-        slow = ROUND * model.scales([trial]).speed
+        slow = FRICTION_ROUNDING * model.scales([trial]).speed
         constants = np.array([share, slow, 0.0, 0.0])
         if measured is not None:
             constants = np.concatenate([constants, trial.time_s, measured])
-        return base.force_on_rig(loaded, constants, stiffness=2, rest=3)
+        return base.force_on_rig(add_load_friction, constants, stiffness=2, rest=3)
 
 
 def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:
@@ -576,7 +578,7 @@ def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:
 
 
 @numba.cfunc(FORCE_SIGNATURE, cache=True)
-def relieved(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+def add_stribeck_friction(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add the Stribeck reduction of dry friction in motion to the wrench.
 
     The constants are the increase of the friction at rest, and the Stribeck speed.
@@ -645,7 +647,7 @@ class Stribeck(Friction):
         if model.rig is not None:
             if not (trial.rig.pulley or self.everywhere):
                 return Hooks()
-            spared = Force(relieved, np.array([rise, slow]))
+            spared = ExternalForce(add_stribeck_friction, np.array([rise, slow]))
             return Hooks(coefficients=base.add_to_coefficient(rise, "dry").coefficients, force=(spared,))
 
         def stuck(time_s: Array, angle: Array) -> Array:

@@ -10,7 +10,7 @@ from pydantic import Field
 from swimid.blackbox.model import ArxModel, at_own_rate
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
-from swimid.fitting.fit_common import Experiment, Run, read_log
+from swimid.fitting.fit_common import Experiment, SimulationRun, read_trial_log
 from swimid.fitting.model import Array, Trial
 from swimid.logs import log as log_format
 from swimid.logs.experiments import Params, TrialEntry, Trials
@@ -69,7 +69,7 @@ class Arma(Trials):
         logs: list[Input] = []
         trials = []
         for entry in self.trials:
-            log = read_log(entry, path.parent, required=(*read, model.output))
+            log = read_trial_log(entry, path.parent, required=(*read, model.output))
             log, _ = at_own_rate(log, next(iter(read), None), model.output)
             logs.append(log.source)
             measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
@@ -77,7 +77,7 @@ class Arma(Trials):
         return Experiment.of(self, path, model, trials, logs)
 
     @classmethod
-    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> SimulationRun:
         """Return a simulation from the input column of a log, or from the sine of the parameter file."""
         path, file = params
         model = ArxModel(file, path)
@@ -97,4 +97,4 @@ class Arma(Trials):
             raise UsageError(
                 f"this model runs on the column '{model.source}': give a log with --input run.csv"
             )
-        return Run(model, trial, metadata=metadata, extra=trial.inputs)
+        return SimulationRun(model, trial, metadata=metadata, extra=trial.inputs)

@@ -11,7 +11,7 @@ import numpy as np
 
 from swimid.errors import InputError, UsageError
 from swimid.files.yamlio import ASK
-from swimid.fitting.fit_common import Experiment, Run
+from swimid.fitting.fit_common import Experiment, SimulationRun
 from swimid.fitting.model import Array, CruiseInput, Trial
 from swimid.logs.experiments import Params, Trials
 from swimid.propulsion.model import SPEED, RecoilModel
@@ -85,7 +85,7 @@ class Cruise(Trials):
             )
         facts = {
             "drag": parameters_format.read(drag, model=RIGS),
-            "drag_path": parameters_format.place(drag),
+            "drag_path": parameters_format.source_path(drag),
         }
         source: Any = self._held
         if source is None:
@@ -115,7 +115,7 @@ class Cruise(Trials):
         return Experiment.of(self, path, model, trials, sources, robot, facts=facts)
 
     @classmethod
-    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> SimulationRun:
         """Return a cruise with ``--fin``, ``--frequency-hz`` and ``--amplitude-deg``."""
         path, file = params
         fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg
@@ -148,13 +148,13 @@ class Cruise(Trials):
                 mean = math.nan
             hooks, force = applied.model.hooks(values, far), math.nan
             if not hooks.flow:
-                c = hooks.changed(model.resistance(), "coefficients")
+                c = hooks.change_values(model.resistance(), "coefficients")
                 force = c["dry"] + terminal * (c["linear"] + terminal * c["quadratic"])
             return [terminal, mean, force]
 
         units = {"terminal_speed_m_s": "m/s", SPEED: "m/s", "propulsive_force_N": "N"}
         extra = table_columns(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
-        return Run(model, trial, robot.name, extra=extra, units=units, quantities=compute)
+        return SimulationRun(model, trial, robot.name, extra=extra, units=units, quantities=compute)
 
 
 def find_drag_file(path: Path, file: parameters_format.ParameterFile) -> parameters_format.Source:

@@ -14,8 +14,8 @@ from pydantic import Field, PositiveFloat, model_validator
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
 from swimid.files.yamlio import ASK
-from swimid.fitting.fit_common import Experiment, Run, read_log, warn_mass
-from swimid.fitting.model import Array, RigInput, Trial, chosen
+from swimid.fitting.fit_common import Experiment, SimulationRun, read_trial_log, warn_mass
+from swimid.fitting.model import Array, RigInput, Trial, choose_parameters
 from swimid.logs.experiments import Params, Trials
 from swimid.logs.log import Log
 from swimid.notices import warn
@@ -34,7 +34,7 @@ from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 
 #: Minimum number of samples of a trial.
-MIN_SAMPLES = 5
+MIN_SAMPLES_FALL = 5
 #: Maximum position of the first sample of a drop, as a fraction of the drop distance, at which the drop is
 #: assumed to start at the origin.
 ORIGIN_RTOL = 0.02
@@ -89,7 +89,7 @@ class FallingWeight(Trials):
             speed_m_s=float(np.median([np.ptp(r.position) / np.ptp(r.time_s) for r in records])) or 0.1,
         )
         span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
-        model.parameters = chosen(
+        model.parameters = choose_parameters(
             model.parameters,
             # Limit the time between the release and the start of the log to the duration of the shortest
             # trial.
@@ -124,7 +124,7 @@ class FallingWeight(Trials):
         return made
 
     @classmethod
-    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Array) -> SimulationRun:
         """Return a drop of the robot from rest, pulled by the weight of ``--pulling-mass-kg``."""
         path, file = params
         pulling = options.pulling_mass_kg
@@ -148,16 +148,16 @@ class FallingWeight(Trials):
             hooks = applied.model.hooks(values, trial)
             top = math.nan
             if not (hooks.force or hooks.flow):
-                balance = hooks.changed(model.equation(values, trial), "coefficients")
-                top = rig.terminal_speed(balance, balance["force"])
+                balance = hooks.change_values(model.equation(values, trial), "coefficients")
+                top = rig.compute_terminal_speed(balance, balance["force"])
             return [top, float(simulated[model.speed][-1]), float(simulated["x_m"][-1])]
 
         units = {"terminal_speed_m_s": "m/s", "last_speed_m_s": "m/s", "distance_m": "m"}
         metadata = {"pulling_mass_kg": pulling}
-        return Run(model, trial, robot.name, metadata, units=units, quantities=compute)
+        return SimulationRun(model, trial, robot.name, metadata, units=units, quantities=compute)
 
 
-def _without_standstill(log: Log) -> tuple[Array, Array]:
+def _drop_standstill(log: Log) -> tuple[Array, Array]:
     """Return the times and displacements of a drop up to the time at which the body comes to rest.
 
     Raises
@@ -167,9 +167,9 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
     """
     there = np.isfinite(log["x_m"])
     time, position = log.time_s[there], log["x_m"][there]
-    if len(time) < MIN_SAMPLES:
+    if len(time) < MIN_SAMPLES_FALL:
         raise InputError(
-            f"has {len(time)} displacement samples; a fit needs at least {MIN_SAMPLES}",
+            f"has {len(time)} displacement samples; a fit needs at least {MIN_SAMPLES_FALL}",
             file=log.path,
             column="x_m",
         )
@@ -217,8 +217,8 @@ def _drop(
 
     The known quantities are the moving mass, the driving force and the time of release.
     """
-    log = read_log(entry, path.parent, required=("x_m",))
-    time, position = _without_standstill(log)
+    log = read_trial_log(entry, path.parent, required=("x_m",))
+    time, position = _drop_standstill(log)
     record = read_encoder(time, position, robot.rig.encoder_resolution_m)
     mass = mass_of(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None

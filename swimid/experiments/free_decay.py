@@ -10,14 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from swimid.errors import InputError
-from swimid.fitting.fit_common import Experiment, read_log
+from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, RigInput, Trial
 from swimid.logs.experiments import EVERYWHERE, Params, Trials
-from swimid.logs.log import Log, unwrapped
+from swimid.logs.log import Log, unwrap_angle
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import warn
 from swimid.rig import model as rig
-from swimid.rig.trials import MASS, RigTrial, mass_of
+from swimid.rig.trials import MASS_KEY, RigTrial, mass_of
 from swimid.robots.file import Robot
 
 #: Relative tolerance of comparisons in a free decay. A sample within it counts as the extreme of a swing. A
@@ -50,7 +50,7 @@ class FreeDecay(Trials):
     models = ("free-decay",)
     commands = ("fit-drag",)
     needs = (("x_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"),)
-    uses = EVERYWHERE | {f"trials.{MASS}"}
+    uses = EVERYWHERE | {f"trials.{MASS_KEY}"}
 
     experiment: Literal["free-decay"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
@@ -70,7 +70,9 @@ class FreeDecay(Trials):
         robot = self.read_robot(path.parent)
         if params is not None and params[1].fit is not None and len(params[1].fit.channels) == 1:
             coordinate = next(iter(params[1].fit.channels))
-        logs = [read_log(e, path.parent, required=(), optional=tuple(rig.COORDINATES)) for e in self.trials]
+        logs = [
+            read_trial_log(e, path.parent, required=(), optional=tuple(rig.COORDINATES)) for e in self.trials
+        ]
         name = coordinate or _coordinate(logs)
         rotation = rig.COORDINATES[name][2]
         axis = name.removesuffix("_rad")
@@ -128,7 +130,7 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
         raise InputError(
             f"the mass of '{entry.id}' has no effect on a free decay in {axis}",
             file=path,
-            column=MASS,
+            column=MASS_KEY,
             hint=f"the inertia is {axis}_inertia_kg_m2 of the robot file",
         )
     inertia = getattr(robot.body, f"{axis}_inertia_kg_m2")
@@ -231,7 +233,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     the first of the largest swings. If the body was held at an excursion before its release, or was at rest
     before it was deflected, the decay begins at the end of this time.
     """
-    column = unwrapped(name, log[name])
+    column = unwrap_angle(name, log[name])
     there = np.isfinite(column)
     time, values = log.time_s[there], column[there]
     noise = white_noise_sd(values, 0.0)

@@ -6,6 +6,7 @@ tail beats. ``fit-propulsion`` fits it, and it is the model of a robot without l
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,9 +16,9 @@ from pydantic import Field
 
 from swimid.errors import InputError
 from swimid.files.yamlio import ASK
-from swimid.fitting.fit_common import Experiment, read_log
+from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import SurgeInput, Trial
-from swimid.logs.beat import find_beat, stated_against_found
+from swimid.kinematics.frequency import compare_frequencies, find_beat
 from swimid.logs.experiments import (
     EVERYWHERE,
     Drive,
@@ -27,14 +28,14 @@ from swimid.logs.experiments import (
     Trials,
     check_used,
 )
-from swimid.logs.log import FREQUENCY_RTOL
+from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.notices import warn
 from swimid.propulsion.model import SurgeModel
 from swimid.propulsion.trials import beat_averages
 from swimid.swimmer import trials as swimmer
 
 #: Minimum number of complete tail beats in a trial that the surge model describes.
-MIN_BEATS = 4
+MIN_WHOLE_BEATS = 4
 #: Keys of a trials file that the surge model uses. The keys of stroke drives are included, although strokes
 #: are not supported, so that they get a specific error message.
 SURGE_KEYS = (
@@ -129,37 +130,20 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
                 column="drive",
                 hint="give its waveform, frequency_hz and amplitude_deg",
             )
-        log = read_log(
+        log = read_trial_log(
             entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
         )
         logs.append(log.source)
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
         used = "the measured frequency is used"
-        beat_facts[entry.id] = stated_against_found(entry.id, drive.frequency_hz, beat, used)
+        beat_facts[entry.id] = compare_frequencies(entry.id, drive.frequency_hz, beat, used)
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue
         waveforms.setdefault(_waveform(drive), entry.id)
-        frequency = drive.frequency_hz
-        if beat is not None:
-            frequency = beat.frequency_hz
-        time, speed = beat_averages(log, 1.0 / frequency)
-        # Use only tail beats with the full amplitude, because the thrust law is valid for these only. Assume
-        # no initial ramp of the amplitude unless the trial states one.
-        ramp = 0.0
-        if "ramp_s" in drive.model_fields_set:
-            ramp = drive.ramp_s
-        full = time - 0.5 / frequency >= ramp - 1e-9
-        time, speed = time[full], speed[full]
-        whole = int(np.isfinite(speed).sum())
-        if whole < MIN_BEATS:
-            after = f" after the drive's ramp of {ramp:g} s" * (not full.all())
-            raise InputError(
-                f"holds {whole} whole beats{after}; at least {MIN_BEATS} are needed", file=log.path
-            )
-        steady = SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
-        trials.append(Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady))
+        frequency = drive.frequency_hz if beat is None else beat.frequency_hz
+        trials.append(_average_beats(entry, drive, log, frequency))
     if turning:
         warn(
             "SWM018",
@@ -168,6 +152,41 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
         )
     if not trials:
         raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
+    _refuse_waveforms(waveforms, path)
+    if any(t.surge.amplitude_rad <= 0 for t in trials):
+        raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
+    trials = _pool_frequencies(trials)
+    model = SurgeModel(
+        amplitudes_rad=[t.surge.amplitude_rad for t in trials],
+        frequencies_hz=[t.surge.frequency_hz for t in trials],
+        speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
+    )
+    waveform, asymmetry = next(iter(waveforms))
+    facts = {"beats": beat_facts, "waveform": waveform, "asymmetry": asymmetry}
+    return Experiment.of(entries, path, model, trials, logs, facts=facts)
+
+
+def _average_beats(entry: FreeSwimTrial, drive: Drive, log: Log, frequency_hz: float) -> Trial:
+    """Return a trial with the surge averaged over tail beats."""
+    time, speed = beat_averages(log, 1.0 / frequency_hz)
+    # Use only tail beats with the full amplitude, because the thrust law is valid for these only. Assume no
+    # initial ramp of the amplitude unless the trial states one.
+    ramp = 0.0
+    if "ramp_s" in drive.model_fields_set:
+        ramp = drive.ramp_s
+    full = time - 0.5 / frequency_hz >= ramp - 1e-9
+    time, speed = time[full], speed[full]
+    whole = int(np.isfinite(speed).sum())
+    if whole < MIN_WHOLE_BEATS:
+        after = f" after the drive's ramp of {ramp:g} s" * (not full.all())
+        text = f"holds {whole} whole beats{after}; at least {MIN_WHOLE_BEATS} are needed"
+        raise InputError(text, file=log.path)
+    steady = SurgeInput(frequency_hz, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
+    return Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady)
+
+
+def _refuse_waveforms(waveforms: Mapping[tuple[str, float], str], path: Path) -> None:
+    """Refuse trials with several waveforms, which give different thrusts."""
     if len(waveforms) > 1:
         (one, first), (other, second) = list(waveforms.items())[:2]
         raise InputError(
@@ -177,17 +196,6 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
             column="drive.waveform",
             hint="write a trials file for each",
         )
-    if any(t.surge.amplitude_rad <= 0 for t in trials):
-        raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
-    trials = _pooled_frequencies(trials)
-    model = SurgeModel(
-        amplitudes_rad=[t.surge.amplitude_rad for t in trials],
-        frequencies_hz=[t.surge.frequency_hz for t in trials],
-        speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
-    )
-    waveform, asymmetry = next(iter(waveforms))
-    facts = {"beats": beat_facts, "waveform": waveform, "asymmetry": asymmetry}
-    return Experiment.of(entries, path, model, trials, logs, facts=facts)
 
 
 def _waveform(drive: Drive) -> tuple[str, float]:
@@ -200,7 +208,7 @@ def _waveform(drive: Drive) -> tuple[str, float]:
     return "sine", 0.0
 
 
-def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
+def _pool_frequencies(trials: list[Trial]) -> list[Trial]:
     """Replace the beat frequency of each trial by the median over trials with nearly the same frequency."""
     values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]

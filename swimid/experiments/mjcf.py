@@ -13,7 +13,7 @@ from swimid.files import yamlio
 from swimid.fitting.fit_common import Experiment
 from swimid.logs.experiments import TrialEntry
 from swimid.notices import warn
-from swimid.simulators.model import SimulatorParameter, SimulatorTrials, at_key
+from swimid.simulators.model import SimulatorParameter, SimulatorTrials
 
 if TYPE_CHECKING:
     from swimid.simulators.mjcf import MjcfModel
@@ -92,13 +92,13 @@ class Mjcf(SimulatorTrials):
         except InputError:
             raise
         except ValueError as error:
-            raise at_key(path, self._data, ["model", "parameters"], error) from error
+            raise self.error_at(path, ["model", "parameters"], error) from error
         trials, sources = self.read_trials(path, list(entry.inputs.values()), list(entry.outputs))
         state = options.get("start_state", "auto")
         states = [state if state != "auto" else one.start_state for one in self.trials]
-        trials = [model.started(trial, one) for trial, one in zip(trials, states, strict=True)]
+        trials = [model.set_start(trial, one) for trial, one in zip(trials, states, strict=True)]
         _warn_of_step(model, trials)
-        return self.posed(path, model, trials, [file, *sources])
+        return self.make_experiment(path, model, trials, [file, *sources])
 
 
 def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:

@@ -12,7 +12,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.fitting.fit_common import Experiment
 from swimid.logs.experiments import TrialEntry
-from swimid.simulators.model import SimulatorParameter, SimulatorTrials, at_key
+from swimid.simulators.model import SimulatorParameter, SimulatorTrials
 from swimid.simulators.python import PythonModel, find_function
 
 
@@ -62,26 +62,19 @@ class Python(SimulatorTrials):
         entry = self.model
         try:
             simulate, file = find_function(entry.python, path.parent)
-            parameters = [p.made(name) for name, p in entry.parameters.items()]
+            parameters = [p.to_parameter(name) for name, p in entry.parameters.items()]
         except InputError as error:
             if error.file is not None:
                 raise
-            line = yamlio.line_of(self._data, ["model", "python"])
-            raise InputError(
-                error.reason, file=path, line=line, column="model.python", hint=error.hint
-            ) from error
+            raise self.error_at(path, ["model", "python"], error.reason, error.hint) from error
         except ValueError as error:
-            raise at_key(path, self._data, ["model", "parameters"], error) from error
+            raise self.error_at(path, ["model", "parameters"], error) from error
         model = PythonModel(simulate, parameters, entry.inputs, entry.outputs)
         trials, sources = self.read_trials(path, entry.inputs, entry.outputs)
         values = np.array([p.start for p in parameters])
         once, again = model.run_many([(values, trials[0])] * 2)
         if any(not np.array_equal(once[name], again[name], equal_nan=True) for name in once):
-            raise InputError(
-                f"{entry.python} returns other values for equal arguments, so that it has no derivatives",
-                file=path,
-                line=yamlio.line_of(self._data, ["model", "python"]),
-                column="model.python",
-                hint="seed its random numbers in each call, or leave its noise out",
-            )
-        return self.posed(path, model, trials, [file, *sources] if file else sources)
+            text = f"{entry.python} returns other values for equal arguments, so that it has no derivatives"
+            hint = "seed its random numbers in each call, or leave its noise out"
+            raise self.error_at(path, ["model", "python"], text, hint)
+        return self.make_experiment(path, model, trials, [file, *sources] if file else sources)

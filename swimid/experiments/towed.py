@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from swimid.errors import InputError
-from swimid.fitting.fit_common import Experiment, read_log
-from swimid.fitting.model import RigInput, Trial, chosen
-from swimid.logs import tracks
+from swimid.fitting.fit_common import Experiment, read_trial_log
+from swimid.fitting.model import RigInput, Trial, choose_parameters
+from swimid.kinematics.jumps import WINDOW, find_jumps
 from swimid.logs.experiments import Trials
 from swimid.logs.log import longest_run, runs
 from swimid.notices import warn
@@ -49,7 +49,7 @@ class Towed(Trials):
         factors = area_factors(self.trials, robot, path)
         trials, logs, forces, speeds = [], [], [], []
         for entry, factor in zip(self.trials, factors, strict=True):
-            log = read_log(entry, path.parent, required=("force_N",), optional=("x_m", "u_m_s"))
+            log = read_trial_log(entry, path.parent, required=("force_N",), optional=("x_m", "u_m_s"))
             logs.append(log.source)
             measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
             if not measured:
@@ -59,8 +59,8 @@ class Towed(Trials):
             known = np.flatnonzero(~missing)
             # A force may change in one step, as dry friction does where the body reverses. Spikes are errors.
             spikes = known[:0]
-            if len(known) > tracks.WINDOW:
-                spikes = known[~tracks.find_jumps(log.time_s[known], force[known, None], brief=True)[0]]
+            if len(known) > WINDOW:
+                spikes = known[~find_jumps(log.time_s[known], force[known, None], brief=True)[0]]
             missing[spikes] = True
             if len(spikes):
                 first = log.time_s[spikes[0]]
@@ -89,12 +89,12 @@ class Towed(Trials):
             forces.append(max(float(np.sqrt(np.mean(force**2))), taken))
             rig_input = RigInput(mass, area_factor=factor, release_s=begin, x0=first)
             trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, rig_input))
-        model = rig.towed(
+        model = rig.make_towed_model(
             mass_kg=float(np.median([t.rig.inertia for t in trials])),
             force_N=max(float(np.median(forces)), 1e-9),
             area_known=factors[0] > 0,
             speed_m_s=float(np.median(speeds)) or 0.1,
         )
         if not any("x_m" in t.measured for t in trials):
-            model.parameters = chosen(model.parameters, fixed={"start_offset": 0.0})
+            model.parameters = choose_parameters(model.parameters, fixed={"start_offset": 0.0})
         return Experiment.of(self, path, model, trials, logs, robot)

@@ -21,16 +21,18 @@ from swimid.errors import InputError
 from swimid.exporters import filters
 from swimid.exporters.filters import Filter
 from swimid.files.templates import environment
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.results.parameters import ParameterFile
-from swimid.simulation.catalogue import constants_of, form_of, named_effects
+from swimid.simulation.catalogue import constants_of, form_of, load_effects
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.tree import Actuated
 
 #: Trial for which the changes by an effect are computed, in place of the trials of the fit. It begins at the
 #: origin and has a sine command.
-NEUTRAL = Trial("export", "fit", np.linspace(0.0, 1.0, 51), {}, swim=SwimInput(Beat("sine", 1.0, 0.3)))
+EXPORT_TRIAL = Trial(
+    "export", "fit", np.linspace(0.0, 1.0, 51), {}, swim=SwimInput(TailBeat("sine", 1.0, 0.3))
+)
 #: Effects that depend on quantities of the fitted trials. Each has a function that returns whether the
 #: constants of the effect in the parameter file contain these quantities, and the reason for which the effect
 #: is left out if they do not.
@@ -45,7 +47,7 @@ OF_TRIALS: dict[str, tuple[Callable[[Mapping[str, Any]], bool], str]] = {
 
 
 @dataclass(frozen=True)
-class Cause:
+class ExportedCause:
     """Effect of a parameter file, with the values of its parameters and its changes of the robot.
 
     Attributes
@@ -74,7 +76,7 @@ class Cause:
         return self.effect.stage == "structure" and not self.hooks.force
 
 
-def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[Cause]:
+def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[ExportedCause]:
     """Return the effects of a parameter file with their parameter values, in the order in which they act.
 
     Parameters
@@ -89,27 +91,29 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
         be.
     """
     causes = []
-    for effect in named_effects(file, path):
+    for effect in load_effects(file, path):
         name = effect.name
         own = {parameter: e.value for parameter, e in file.of_effect(name).items()}
         contained, reason = OF_TRIALS.get(name, (None, ""))
         if effect.stage == "sensing" or (contained and not contained(constants_of(file, name))):
-            causes.append(Cause(name, own, effect, reason=reason))
+            causes.append(ExportedCause(name, own, effect, reason=reason))
             continue
-        effect = form_of(effect, file, path, model, [NEUTRAL])
-        needed = effect.parameters(model, [NEUTRAL])
+        effect = form_of(effect, file, path, model, [EXPORT_TRIAL])
+        needed = effect.parameters(model, [EXPORT_TRIAL])
         for p in needed:
             if p.lower == 0.0 and own[p.name] < 0.0:
                 column = f"parameters.{name}/{p.name}"
                 raise InputError(f"{own[p.name]:g} is negative; it must not be", file=path, column=column)
         hooks = NONE
         if any(own[p.name] != p.start for p in needed):
-            hooks = effect.hooks(np.array([own[p.name] for p in needed]), NEUTRAL, model)
-        causes.append(Cause(name, own, effect, hooks))
+            hooks = effect.hooks(np.array([own[p.name] for p in needed]), EXPORT_TRIAL, model)
+        causes.append(ExportedCause(name, own, effect, hooks))
     return causes
 
 
-def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: bool) -> list[str]:
+def limits_of(
+    causes: Sequence[ExportedCause], filtered: Sequence[ExportedCause], *, forces: bool
+) -> list[str]:
     """Return sentences on the effects that an exported file does not contain.
 
     They are left out, or a Python file next to the exported file applies them.
@@ -143,27 +147,27 @@ def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: boo
 
 #: Type of a function that computes the arguments of a command filter from an effect, an actuator and the
 #: model of the robot.
-Arguments = Callable[[Cause, Actuated, MultilinkModel], Mapping[str, float]]
+Arguments = Callable[[ExportedCause, Actuated, MultilinkModel], Mapping[str, float]]
 
 
-def _own_values(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+def _own_values(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
     return cause.values
 
 
-def _offset(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    if actuator.driven.gain == 0.0:
+def _offset(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+    if actuator.law.gain == 0.0:
         return {}
     return cause.values
 
 
-def _lock(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+def _lock(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
     name = f"locked_{actuator.column.removesuffix('_rad')}"
     if name not in cause.values:
         return {}
     return {"lock": cause.values[name]}
 
 
-def _load(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+def _load(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
     inertia, drag = model.body.loads[model.actuators.index(actuator)]
     return {**cause.values, "inertia_kg_m2": inertia, "drag_N_m_s2": drag}
 
@@ -171,20 +175,20 @@ def _load(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[st
 #: Class of the command filter for each effect of the actuators, with the function that computes its
 #: arguments. An actuator for which this function returns no arguments has no filter.
 FILTERS: dict[str, tuple[type[Filter], Arguments]] = {
-    "amplitude-loss": (filters.AmplitudeLoss, _own_values),
-    "amplitude-offset": (filters.AmplitudeOffset, _offset),
-    "joint-locked": (filters.JointLocked, _lock),
-    "load-friction": (filters.LoadFriction, _load),
-    "rate-limit": (filters.RateLimit, _own_values),
-    "servo-backlash": (filters.ServoBacklash, _own_values),
-    "servo-delay": (filters.ServoDelay, _own_values),
-    "servo-lag": (filters.ServoLag, _own_values),
-    "slip": (filters.Slip, _own_values),
-    "stribeck": (filters.Stribeck, _own_values),
+    "amplitude-loss": (filters.AmplitudeLossFilter, _own_values),
+    "amplitude-offset": (filters.AmplitudeOffsetFilter, _offset),
+    "joint-locked": (filters.JointLockedFilter, _lock),
+    "load-friction": (filters.LoadFrictionFilter, _load),
+    "rate-limit": (filters.RateLimitFilter, _own_values),
+    "servo-backlash": (filters.ServoBacklashFilter, _own_values),
+    "servo-delay": (filters.ServoDelayFilter, _own_values),
+    "servo-lag": (filters.ServoLagFilter, _own_values),
+    "slip": (filters.SlipFilter, _own_values),
+    "stribeck": (filters.StribeckFilter, _own_values),
 }
 
 
-def filters_text(filtered: Sequence[Cause], model: MultilinkModel, origin: Mapping[str, str]) -> str:
+def filters_text(filtered: Sequence[ExportedCause], model: MultilinkModel, origin: Mapping[str, str]) -> str:
     """Return the text of a Python file that filters the commands without importing swimid.
 
     It filters the command of each driven joint, or of each actuator that several joints follow.

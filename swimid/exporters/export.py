@@ -9,18 +9,17 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NotRequired
+from typing import Any
 
 import swimid
 from swimid.errors import InputError, UsageError
-from swimid.exporters import gazebo, mjcf, movement, vehicle
-from swimid.exporters.causes import Cause, filters_text, limits_of
+from swimid.exporters import gazebo, mjcf, vehicle
+from swimid.exporters.causes import ExportedCause, filters_text, limits_of
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Exported, Link, Source, central
+from swimid.exporters.source import Exported, ExportedLink, ExportSource, central
 from swimid.files import atomic, tabular
 from swimid.files.provenance import digests_of, is_own
 from swimid.fitting.model import Parameter
-from swimid.logs.log import LogLike
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.results import numbers, parameters
@@ -28,7 +27,7 @@ from swimid.results.parameters import Estimate
 from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import drawn
+from swimid.simulation.draws import draw_parameters
 
 FORMAT = "swimid-export/1"
 #: Key of the list of force elements in the JSON document, for each kind of force element.
@@ -47,13 +46,11 @@ CONVENTIONS = (
 class ExportedText(Text):
     """Result of ``export``, whose ``document`` is the text of the exported file."""
 
-    keys = {"target": str, "limits": list[str], "compared": NotRequired[dict[str, float]]}
-
 
 @takes(ExportOptions)
 def export(
-    params: parameters.Source | LogLike, *, options: ExportOptions, output: str | Path | None = None
-) -> ExportedText | movement.Dataset:
+    params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None
+) -> ExportedText:
     """Write the coefficients and causes of a parameter file in the format of a simulator.
 
     Causes are the effects that a diagnosis found. The robot file that the parameter file names is searched in
@@ -63,7 +60,7 @@ def export(
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
-        Parameters of a robot with links in one plane. For ``movement``, a log: path, DataFrame or Log.
+        Parameters of a robot with links in one plane.
     output : path, optional
         Path of the file to write. With None or ``-`` the text is only returned. Beside ``tfish.xml`` are
         written ``tfish_mjcf_causes.py``, which filters the commands for causes that the simulator cannot
@@ -75,7 +72,7 @@ def export(
         ``.document`` is the text of the file (XML or JSON), in SI units. ``.data`` has ``target``,
         ``added_mass``, ``causes`` and ``limits``, the effects that the format cannot represent. Each limit is
         also a warning SWM060. If no file is written, ``filters`` is the text of the Python file that filters
-        the commands, or empty. For ``movement``, ``.document`` is an ``xarray.Dataset``.
+        the commands, or empty.
 
     Raises
     ------
@@ -94,41 +91,28 @@ def export(
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('tfish', [])
     """
-    if options.to != "movement":
-        return _to_simulator(params, options, output)
-    if options.draws or options.draw:
-        raise UsageError("a log has no random samples of parameters", hint="leave out --draws and --draw")
-    return movement.export(params, output)
-
-
-def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None) -> ExportedText:
-    """Write a parameter file in the format of a simulator."""
     source = load(params)
     title, write = _format_of(source, options.to)
-    out = None if output is None or str(output) == "-" else Path(output)
-    if out is not None:
-        atomic.check_writable(out, inputs=[parameters.origin(params)])
-    elif options.draws:
-        raise UsageError(
-            "--draws writes a file beside the output, and there is none", hint="name it: -o FILE"
-        )
-    samples: list[dict[str, float]] = []
-    if options.draws or options.draw:
-        samples = _samples(source, max(options.draws or 0, options.draw or 0), options.seed)
-    if options.draw:
-        source = _at(source, samples[options.draw - 1], f"draw {options.draw} of seed {options.seed}")
+    out = _check_output(params, options, output)
+    source, samples = _draw_samples(source, options)
     text, limits, filtered = write(source, options)
-    filters = ""
-    if filtered:
-        filters = filters_text(filtered, source.model, source.origin)
-    held = source.parameters.parameters
-    unknown = [name for name, one in held.items() if one.status == "unidentifiable" and "[" not in name]
-    if unknown:
-        names = ", ".join(unknown)
-        warn("SWM010", f"exported as they stand, though their trials do not determine them: {names}")
-    for limit in limits:
-        warn("SWM060", f"{title}: {limit}")
-    result = {
+    filters = filters_text(filtered, source.model, source.origin) if filtered else ""
+    _warn_of_limits(source, title, limits)
+    result = _describe(source, options, limits)
+    if out is None:
+        texts = {"text": text, "filters": filters}
+        return ExportedText("export", text.rstrip("\n"), result | texts, document=text)
+    files = _write_files(out, text, filters, samples, source, options)
+    summary = f"{source.robot.name} as {title}: everything is carried"
+    if limits:
+        summary = f"{source.robot.name} as {title}: {len(limits)} limits, see the warnings"
+    summary += _compare_with_mujoco(source, options, params, text, result)
+    return ExportedText("export", summary, result, files, document=text)
+
+
+def _describe(source: ExportSource, options: ExportOptions, limits: list[str]) -> dict[str, Any]:
+    """Return the origin of an exported document and its limits, for ``--json``."""
+    return {
         "target": options.to,
         "model": source.parameters.model,
         "robot": source.robot.name,
@@ -136,34 +120,77 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
         "causes": source.parameters.effects,
         "limits": limits,
     }
-    if out is None:
-        texts = {"text": text, "filters": filters}
-        return ExportedText("export", text.rstrip("\n"), result | texts, document=text)
+
+
+def _check_output(
+    params: parameters.Source, options: ExportOptions, output: str | Path | None
+) -> Path | None:
+    """Return the path of the output, or None for the standard output; raise an error if it cannot be used."""
+    if output is not None and str(output) != "-":
+        return atomic.check_writable(Path(output), inputs=[parameters.origin(params)])
+    if options.draws:
+        text = "--draws writes a file beside the output, and there is none"
+        raise UsageError(text, hint="name it: -o FILE")
+    return None
+
+
+def _draw_samples(
+    source: ExportSource, options: ExportOptions
+) -> tuple[ExportSource, list[dict[str, float]]]:
+    """Return the source with the values of the random sample that the options ask for, and the samples."""
+    count = max(options.draws or 0, options.draw or 0)
+    samples = _samples(source, count, options.seed) if count else []
+    if options.draw:
+        words = f"draw {options.draw} of seed {options.seed}"
+        source = _at(source, samples[options.draw - 1], words)
+    return source, samples
+
+
+def _warn_of_limits(source: ExportSource, title: str, limits: list[str]) -> None:
+    """Warn of parameters that are not identified, and of each effect that the format cannot represent."""
+    estimates = source.parameters.parameters
+    unknown = [name for name, e in estimates.items() if e.status == "unidentifiable" and "[" not in name]
+    if unknown:
+        names = ", ".join(unknown)
+        warn("SWM010", f"exported as they stand, though their trials do not determine them: {names}")
+    for limit in limits:
+        warn("SWM060", f"{title}: {limit}")
+
+
+def _write_files(
+    out: Path,
+    text: str,
+    filters: str,
+    samples: list[dict[str, float]],
+    source: ExportSource,
+    options: ExportOptions,
+) -> list[Path]:
+    """Write the exported text, the filters of the commands and the random samples; return the files.
+
+    Filters of an earlier export are removed if this export needs none.
+    """
     files = {out: text}
     beside = out.with_name(f"{out.stem}_{options.to}_causes.py")
     if filters:
         files[beside] = filters
     if options.draws:
-        rows = samples[: options.draws]
-        files[out.with_name(f"{out.stem}_draws.csv")] = _table(source, rows, options.seed)
-    with atomic.together():
+        table = _table(source, samples[: options.draws], options.seed)
+        files[out.with_name(f"{out.stem}_draws.csv")] = table
+    with atomic.write_together():
         for path, written in files.items():
             atomic.write_text(path, written)
         if not filters and beside.exists() and is_own(beside):
             atomic.remove(beside)
-    carried = "everything is carried"
-    if limits:
-        carried = f"{len(limits)} limits, see the warnings"
-    summary = f"{source.robot.name} as {title}: {carried}"
-    summary += _compared(source, options, params, text, result)
-    return ExportedText("export", summary, result, list(files), document=text)
+    return list(files)
 
 
-def _compared(source: Source, options: ExportOptions, params: Any, text: str, result: dict[str, Any]) -> str:
+def _compare_with_mujoco(
+    source: ExportSource, options: ExportOptions, params: Any, text: str, result: dict[str, Any]
+) -> str:
     """Add the difference between MuJoCo and swimid to a result, and return it in words; empty without one."""
     if options.to != "mjcf" or options.added_mass != "fold" or options.draw:
         return ""
-    compared = mjcf.compare(source, params, text)
+    compared = mjcf.compare_with_mujoco(source, params, text)
     if compared is None:
         return ""
     result["compared"] = compared
@@ -171,7 +198,7 @@ def _compared(source: Source, options: ExportOptions, params: Any, text: str, re
     return f"; in MuJoCo with its callback it differs by {difference:.1f} mm after {way:.2f} m"
 
 
-def _format_of(source: Source, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:
+def _format_of(source: ExportSource, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:
     """Return title and function of a format for a robot in a plane or in 3-D.
 
     Raises
@@ -187,7 +214,7 @@ def _format_of(source: Source, target: str) -> tuple[str, Callable[[Any, ExportO
     return gazebo.TITLE, vehicle.export
 
 
-def load(params: parameters.Source) -> Source:
+def load(params: parameters.Source) -> ExportSource:
     """Read a parameter file and the robot file that it names, and return both as the source of an export.
 
     Raises
@@ -195,9 +222,9 @@ def load(params: parameters.Source) -> Source:
     InputError
         A file is invalid, no robot is named, or the parameters are those of another robot.
     """
-    path = parameters.place(params)
+    path = parameters.source_path(params)
     file = parameters.read(params, model=("multilink", "multibody"))
-    kind = Source
+    kind = ExportSource
     if file.model == "multibody":
         kind = vehicle.VehicleSource
     if file.robot is None:
@@ -215,7 +242,7 @@ def load(params: parameters.Source) -> Source:
     return source
 
 
-def _check_robot(source: Source, place: Path | str, path: Path) -> None:
+def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
     """Raise an error if the robot cannot be exported with the parameters of the parameter file.
 
     The robot must have links in a plane, a valid mass matrix, and all coefficients of the
@@ -226,7 +253,7 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
     try:
         source.assembly.check(source.values)
     except InputError as error:
-        raise robot.located(error, Path(place)) from error
+        raise robot.add_location(error, Path(place)) from error
     known = {parameter.name for parameter in source.model.parameters}
     known |= set(source.parameters.settings.get("shared") or {})
     for name in source.parameters.parameters:
@@ -254,7 +281,7 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
 NOTABLE = 0.1
 
 
-def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
+def _samples(source: ExportSource, count: int, seed: int) -> list[dict[str, float]]:
     """Draw random samples of all parameters that the trials share, according to their uncertainty.
 
     Each sample is a mapping of parameter names to values.
@@ -274,13 +301,13 @@ def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
         for name, e in shared.items()
         if "/" in name
     }
-    model.parameters = tuple(_bounded(p, shared.get(p.name)) for p in (own | effects).values())
+    model.parameters = tuple(_with_bounds(p, shared.get(p.name)) for p in (own | effects).values())
     # Leave out the effects of the file, because their parameters are already among those of the model.
     applied = Applied(model, source.parameters.model_copy(update={"effects": []}), source.path)
     if not applied.uncertain()[0]:
         raise UsageError("no parameter of the file has a standard error to draw from")
     applied.warn_without_error("the random samples")
-    vectors, inside = drawn(applied, count, seed)
+    vectors, inside = draw_parameters(applied, count, seed)
     if inside < 1.0 - NOTABLE:
         share = numbers.percent(1.0 - inside)
         warn("SWM069", f"{share} of the random samples lay outside the bounds, and were drawn again")
@@ -288,7 +315,7 @@ def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
     return [{name: float(vector[k]) for name, k in index} for vector in vectors]
 
 
-def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
+def _with_bounds(p: Parameter, estimate: Estimate | None) -> Parameter:
     """Return a copy of a parameter with the bounds of its estimate, or fixed if it has no estimate."""
     if estimate is None:
         return replace(p, free=False)
@@ -296,7 +323,7 @@ def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
     return replace(p, lower=lower, upper=upper)
 
 
-def _at(source: Source, values: dict[str, float], words: str) -> Source:
+def _at(source: ExportSource, values: dict[str, float], words: str) -> ExportSource:
     """Return a copy of the source of an export with other values of its parameters.
 
     ``words`` describes the origin of the values, such as ``draw 3 of seed 1``.
@@ -308,7 +335,7 @@ def _at(source: Source, values: dict[str, float], words: str) -> Source:
     return replace(source, parameters=file, origin={**source.origin, "draw": words})
 
 
-def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
+def _table(source: ExportSource, samples: list[dict[str, float]], seed: int) -> str:
     """Return random samples of the parameters as CSV text, with one row for each sample.
 
     There is one column for each parameter, with the unit in its name.
@@ -331,7 +358,7 @@ def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
 # ---------------------------------------------------------------- JSON
 
 
-def _to_json(source: Source, _: ExportOptions) -> Exported:
+def _to_json(source: ExportSource, _: ExportOptions) -> Exported:
     """Return the JSON document of a multi-link robot. This format can represent all force elements."""
     file, body, links = source.parameters.model_dump(mode="json"), source.body, source.links
     data: dict[str, Any] = {
@@ -360,7 +387,7 @@ def _to_json(source: Source, _: ExportOptions) -> Exported:
     return Exported(text, [*source.input_limits, *limits_of(source.causes, [], forces=True)], [])
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def _cause(cause: ExportedCause) -> dict[str, Any]:
     """Return the entry of an effect in the JSON document.
 
     ``contained`` states whether the links, joints and force elements of the document include the influence of
@@ -375,7 +402,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
     }
 
 
-def _link(link: Link, links: list[Link]) -> dict[str, Any]:
+def _link(link: ExportedLink, links: list[ExportedLink]) -> dict[str, Any]:
     mass, centre, moment = central(link.rigid)
     parents = {i: parent.name for i, parent in enumerate(links)}
     return {
@@ -392,7 +419,7 @@ def _link(link: Link, links: list[Link]) -> dict[str, Any]:
     }
 
 
-def _joint(source: Source, link: Link) -> dict[str, Any]:
+def _joint(source: ExportSource, link: ExportedLink) -> dict[str, Any]:
     assert link.joint is not None
     columns = {axis.joint.name: axis.column for axis in (*source.assembly.driven, *source.assembly.passive)}
     joint = link.joint.model_dump(mode="json")
@@ -410,7 +437,7 @@ def _joint(source: Source, link: Link) -> dict[str, Any]:
 
 #: Export formats. The key is a value of the option ``--to``. Each format has its title and the function that
 #: writes it.
-TARGETS: dict[str, tuple[str, Callable[[Source, ExportOptions], Exported]]] = {
+TARGETS: dict[str, tuple[str, Callable[[ExportSource, ExportOptions], Exported]]] = {
     "mjcf": (mjcf.TITLE, mjcf.export),
     "gazebo": (gazebo.TITLE, gazebo.export),
     "json": ("JSON", _to_json),

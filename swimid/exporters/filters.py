@@ -44,12 +44,12 @@ class Filter:
         """Return the joint angle, rad, at a command after the first."""
         return self._begin(time_s, command)
 
-    def _held(self, command: float, half: float) -> float:
+    def _hold(self, command: float, half: float) -> float:
         """Return the angle of a joint that moves if its command differs from it by over ``half``, rad."""
         return min(max(self.angle, command - half), command + half)
 
 
-class AmplitudeLoss(Filter):
+class AmplitudeLossFilter(Filter):
     """Filter of a joint that moves by less than its command: its angle is ``(1 - loss) command``."""
 
     def __init__(self, loss: float) -> None:
@@ -59,7 +59,7 @@ class AmplitudeLoss(Filter):
         return (1.0 - self.loss) * command
 
 
-class AmplitudeOffset(Filter):
+class AmplitudeOffsetFilter(Filter):
     """Filter of a joint with the angle ``command + offset``. The offset rises from zero within 0.5 s."""
 
     def __init__(self, offset_rad: float) -> None:
@@ -72,7 +72,7 @@ class AmplitudeOffset(Filter):
         return command + self.offset * s**3 * (10.0 + s * (6.0 * s - 15.0))
 
 
-class JointLocked(Filter):
+class JointLockedFilter(Filter):
     """Filter of a joint that is locked in part: its angle is ``first + (1 - lock) (command - first)``.
 
     ``first`` is the first command.
@@ -87,7 +87,7 @@ class JointLocked(Filter):
         return self.first + (1.0 - self.lock) * (command - self.first)
 
 
-class RateLimit(Filter):
+class RateLimitFilter(Filter):
     """Filter of a joint that follows its command with a limited rate."""
 
     def __init__(self, rate_limit_rad_s: float) -> None:
@@ -98,7 +98,7 @@ class RateLimit(Filter):
         return self.angle + min(max(command - self.angle, -most), most)
 
 
-class ServoBacklash(Filter):
+class ServoBacklashFilter(Filter):
     """Filter of a joint with play between servo and joint. ``backlash_rad`` is the whole width of the play.
 
     After a reversal of the command, the joint rests until the servo has crossed the play.
@@ -108,10 +108,10 @@ class ServoBacklash(Filter):
         self.half = 0.5 * backlash_rad
 
     def _step(self, time_s: float, command: float) -> float:
-        return self._held(command, self.half)
+        return self._hold(command, self.half)
 
 
-class ServoDelay(Filter):
+class ServoDelayFilter(Filter):
     """Filter of a joint that follows its command with a constant delay, by linear interpolation."""
 
     def __init__(self, delay_s: float) -> None:
@@ -133,7 +133,7 @@ class ServoDelay(Filter):
         return self.commands[0] + share * (self.commands[1] - self.commands[0])
 
 
-class ServoLag(Filter):
+class ServoLagFilter(Filter):
     """Filter of a joint whose angle ``a`` follows its command by ``time_constant a' = command - a``.
 
     The solution is exact if the command changes linearly between two calls.
@@ -148,7 +148,7 @@ class ServoLag(Filter):
         return kept * self.angle + (mean - kept) * self.command + (1.0 - mean) * command
 
 
-class Slip(Filter):
+class SlipFilter(Filter):
     """Filter of a joint whose motion is reduced from the time of onset on: ``(1 - loss step) command``.
 
     ``step`` rises from 0 to 1 within 0.25 s about the time of onset.
@@ -164,7 +164,7 @@ class Slip(Filter):
         return command * (1.0 - self.loss * s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
-class Stribeck(Filter):
+class StribeckFilter(Filter):
     """Filter of a joint with stiction that decreases with the rate w of its command.
 
     The joint rests while its command is within ``stick exp(-(w / stribeck)^2)`` of its angle.
@@ -175,10 +175,10 @@ class Stribeck(Filter):
 
     def _step(self, time_s: float, command: float) -> float:
         rate = (command - self.command) / (time_s - self.time_s)
-        return self._held(command, self.stick * math.exp(-((rate / self.slow) ** 2)))
+        return self._hold(command, self.stick * math.exp(-((rate / self.slow) ** 2)))
 
 
-class LoadFriction(Filter):
+class LoadFrictionFilter(Filter):
     """Filter of a joint with friction in proportion to the load of the joint.
 
     The joint rests while its command q is within ``held |I q'' + D q' |q'||`` of its angle.
@@ -196,4 +196,4 @@ class LoadFriction(Filter):
         rate = (command - self.command) / step_s
         torque = self.inertia * (rate - self.rate) / step_s + self.drag * rate * abs(rate)
         self.rate = rate
-        return self._held(command, self.share * abs(torque))
+        return self._hold(command, self.share * abs(torque))

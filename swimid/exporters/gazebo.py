@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Element, Exported, Source, about, central, export_xml
+from swimid.exporters.source import Exported, ExportedElement, ExportSource, about, central, export_xml
 
 TITLE = "Gazebo SDF"
 #: Components of force and velocity in the plane of the robot, for the horizontal plane (False) and the
 #: vertical plane (True): SNAME letters of the forces and of the velocities, indices among the six components
 #: in SDF, and signs relative to those in swimid.
-PLANES = {
+SDF_PLANES = {
     False: ("xyn", "UVR", (0, 1, 5), (1.0, 1.0, 1.0)),
     True: ("xzm", "UWQ", (0, 2, 4), (1.0, 1.0, -1.0)),
 }
@@ -35,7 +35,7 @@ OUT_OF_PLANE = {False: "roll, pitch and heave", True: "roll, yaw and sway"}
 HELPER_MASS, HELPER_RADIUS_M = 1e-6, 0.01
 #: Kinds of force elements that an export to Gazebo leaves out, because Gazebo has no plugin for them. Each
 #: has its description in a warning.
-LEFT_OUT = {
+LEFT_OUT_FORCES = {
     "foil": "lift and drag of foils",
     "wake": "thrust and side force of trailing edges",
     "force": "weight, buoyancy and constant forces",
@@ -46,7 +46,7 @@ LEFT_OUT_OF_JOINTS = {"cubic": "cubic stiffness", "quadratic_damping": "quadrati
 DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default); others ignore it"
 
 
-def export(source: Source, options: ExportOptions) -> Exported:
+def export(source: ExportSource, options: ExportOptions) -> Exported:
     """Return the SDF document of a multi-link robot, and sentences on what it cannot represent."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     rigid = [central(inertia) for inertia in inertias]
@@ -67,7 +67,7 @@ def export(source: Source, options: ExportOptions) -> Exported:
     )
 
 
-def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
+def _pose(source: ExportSource, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
     """Convert the position (m) and angle (rad) of a frame in the plane of the robot to an SDF pose.
 
     An SDF pose has three coordinates and three angles.
@@ -77,12 +77,12 @@ def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float,
     return (x, y, 0.0, 0.0, 0.0, turn)
 
 
-def _joint_name(source: Source, name: str) -> str:
+def _joint_name(source: ExportSource, name: str) -> str:
     """Return the name of a joint in SDF, which must differ from the names of all links."""
     return f"{name}_joint" if any(link.name == name for link in source.links) else name
 
 
-def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dict[str, Any]]:
+def _parts(source: ExportSource, options: ExportOptions, rigid: list[Any]) -> list[dict[str, Any]]:
     """Return the links of the SDF model: each link of the robot, followed by the helper links for its drag.
 
     A link has ``name``, ``mass`` (kg), ``moment`` (kg m2), ``derivatives`` (tags of the plugin with their
@@ -90,7 +90,7 @@ def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dic
     A helper link is fixed to the link ``welded_to``.
     """
     parts = []
-    _, _, axes, signs = PLANES[source.vertical]
+    _, _, axes, signs = SDF_PLANES[source.vertical]
     for i, (link, (mass, (x, y), moment)) in enumerate(zip(source.links, rigid, strict=True)):
         part: dict[str, Any] = {
             "name": link.name,
@@ -126,13 +126,13 @@ def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dic
     return parts
 
 
-def _derivatives(source: Source, drag: list[Element]) -> dict[str, float]:
+def _derivatives(source: ExportSource, drag: list[ExportedElement]) -> dict[str, float]:
     """Return the stability derivatives that represent drag elements at the frame of a link.
 
     The key is the tag of the Hydrodynamics plugin.
     """
     tags = {}
-    forces, speeds, _, _ = PLANES[source.vertical]
+    forces, speeds, _, _ = SDF_PLANES[source.vertical]
     for force, speed, key in zip(forces, speeds, "xyr", strict=True):
         for kind, tag in (("linear", speed), ("quadratic", f"{speed}abs{speed}")):
             total = sum(element.numbers[f"{kind}_{key}"] for element in drag)
@@ -141,8 +141,8 @@ def _derivatives(source: Source, drag: list[Element]) -> dict[str, float]:
     return tags
 
 
-def _limits(source: Source) -> list[str]:
-    owners = {what: source.links_with(kind) for kind, what in LEFT_OUT.items()}
+def _limits(source: ExportSource) -> list[str]:
+    owners = {what: source.links_with(kind) for kind, what in LEFT_OUT_FORCES.items()}
     limits = [f"{what} are left out: {links}" for what, links in owners.items() if links]
     for name, law in source.laws.items():
         if law["spring"]:

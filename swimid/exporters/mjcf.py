@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects.catalogue import catalogue
-from swimid.exporters.causes import FILTERS, Cause
+from swimid.effects.catalogue import list_effects
+from swimid.exporters.causes import FILTERS, ExportedCause
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
-from swimid.fitting.model import TRACEABLE, Force
-from swimid.notices import recorded
+from swimid.exporters.source import COLUMNS, Exported, ExportedElement, ExportSource, central, export_xml
+from swimid.fitting.model import TRACEABLE, ExternalForce
+from swimid.notices import record_warnings
 from swimid.swimmer.tree import SYMMETRIC
 
 TITLE = "MuJoCo MJCF"
@@ -41,12 +41,12 @@ USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
 #: follows the second.
 PREFIX, CAUSE = "water:", "water:cause:"
 #: Prefix of the names of the MuJoCo sites whose user data are an added mass that differs by direction: the
-#: upper triangle of :attr:`swimid.exporters.source.Link.directional`, row by row.
-MASS = "mass:"
+#: upper triangle of :attr:`swimid.exporters.source.ExportedLink.directional`, row by row.
+MASS_PREFIX = "mass:"
 #: Beat with which an exported model is compared with swimid.
 COMPARED = {"frequency_hz": 1.0, "amplitude_deg": 20.0, "duration_s": 6.0}
 #: Time step of the exported MuJoCo model, s.
-STEP_S = 0.002
+MJCF_STEP_S = 0.002
 #: Fractions into which the half-width of the play of a servo is divided. The first is the range of an
 #: additional hinge. The second is the angle by which the dry friction in this hinge deflects the servo.
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
@@ -54,7 +54,7 @@ PLAY_RANGE, PLAY_HELD = 0.9, 0.1
 
 #: Functions that compute settings of the MuJoCo actuator of a driven joint from the arguments of the command
 #: filter of an effect (:data:`swimid.exporters.causes.FILTERS`). The key is the name of the effect.
-SERVOS: dict[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = {
+SERVO_SETTINGS: dict[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = {
     "amplitude-loss": lambda values: {"gain": 1.0 - values["loss"]},
     "amplitude-offset": lambda values: {"offset_rad": values["offset_rad"]},
     "joint-locked": lambda values: {"gain": 1.0 - values["lock"]},
@@ -67,7 +67,7 @@ SERVOS: dict[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = {
 NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
 
 
-def export(source: Source, options: ExportOptions) -> Exported:
+def export(source: ExportSource, options: ExportOptions) -> Exported:
     """Return the MJCF document of a multi-link robot, and sentences on what it cannot represent."""
     fold = options.added_mass == "fold"
     inertias = source.inertias(fold=fold)
@@ -78,14 +78,6 @@ def export(source: Source, options: ExportOptions) -> Exported:
         "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
         f"{wet} are left out; --added-mass fold puts them into the bodies"
     )
-    laws = [words for kind, words in KINDS.items() if source.links_with(kind)]
-    laws += [cause.name for cause in source.causes if cause.hooks.force or cause.hooks.flow]
-    limits = []
-    if laws:
-        limits.append(
-            f"{', '.join(laws)}: MuJoCo's fluid models have no such law; the numbers stand at sites and act "
-            "once swimid.exporters.mjcf.water is installed as passive callback"
-        )
     settings, filtered = _settings(source)
     actuators = [
         _actuator(servo, own)
@@ -96,14 +88,14 @@ def export(source: Source, options: ExportOptions) -> Exported:
         source,
         options,
         native,
-        limits,
+        _limits(source),
         filtered,
         forces=True,
-        step_s=STEP_S,
+        step_s=MJCF_STEP_S,
         point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
         rigid=[central(inertia) for inertia in inertias],
         directional=[mass[np.triu_indices(3)] for mass in directional],
-        mass_prefix=MASS,
+        mass_prefix=MASS_PREFIX,
         user=_user,
         user_size=max([USER_SIZE, *(len(force.constants) for _, force in source.forces)]),
         prefix=PREFIX,
@@ -114,29 +106,35 @@ def export(source: Source, options: ExportOptions) -> Exported:
     )
 
 
-def _site(force: Force) -> str:
+def _limits(source: ExportSource) -> list[str]:
+    """Return a sentence on the forces that MuJoCo applies only with the callback, if there are any."""
+    laws = [words for kind, words in KINDS.items() if source.links_with(kind)]
+    laws += [cause.name for cause in source.causes if cause.hooks.force or cause.hooks.flow]
+    if not laws:
+        return []
+    return [
+        f"{', '.join(laws)}: MuJoCo's fluid models have no such law; the numbers stand at sites and act "
+        "once swimid.exporters.mjcf.water is installed as passive callback"
+    ]
+
+
+def _site(force: ExternalForce) -> str:
     """Return the name of the MuJoCo site at which the force of an effect acts."""
     return CAUSE + next(name for name, known in TRACEABLE.items() if known.function is force.function)
 
 
-def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
+def _settings(source: ExportSource) -> tuple[list[dict[str, float]], list[ExportedCause]]:
     """Return the MuJoCo settings of the actuator of each driven joint, and the effects that need a filter.
 
     MuJoCo applies delay, lag, gain and play in this order. An effect needs a filter of the commands if MuJoCo
     has no such setting, or if an earlier effect already uses the setting or excludes it. If several joints
     follow one actuator, every effect needs a filter, because it acts on the actuator and not on the joints.
     """
-    actuators, joints = source.assembly.actuators, source.assembly.driven
-    settings: list[dict[str, float]] = [{} for _ in joints]
+    settings: list[dict[str, float]] = [{} for _ in source.assembly.driven]
     filtered = []
-    for cause in source.causes:
-        if not cause.hooks.command:
-            continue
-        own: list[Mapping[str, float]] = []
-        if cause.name in SERVOS and not source.transmissions:
-            given = [FILTERS[cause.name][1](cause, actuator, source.model) for actuator in actuators]
-            own = [values and SERVOS[cause.name](values) for values in given]
-        names, taken = ({key for one in many for key in one} for many in (own, settings))
+    for cause in [cause for cause in source.causes if cause.hooks.command]:
+        own = _settings_of(source, cause)
+        names, taken = (set().union(*many) for many in (own, settings))
         limited = "rate_rad_s" in names | taken
         if not own or names & taken or (limited and (names | taken) & NOT_WITH_RATE):
             filtered.append(cause)
@@ -144,6 +142,14 @@ def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
         for known, new in zip(settings, own, strict=True):
             known.update(new)
     return settings, filtered
+
+
+def _settings_of(source: ExportSource, cause: ExportedCause) -> list[Mapping[str, float]]:
+    """Return the settings of each actuator that represent an effect; empty if MuJoCo has none for it."""
+    if cause.name not in SERVO_SETTINGS or source.transmissions:
+        return []
+    given = [FILTERS[cause.name][1](cause, actuator, source.model) for actuator in source.assembly.actuators]
+    return [values and SERVO_SETTINGS[cause.name](values) for values in given]
 
 
 def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
@@ -167,7 +173,7 @@ def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
             "moment": servo["moment"],
         }
     if "delay_s" in own:
-        samples = str(math.ceil(own["delay_s"] / STEP_S))
+        samples = str(math.ceil(own["delay_s"] / MJCF_STEP_S))
         attributes |= {"nsample": samples, "interp": "linear", "delay": own["delay_s"]}
     if "rate_rad_s" in own:
         tag, attributes["input"] = "pid", "pos"
@@ -184,13 +190,13 @@ def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
     return {"tag": tag, "attributes": attributes, "play": play}
 
 
-def _user(element: Element) -> list[float]:
+def _user(element: ExportedElement) -> list[float]:
     """Return the user data of the MuJoCo site of a force element: index of its kind, and coefficients."""
     row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
     return [list(KINDS).index(element.kind), *row]
 
 
-def _wires(source: Source) -> list[dict[str, Any]]:
+def _wires(source: ExportSource) -> list[dict[str, Any]]:
     """Return a MuJoCo spatial tendon for each passive joint that has a wire with a spring.
 
     The tension of the wire is ``K_t (D + constant)``, where D is the distance between the ends of the wire.
@@ -216,7 +222,7 @@ def _wires(source: Source) -> list[dict[str, Any]]:
     return wires
 
 
-def compare(source: Source, params: Any, text: str) -> dict[str, float] | None:
+def compare_with_mujoco(source: ExportSource, params: Any, text: str) -> dict[str, float] | None:
     """Return the difference between MuJoCo with an exported file and swimid after a swim.
 
     Both have the beat of :data:`COMPARED`, and MuJoCo has the callback :func:`water`. The result is None
@@ -236,8 +242,8 @@ def compare(source: Source, params: Any, text: str) -> dict[str, float] | None:
     columns = [axis.column for axis in source.model.driven]
     if source.causes or not columns or not source.model.free_base:
         return None
-    with recorded():
-        log = simulate(params=params, sample_rate_hz=1.0 / STEP_S, **COMPARED).frame
+    with record_warnings():
+        log = simulate(params=params, sample_rate_hz=1.0 / MJCF_STEP_S, **COMPARED).frame
     before = mujoco.get_mjcb_passive()
     mujoco.set_mjcb_passive(None)
     model = mujoco.MjModel.from_xml_string(text)
@@ -281,53 +287,69 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     Install the callback after loading the model, because MuJoCo compiles no model while a Python callback is
     set.
 
-    The forces are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each axis
-    (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing edges
-    (Lighthill 1971). The forces of effects are the functions in :mod:`swimid.effects`. The water moves with
-    the ``wind`` of the model.
+    The forces are those of :func:`swimid.swimmer.planar.engine.compute_planar_rate`: Morison drag along each
+    axis (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing
+    edges (Lighthill 1971). The forces of effects are the functions in :mod:`swimid.effects`. The water moves
+    with the ``wind`` of the model.
     """
-    import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    return _Water(model)
 
-    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, i) or "" for i in range(model.nsite)]
-    rows = list(zip(range(model.nsite), names, np.array(model.site_user), strict=True))
-    laws = [(site, _law(name, row)) for site, name, row in rows if name.startswith(PREFIX)]
-    masses = [(site, row[SYMMETRIC]) for site, name, row in rows if name.startswith(MASS)]
-    plane = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "swimid_plane")
-    begin, size = int(model.text_adr[plane]), int(model.text_size[plane])
-    upright = bytes(model.text_data)[begin : begin + size].rstrip(b"\0") == b"vertical"
-    side, turn, sign = (2, 1, -1.0) if upright else (1, 2, 1.0)
-    along, across = (model.numeric("swimid_reference").data[k] for k in (0, 1))
-    six, pose, moves = np.zeros(6), np.zeros(3), np.zeros((4, 3, model.nv))
 
-    def passive(given: Any, data: Any) -> None:
-        if given.nsite != model.nsite or given.nv != model.nv:
+class _Water:
+    """Callback of :func:`water`, with the sites of a model that carry forces and masses."""
+
+    def __init__(self, model: Any) -> None:
+        import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
+
+        self._mujoco, self._model = mujoco, model
+        names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, i) or "" for i in range(model.nsite)]
+        rows = list(zip(range(model.nsite), names, np.array(model.site_user), strict=True))
+        self._laws = [(site, _law(name, row)) for site, name, row in rows if name.startswith(PREFIX)]
+        self._masses = [(site, row[SYMMETRIC]) for site, name, row in rows if name.startswith(MASS_PREFIX)]
+        plane = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "swimid_plane")
+        begin, size = int(model.text_adr[plane]), int(model.text_size[plane])
+        upright = bytes(model.text_data)[begin : begin + size].rstrip(b"\0") == b"vertical"
+        self._side, self._turn, self._sign = (2, 1, -1.0) if upright else (1, 2, 1.0)
+        self._along, self._across = (model.numeric("swimid_reference").data[k] for k in (0, 1))
+        self._six, self._pose, self._moves = np.zeros(6), np.zeros(3), np.zeros((4, 3, model.nv))
+
+    def __call__(self, given: Any, data: Any) -> None:
+        """Apply the forces, and add the masses, to the data of a model that is like the loaded one."""
+        if given.nsite != self._model.nsite or given.nv != self._model.nv:
             return
+        self._apply_forces(given, data)
+        if self._masses:
+            self._add_masses(given, data)
+
+    def _apply_forces(self, given: Any, data: Any) -> None:
+        """Add the forces at the sites to the passive forces."""
+        mujoco, side, six, pose = self._mujoco, self._side, self._six, self._pose
         base = data.xmat[1].reshape(3, 3)
-        pose[:2] = (data.xpos[1] + along * base[:, 0] + across * base[:, side])[[0, side]]
-        for site, law in laws:
+        pose[:2] = (data.xpos[1] + self._along * base[:, 0] + self._across * base[:, side])[[0, side]]
+        for site, law in self._laws:
             mujoco.mj_objectVelocity(given, data, mujoco.mjtObj.mjOBJ_SITE, site, six, 1)
             axes = data.site_xmat[site].reshape(3, 3)
             u, v = (six[3:] - axes.T @ given.opt.wind)[[0, side]]
             pose[2] = math.atan2(axes[side, 0], axes[0, 0])
-            fx, fy, moment, world = law(data.time, pose, u, v, sign * six[turn])
+            fx, fy, moment, world = law(data.time, pose, u, v, self._sign * six[self._turn])
             force, torque = np.zeros(3), np.zeros(3)
             force[0], force[side] = fx, fy
-            torque[turn] = sign * moment
+            torque[self._turn] = self._sign * moment
             if not world:
                 force, torque = axes @ force, axes @ torque
             owner = given.site_bodyid[site]
             mujoco.mj_applyFT(given, data, force, torque, data.site_xpos[site], owner, data.qfrc_passive)
-        if masses:
-            add_masses(given, data)
 
-    def add_masses(given: Any, data: Any) -> None:
-        total, axes = np.zeros((given.nv, given.nv)), np.diag([0.0, 0.0, sign])
-        for site, mass in masses:
+    def _add_masses(self, given: Any, data: Any) -> None:
+        """Add the masses that differ by direction to the mass matrix, and their loads to the forces."""
+        mujoco, side, moves = self._mujoco, self._side, self._moves
+        total, axes = np.zeros((given.nv, given.nv)), np.diag([0.0, 0.0, self._sign])
+        for site, mass in self._masses:
             place = data.site_xpos[site], given.site_bodyid[site]
             mujoco.mj_jac(given, data, *moves[:2], *place)
             mujoco.mj_jacDot(given, data, *moves[2:], *place)
             axes[:2, :2] = data.site_xmat[site].reshape(3, 3)[np.ix_([0, side], [0, side])].T
-            own, rate = axes @ moves.reshape(2, 6, -1)[:, [0, side, 3 + turn]]
+            own, rate = axes @ moves.reshape(2, 6, -1)[:, [0, side, 3 + self._turn]]
             u, v, r = own @ data.qvel - axes @ np.append(given.opt.wind[[0, side]], 0.0)
             px, py, _ = mass @ (u, v, r)
             # Acceleration if that of all joints is zero. The axes of the link turn.
@@ -338,8 +360,6 @@ def water(model: Any) -> Callable[[Any, Any], None]:
         mujoco.mj_makeM(given, data)
         data.M += total[np.repeat(np.arange(given.nv), given.M_rownnz), given.M_colind]
         mujoco.mj_factorM(given, data)
-
-    return passive
 
 
 #: Type of a function that computes the force at a MuJoCo site. Its arguments are the time (s), the position
@@ -354,7 +374,7 @@ def _law(name: str, row: Any) -> Law:
     if not name.startswith(CAUSE):
         return lambda time_s, pose, u, v, r: _force(row, u, v, r)
     # Call the catalogue to import the modules of all effects, which register the functions of their forces.
-    catalogue()
+    list_effects()
     known = TRACEABLE[name.removeprefix(CAUSE)]
     constants = row[: known.constants]
 

@@ -9,29 +9,25 @@ from swimid.options import Options, option
 
 class ExportOptions(
     Options,
-    command="export",
-    section="Publish",
     argument="PARAMS",
     output="The file to write. Without it, or with -o -, it goes to stdout.",
     stdout={},
     beside=("_mjcf_causes.py", "_gazebo_causes.py", "_draws.csv"),
 ):
-    """Write coefficients and causes for MuJoCo or Gazebo or as JSON, or a log for movement.
+    """Write coefficients and causes for MuJoCo or Gazebo, or as JSON.
 
     PARAMS is a parameter file of a robot with links in one plane, or for Gazebo of a vehicle with one link.
     Its causes are the effects that a diagnosis found. A warning names each thing that the simulator cannot
     carry. Beside tfish.xml, tfish_mjcf_causes.py filters the commands if the simulator lacks a law of the
-    servos, and tfish_draws.csv has the samples of --draws. With --to movement, PARAMS is a log, which becomes
-    a netCDF dataset of the Python package movement.
+    servos, and tfish_draws.csv has the samples of --draws.
 
     Examples:
       swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
       swimid export tfish.yaml --to gazebo -o tfish.sdf
       swimid export repaired.yaml --to mjcf --added-mass fold --draws 100 -o tfish.xml
-      swimid export run.csv --to movement -o run.nc
     """
 
-    to: Literal["mjcf", "gazebo", "json", "movement"] = option(help="Format to write.")
+    to: Literal["mjcf", "gazebo", "json"] = option(help="Format to write.")
     added_mass: Literal["native", "fold", "none"] = option(
         "native",
         help="native: as the simulator itself models it, if it does. fold: part of the masses of the bodies. "

@@ -12,20 +12,22 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from swimid.exporters.causes import Cause, limits_of, read_causes
+from swimid.exporters.causes import ExportedCause, limits_of, read_causes
 from swimid.exporters.options import ExportOptions
 from swimid.files.templates import environment
-from swimid.fitting.model import Array, Force
+from swimid.fitting.model import Array, ExternalForce
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
-from swimid.robots.planar import Joint, Multilink
-from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.tree import SYMMETRIC, Actuated, Axis, Polynomial
+from swimid.robots.planar import MultilinkRobot, PlanarJoint
+from swimid.robots.quantities import Polynomial
+from swimid.swimmer.engine import PASSIVE
+from swimid.swimmer.planar.engine import COLUMNS as ENGINE_COLUMNS
+from swimid.swimmer.planar.model import MultilinkModel, PlanarTree
+from swimid.swimmer.tree import SYMMETRIC, Actuated, MovingJoint
 
 #: Names of the numerical values that describe a force element, for each kind of force element. Their order is
 #: that of the columns in the input arrays of the equations of motion (``engine``).
-COLUMNS = {"drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE}
+COLUMNS = {name: ENGINE_COLUMNS[name] for name in ("drag", "foil", "force", "wake")}
 #: Sentence on a limit of the XML formats: they have standard errors and correlations only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
@@ -44,11 +46,11 @@ class Exported(NamedTuple):
 
     text: str
     limits: list[str]
-    filtered: list[Cause]
+    filtered: list[ExportedCause]
 
 
 @dataclass(frozen=True)
-class Link:
+class ExportedLink:
     """Link of an exported robot, described by numerical values.
 
     The frame of the link has its origin at the front end of the link, x forward and y to port.
@@ -58,7 +60,7 @@ class Link:
     name : str
     parent : int
         Index of the parent link; -1 for the base.
-    joint : Joint or None
+    joint : PlanarJoint or None
         Joint that connects the link to its parent.
     at : (float, float), m
         Position of the joint in the frame of the parent.
@@ -72,7 +74,7 @@ class Link:
 
     name: str
     parent: int
-    joint: Joint | None
+    joint: PlanarJoint | None
     at: tuple[float, float]
     mount_rad: float
     length_m: float
@@ -93,7 +95,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Element:
+class ExportedElement:
     """Force element of a link of an exported robot: drag point, foil, constant force or trailing edge.
 
     Attributes
@@ -117,7 +119,7 @@ class Element:
 
 
 @dataclass(frozen=True)
-class Source:
+class ExportSource:
     """Parameter file and robot of an export, and the robot's quantities at the estimated parameter values.
 
     Attributes
@@ -140,7 +142,7 @@ class Source:
     path: Path
 
     @property
-    def body(self) -> Multilink:
+    def body(self) -> MultilinkRobot:
         """Entry ``multilink`` of the robot file: links, joints and force elements of the robot in a plane."""
         assert self.robot.multilink is not None
         return self.robot.multilink
@@ -158,9 +160,9 @@ class Source:
         return math.radians(self.body.heading_deg)
 
     @cached_property
-    def assembly(self) -> Assembly:
+    def assembly(self) -> PlanarTree:
         """Validated description of the robot, which computes the input arrays of the equations of motion."""
-        return Assembly(self.body, self.robot.fluid)
+        return PlanarTree(self.body, self.robot.fluid)
 
     @cached_property
     def values(self) -> Array:
@@ -196,24 +198,24 @@ class Source:
         return MultilinkModel(self.robot)
 
     @cached_property
-    def causes(self) -> list[Cause]:
+    def causes(self) -> list[ExportedCause]:
         """Effects whose parameters the parameter file contains, with the values of these parameters."""
         return read_causes(self.parameters, self.model, self.path)
 
     @cached_property
     def tables(self) -> dict[str, Any]:
         """Input arrays of the robot's equations of motion (``engine``), with the changes by the effects."""
-        return _changed(self.assembly.tables(self.values), self.causes)
+        return _change_tables(self.assembly.tables(self.values), self.causes)
 
     @property
     def rigid(self) -> Array:
         """Input array ``inertia`` of the links without added mass, with the changes by the effects."""
         dry = type(self.assembly)(self.body.model_copy(update={"elements": []}), self.robot.fluid)
         causes = [cause for cause in self.causes if cause.rigid]
-        return np.asarray(_changed(dry.tables(self.values), causes)["inertia"])
+        return np.asarray(_change_tables(dry.tables(self.values), causes)["inertia"])
 
     @cached_property
-    def forces(self) -> list[tuple[str, Force]]:
+    def forces(self) -> list[tuple[str, ExternalForce]]:
         """Forces that the effects exert on the links, each with the name of its effect."""
         # Compute the tables first, because some forces get their constants when their effect changes the
         # tables.
@@ -230,7 +232,7 @@ class Source:
         return float(x), float(y)
 
     @cached_property
-    def links(self) -> list[Link]:
+    def links(self) -> list[ExportedLink]:
         """Links of the robot with their inertias. A parent link precedes its child links."""
         rigid, total = self.rigid[:, SYMMETRIC], self.tables["inertia"][:, SYMMETRIC]
         joints = {joint.child: joint for joint in self.body.joints}
@@ -240,19 +242,19 @@ class Source:
             parent, mount_rad = int(self.tables["topology"][i, 0]), math.atan2(sin, cos)
             inertias = (rigid[i], total[i] - rigid[i])
             joint = joints.get(link.name)
-            links.append(Link(link.name, parent, joint, (x, y), mount_rad, link.length_m, *inertias))
+            links.append(ExportedLink(link.name, parent, joint, (x, y), mount_rad, link.length_m, *inertias))
         return links
 
     @cached_property
     def laws(self) -> dict[str, dict[str, float]]:
         """Coefficients in the law of the moment of each passive joint. The key is the name of the joint.
 
-        The coefficients are those of :data:`engine.PASSIVE` and ``wire_stiffness``. The latter is the
-        stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 - l_cr)``, in N m/rad.
+        The coefficients are those of ``swimid.swimmer.engine.PASSIVE`` and ``wire_stiffness``. The latter is
+        the stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 - l_cr)``, in N m/rad.
         """
         laws = {}
         for axis, row in zip(self.assembly.passive, self.tables["passive"], strict=True):
-            law = dict(zip(engine.PASSIVE, map(float, row), strict=True))
+            law = dict(zip(PASSIVE, map(float, row), strict=True))
             law["wire_stiffness"] = 0.0
             if law["spring"]:
                 levers = law["arm"] * law["crank"] / (law["arm"] - law["crank"])
@@ -261,10 +263,10 @@ class Source:
         return laws
 
     @cached_property
-    def elements(self) -> list[Element]:
+    def elements(self) -> list[ExportedElement]:
         """Force elements of the robot: drag points, foils, constant forces and trailing edges."""
         return [
-            Element(kind, int(owner), dict(zip(columns, map(float, row), strict=True)))
+            ExportedElement(kind, int(owner), dict(zip(columns, map(float, row), strict=True)))
             for kind, columns in COLUMNS.items()
             for owner, row in zip(self.tables[f"{kind}_link"], self.tables[kind], strict=True)
         ]
@@ -282,7 +284,7 @@ class Source:
         """
         return [link.rigid + fold * (link.added - link.directional) for link in self.links]
 
-    def actuator(self, axis: Axis) -> Actuated:
+    def actuator(self, axis: MovingJoint) -> Actuated:
         """Return the actuator of a driven joint."""
         return self.assembly.actuators[self.assembly.actuator_of[self.assembly.driven.index(axis)]]
 
@@ -318,7 +320,7 @@ class Source:
         servos = []
         for axis in self.assembly.driven:
             frequency, ratio = default_hz, 1.0
-            law = self.actuator(axis).driven.servo
+            law = self.actuator(axis).law.servo
             if law is not None:
                 frequency = Polynomial.of(law.natural_frequency_hz).at(values)
                 ratio = Polynomial.of(law.damping_ratio).at(values)
@@ -328,11 +330,11 @@ class Source:
         return servos
 
 
-def _changed(tables: Mapping[str, Any], causes: Sequence[Cause]) -> dict[str, Any]:
+def _change_tables(tables: Mapping[str, Any], causes: Sequence[ExportedCause]) -> dict[str, Any]:
     """Return a copy of the input arrays of the equations of motion with the changes by effects."""
     found = {name: np.copy(table) for name, table in tables.items()}
     for cause in causes:
-        cause.hooks.changed(found, "tables")
+        cause.hooks.change_values(found, "tables")
     return found
 
 
@@ -365,7 +367,7 @@ def central(inertia: Array) -> tuple[float, tuple[float, float], float]:
     return float(0.5 * (along + across)), (float(x), float(y)), float(moment)
 
 
-def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[float]:
+def _moments_behind_joints(links: list[ExportedLink], inertias: list[Array]) -> list[float]:
     """Return for each link the moment of inertia, kg m2, of all links that its joint to the parent carries.
 
     It refers to the axis of the joint and to zero angles of all joints.
@@ -383,7 +385,7 @@ def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[flo
 # ---------------------------------------------------------------- limits of the formats
 
 
-def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
+def _describe_added_mass(source: ExportSource, choice: str, native: str) -> list[str]:
     """Return sentences on the errors that the option ``--added-mass`` causes in an export.
 
     ``choice`` is the value of the option. ``native`` is the sentence for the value ``native``.
@@ -408,7 +410,7 @@ def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     return limits
 
 
-def _joint_limits(source: Source, servo_hz: float) -> list[str]:
+def _joint_limits(source: ExportSource, servo_hz: float) -> list[str]:
     """Return sentences on joints that move differently in swimid and in an exported model.
 
     They are passive joints with dry friction, and driven joints for which the robot file states no servo.
@@ -420,7 +422,7 @@ def _joint_limits(source: Source, servo_hz: float) -> list[str]:
         if law["friction"]
     ]
     driven = source.assembly.driven
-    assumed = [axis.name for axis in driven if source.actuator(axis).driven.servo is None]
+    assumed = [axis.name for axis in driven if source.actuator(axis).law.servo is None]
     if assumed:
         limits.append(
             f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
@@ -434,11 +436,11 @@ def _joint_limits(source: Source, servo_hz: float) -> list[str]:
 
 def export_xml(
     template: str,
-    source: Source,
+    source: ExportSource,
     options: ExportOptions,
     native: str,
     limits: list[str],
-    filtered: list[Cause],
+    filtered: list[ExportedCause],
     *,
     forces: bool,
     **more: Any,
@@ -463,7 +465,7 @@ def export_xml(
     **more
         Further variables of the template.
     """
-    added = _added_mass_limits(source, options.added_mass, native)
+    added = _describe_added_mass(source, options.added_mass, native)
     causes = limits_of(source.causes, filtered, forces=forces)
     joints = _joint_limits(source, options.servo_hz)
     limits = [*added, *limits, *source.input_limits, *joints, *causes, NO_ERRORS]
@@ -471,13 +473,13 @@ def export_xml(
 
 
 def xml_text(
-    template: str, source: Source, limits: list[str], filtered: list[Cause], **more: Any
+    template: str, source: ExportSource, limits: list[str], filtered: list[ExportedCause], **more: Any
 ) -> Exported:
     """Create an XML document from a template, with a comment on its source and the limits of the format.
 
     See :func:`export_xml` for the parameters.
     """
-    templates = environment("swimid.exporters", autoescape=True, finalize=_shown)
+    templates = environment("swimid.exporters", autoescape=True, finalize=_to_xml_text)
     root = ET.fromstring(templates.get_template(template).render(source=source, **more))
     for element in root.iter():
         element.text = (element.text or "").strip() or None
@@ -486,7 +488,7 @@ def xml_text(
         f"Written by swimid {source.origin['version']}.",
         f"Parameters: {source.origin['file']}, sha256 {source.origin['sha256']}.",
         f"Robot: {source.robot.name}.",
-        *(f"  {name} = {_described(one)}" for name, one in source.parameters.parameters.items()),
+        *(f"  {name} = {_describe_estimate(one)}" for name, one in source.parameters.parameters.items()),
         "Not carried by this format:",
         *(f"  {limit}" for limit in limits),
     ]
@@ -498,7 +500,7 @@ def xml_text(
     return Exported(f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits, filtered)
 
 
-def _shown(value: Any) -> Any:
+def _to_xml_text(value: Any) -> Any:
     """Convert a number, or a sequence of numbers, in a template to XML text with all digits.
 
     >>> _shown([0.1, -0.0])
@@ -509,7 +511,7 @@ def _shown(value: Any) -> Any:
     return " ".join(repr(float(one) + 0.0) for one in np.atleast_1d(value))
 
 
-def _described(estimate: Estimate) -> str:
+def _describe_estimate(estimate: Estimate) -> str:
     parts = [repr(estimate.value)]
     if estimate.stderr is not None:
         parts.append(f"+- {estimate.stderr!r}")

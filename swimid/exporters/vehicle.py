@@ -18,10 +18,11 @@ from swimid.errors import InputError
 from swimid.exporters.causes import limits_of
 from swimid.exporters.gazebo import DART_ONLY
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import NO_ERRORS, Exported, Source, xml_text
+from swimid.exporters.source import NO_ERRORS, Exported, ExportSource, xml_text
 from swimid.fitting.model import Array
-from swimid.swimmer.spatial.engine import DAMPING, DRAG, LOAD
-from swimid.swimmer.spatial.model import Assembly, MultibodyModel, centre_of_mass, cross_matrix, full
+from swimid.swimmer.assembly import lever_matrix
+from swimid.swimmer.spatial.engine import COLUMNS
+from swimid.swimmer.spatial.model import MultibodyModel, SpatialTree, centre_of_mass, full
 
 #: Letters of forces and moments, and of velocities, in the tags of the plugin Hydrodynamics.
 FORCES, SPEEDS = "xyzkmn", "UVWPQR"
@@ -32,7 +33,7 @@ SAME_M = 1e-9
 
 
 @dataclass(frozen=True)
-class VehicleSource(Source):
+class VehicleSource(ExportSource):
     """Parameter file and robot of an export of a robot in 3-D."""
 
     part: ClassVar[str] = "multibody"
@@ -45,7 +46,7 @@ class VehicleSource(Source):
     @cached_property
     def assembly(self) -> Any:
         """Validated description of the robot, which computes the input arrays of the equations of motion."""
-        return Assembly(self.body, self.robot.fluid)
+        return SpatialTree(self.body, self.robot.fluid)
 
     def new_model(self) -> Any:
         """Return a simulation model of the robot as the robot file describes it."""
@@ -66,7 +67,7 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
         hint = "robots in space are exported as vehicles with one free link"
         raise InputError(text, file=source.path, column="robot", hint=hint)
     rigid, centre = full(source.rigid[0]), centre_of_mass(source.rigid[0])
-    at_centre = np.block([[np.eye(3), cross_matrix(centre)], [np.zeros((3, 3)), np.eye(3)]])
+    at_centre = np.block([[np.eye(3), lever_matrix(centre)], [np.zeros((3, 3)), np.eye(3)]])
     added = at_centre.T @ (full(source.tables["inertia"][0]) - rigid) @ at_centre
     added[np.abs(added) < 1e-9 * np.abs(added).max()] = 0.0
     central = (at_centre.T @ rigid @ at_centre)[3:, 3:]
@@ -106,9 +107,9 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
     )
 
 
-def _drag(source: Source, centre: Array) -> tuple[list[dict[str, Any]], dict[str, float]]:
+def _drag(source: ExportSource, centre: Array) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Return helper links for drag away from the centre of mass, and the derivatives of the main link."""
-    rows = [dict(zip(DRAG, row, strict=True)) for row in source.tables["drag"]]
+    rows = [dict(zip(COLUMNS["drag"], row, strict=True)) for row in source.tables["drag"]]
     own = np.zeros((2, 6))
     helpers = []
     for k, row in enumerate(rows):
@@ -120,7 +121,7 @@ def _drag(source: Source, centre: Array) -> tuple[list[dict[str, Any]], dict[str
         tags = _tags(np.hstack([values, np.zeros((2, 3))]))
         helpers.append({"name": f"drag{k}", "place": place, "derivatives": tags})
     for damping in source.tables["damping"]:
-        named = dict(zip(DAMPING, damping, strict=True))
+        named = dict(zip(COLUMNS["damping"], damping, strict=True))
         own[:, 3:] += [[named[f"{kind}_{c}"] for c in "pqr"] for kind in ("linear", "quadratic")]
     return helpers, _tags(own)
 
@@ -133,7 +134,7 @@ def _tags(values: Array) -> dict[str, float]:
     return {tag: float(value) for tag, value in tags.items() if value}
 
 
-def _volumes(source: Source, centre: Array, mass: float) -> tuple[list[dict[str, Any]], list[str]]:
+def _volumes(source: ExportSource, centre: Array, mass: float) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the boxes of water that the vehicle displaces, and sentences on other forces."""
     fluid = source.robot.fluid
     volumes, limits = [], []
@@ -155,7 +156,7 @@ def _volumes(source: Source, centre: Array, mass: float) -> tuple[list[dict[str,
     return volumes, limits
 
 
-def _propellers(source: Source, centre: Array) -> tuple[list[dict[str, Any]], list[str]]:
+def _propellers(source: ExportSource, centre: Array) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the propeller links of the loads, and sentences on what their commands must be."""
     names, laws = list(source.body.inputs), list(source.body.inputs.values())
     propellers, limits = [], []
@@ -166,10 +167,10 @@ def _propellers(source: Source, centre: Array) -> tuple[list[dict[str, Any]], li
         if not gain or row[6:9].any():
             limits.append(f"the moment of the input {name} is left out")
             continue
-        if row[LOAD.index("world")]:
+        if row[COLUMNS["load"].index("world")]:
             limits.append(f"the force of the input {name} along the axes of the world is left out")
             continue
-        if row[LOAD.index("loss")]:
+        if row[COLUMNS["load"].index("loss")]:
             limits.append(f"the thrust of {name}_{k} does not fall with the speed of advance")
         propellers.append({"name": f"{name}_{k}", "place": row[:3] - centre, "axis": force / gain})
         is_plain = law == type(law)(column=law.column, measured=law.measured)

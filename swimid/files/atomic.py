@@ -55,7 +55,7 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
         If the path is one of ``inputs``, or is a folder, or needs pyarrow and pyarrow is not installed.
     """
     path = Path(path)
-    if path.suffix.lower() in tabular.PARQUET:
+    if path.suffix.lower() in tabular.PARQUET_ENDINGS:
         tabular.pyarrow()
     folder = path.parent
     if folder.is_file():
@@ -95,7 +95,7 @@ class _Group:
         """
         backups: dict[Path, Path] = {}
         done: list[Path] = []
-        with _uninterrupted():
+        with _delay_interrupt():
             try:
                 for path in self.pending:
                     if len(self.pending) > 1 and path.exists():
@@ -127,7 +127,7 @@ _WRITTEN: ContextVar[list[Path]] = ContextVar("_WRITTEN")
 
 
 @contextmanager
-def together() -> Iterator[_Group]:
+def write_together() -> Iterator[_Group]:
     """Write all output files of a ``with`` block together, or none of them.
 
     The files are renamed to their final names when the block ends without an error. After an error, no file
@@ -153,7 +153,7 @@ def together() -> Iterator[_Group]:
 
 
 @contextmanager
-def noted() -> Iterator[list[Path]]:
+def record_writes() -> Iterator[list[Path]]:
     """Yield a list to which each file that is written in the ``with`` block is added."""
     written: list[Path] = []
     token = _WRITTEN.set(written)
@@ -164,12 +164,12 @@ def noted() -> Iterator[list[Path]]:
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
+def replace_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path to write, and replace ``path`` by it when the ``with`` block ends without error.
 
-    Inside a block of :func:`together`, the file is replaced at the end of that block. The temporary path has
-    the ending of ``path``, because some writers choose their format by the ending. An exception, a full disk
-    or Ctrl-C leaves the old file unchanged.
+    Inside a block of :func:`write_together`, the file is replaced at the end of that block. The temporary
+    path has the ending of ``path``, because some writers choose their format by the ending. An exception, a
+    full disk or Ctrl-C leaves the old file unchanged.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary = target.with_name(f".{target.stem}-{uuid4().hex[:8]}{path.suffix}")
     if is_device(path):
         temporary = Path(tempfile.gettempdir()) / temporary.name
-    with file_errors(path, "written"), together() as group:
+    with file_errors(path, "written"), write_together() as group:
         temporary.touch(exist_ok=False)
         group.cleanup.callback(temporary.unlink, missing_ok=True)
         yield temporary
@@ -197,23 +197,23 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write a text to a file in UTF-8, completely or not at all."""
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def remove(path: Path) -> None:
-    """Remove an obsolete file when the current block of :func:`together` ends without an error.
+    """Remove an obsolete file when the current block of :func:`write_together` ends without an error.
 
     Outside of such a block the file is removed at once.
     """
-    with together() as group:
+    with write_together() as group:
         group.pending[path] = None
 
 
 def make_folder(path: Path) -> None:
     """Create a folder for output files, and remove it again if no file is written to it.
 
-    It is removed at the end of the current block of :func:`together`.
+    It is removed at the end of the current block of :func:`write_together`.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def make_folder(path: Path) -> None:
     """
     if path.is_dir():
         return
-    with file_errors(path, "made"), together() as group:
+    with file_errors(path, "made"), write_together() as group:
         path.mkdir()
         group.cleanup.callback(_remove_empty, path)
 
@@ -266,7 +266,7 @@ def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[Non
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
+def _delay_interrupt() -> Iterator[None]:
     """Delay the effect of Ctrl-C until the ``with`` block has ended."""
     received: list[Callable[[], None]] = []
     try:
@@ -368,7 +368,7 @@ def _has_ended(process: int | None) -> bool:
 
 
 @contextmanager
-def locked(output: Path | None) -> Iterator[None]:
+def hold_lock(output: Path | None) -> Iterator[None]:
     """Lock an output file against other processes during the ``with`` block.
 
     A device, the standard output, and a file in a folder that cannot be written are not locked.
@@ -391,7 +391,7 @@ def _is_lockable(output: Path) -> bool:
 DIGITS = 32
 
 
-def place(output: Path) -> Path:
+def checkpoint_path(output: Path) -> Path:
     """Return the path of the checkpoint file of an output: ``map.yaml.partial`` for ``map.yaml``."""
     return output.with_name(f"{output.name}.partial")
 
@@ -445,14 +445,14 @@ class Checkpoint:
             self._read(path)
 
     @classmethod
-    def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
+    def of_output(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
         """Return the checkpoint of an output file for one computation.
 
         Its key is computed from ``belongs_to``, the inputs and settings of the computation, and the version
         of swimid. Without an output, nothing is stored.
         """
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
-        path = output and place(output)
+        path = output and checkpoint_path(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     def get(self, name: str) -> NDArray[np.float64] | None:
@@ -479,7 +479,7 @@ class Checkpoint:
                     warn("SWM151", f"{self.path} cannot be written: {error.strerror or error}")
                 self._full = True
 
-    def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
+    def get_or_compute(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
         """Return the intermediate result with the given name, from the checkpoint if it is stored there.
 
         Otherwise call ``compute`` and store the result.
@@ -490,7 +490,7 @@ class Checkpoint:
             self.put(name, values)
         return values
 
-    def done(self) -> None:
+    def finish(self) -> None:
         """Remove the intermediate results of this computation from the checkpoint file.
 
         Call this method after the result is written. Lines of other computations stay in the file. A file
@@ -499,7 +499,7 @@ class Checkpoint:
         if self.path is None:
             return
         if self._others:
-            with noted():  # Hide this write from the list of outputs of the command.
+            with record_writes():  # Hide this write from the list of outputs of the command.
                 write_text(self.path, "".join(f"{line}\n" for line in self._others))
         else:
             self.path.unlink(missing_ok=True)
@@ -534,14 +534,18 @@ class Checkpoint:
         if lines and not raw.endswith(b"\n"):
             with path.open("ab") as stream:
                 stream.write(b"\n")
+        self._warn_of_lines(path, len(lines), damaged)
+
+    def _warn_of_lines(self, path: Path, count: int, damaged: int) -> None:
+        """Warn of the lines of the checkpoint file that are damaged or of other computations."""
         others = len(self._others)
-        told = []
+        texts = []
         if others:
-            told.append(f"{others} of runs with other inputs or options, or of another version")
+            texts.append(f"{others} of runs with other inputs or options, or of another version")
         if damaged:
-            told.append(f"{damaged} damaged")
-        if told:
-            text = f"{path}: {others + damaged} of {len(lines)} lines were ignored: {', '.join(told)}"
+            texts.append(f"{damaged} damaged")
+        if texts:
+            text = f"{path}: {others + damaged} of {count} lines were ignored: {', '.join(texts)}"
             if others:
                 text += f"; delete {path.name} if nobody goes on with those runs"
             warn("SWM150", text)

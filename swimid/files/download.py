@@ -37,7 +37,7 @@ ADDRESS = "https://raw.githubusercontent.com"
 #: Environment variable that states another address or folder.
 VARIABLE = "SWIMID_DOWNLOADS"
 #: Maximum time to wait for an answer of a server, s.
-TIMEOUT_S = 30
+SERVER_TIMEOUT_S = 30
 #: Names of the files that are written beside the downloaded ones.
 LICENCE, CITATION = "LICENSE", "CITATION.md"
 
@@ -130,33 +130,17 @@ def fetch(
         SHA-256 of a file is not the stated one.
     """
     if not isinstance(dataset, RemoteFiles):
-        dataset = yamlio.validated(dataset, RemoteFiles)
+        dataset = yamlio.read_document(dataset, RemoteFiles)
     source = address or os.environ.get(VARIABLE) or ADDRESS
     with tempfile.TemporaryDirectory() as scratch, progress("downloading", total=len(dataset.files)) as step:
-        found: dict[str, Path] = {}
-        missing = []
-        for number, (path, digest) in enumerate(dataset.files.items()):
-            if "://" in source:
-                file, origin = _from_server(dataset, path, source, Path(scratch) / str(number))
-            else:
-                there = _from_folder(dataset, path, Path(source))
-                if there is None:
-                    missing.append(dataset.local(path))
-                    step()
-                    continue
-                file = Path(scratch) / str(number)
-                with file_errors(there, noted=False):
-                    shutil.copyfile(there, file)
-                origin = str(there)
-            if (actual := sha256(file)) != digest:
-                raise InputError(
-                    f"has SHA-256 {actual}, and {digest} is expected",
-                    file=origin,
-                    hint=f"get the file {path} of {dataset.repository} at {dataset.commit} again",
-                )
-            found[dataset.local(path)] = file
+        files: dict[str, Path] = {}
+        for number, path in enumerate(dataset.files):
+            file = Path(scratch) / str(number)
+            if _get(dataset, path, source, file):
+                files[dataset.local(path)] = file
             step()
-        if not found:
+        missing = [name for name in map(dataset.local, dataset.files) if name not in files]
+        if not files:
             raise InputError(
                 f"the folder has none of the files {', '.join(missing)}",
                 file=source,
@@ -164,11 +148,31 @@ def fetch(
             )
         if missing:
             warn("SWM178", f"{source} has no {', '.join(missing)}: these files are left out")
-        return _write(dataset, found, folder)
+        return _write(dataset, files, folder)
 
 
-def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> tuple[Path, str]:
-    """Download one file, and return its temporary path and its address."""
+def _get(dataset: RemoteFiles, path: str, source: str, file: Path) -> bool:
+    """Copy one file of a dataset to a temporary path, check its SHA-256, and return whether it is there."""
+    if "://" in source:
+        origin = _from_server(dataset, path, source, file)
+    else:
+        there = _from_folder(dataset, path, Path(source))
+        if there is None:
+            return False
+        with file_errors(there, noted=False):
+            shutil.copyfile(there, file)
+        origin = str(there)
+    if (actual := sha256(file)) != dataset.files[path]:
+        raise InputError(
+            f"has SHA-256 {actual}, and {dataset.files[path]} is expected",
+            file=origin,
+            hint=f"get the file {path} of {dataset.repository} at {dataset.commit} again",
+        )
+    return True
+
+
+def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> str:
+    """Download one file to a temporary path, and return its address."""
     import pooch
     import requests
 
@@ -178,7 +182,7 @@ def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> tu
     for place in places:
         url = f"{source.rstrip('/')}/{place}"
         try:
-            pooch.HTTPDownloader(timeout=TIMEOUT_S)(url, str(file), None)
+            pooch.HTTPDownloader(timeout=SERVER_TIMEOUT_S)(url, str(file), None)
         except requests.HTTPError as error:
             if error.response.status_code == requests.codes.not_found and place != places[-1]:
                 continue
@@ -194,7 +198,7 @@ def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> tu
                 hint=f"download the files of https://github.com/{dataset.repository}/tree/{dataset.commit}"
                 " on another machine, and name their folder: --from FOLDER",
             ) from error
-        return file, url
+        return url
     raise AssertionError("a file has at least one place")
 
 
@@ -221,13 +225,13 @@ def _write(dataset: RemoteFiles, found: dict[str, Path], folder: Path) -> list[P
         ),
     ]
     written = []
-    with atomic.together():
+    with atomic.write_together():
         atomic.make_folder(folder)
         for name, file in found.items():
             target = folder / name
             for parent in reversed(PurePosixPath(name).parents[:-1]):
                 atomic.make_folder(folder / parent)
-            with atomic.replacing(target) as temporary:
+            with atomic.replace_file(target) as temporary:
                 shutil.copyfile(file, temporary)
             written.append(target)
         for name, text in ((LICENCE, dataset.licence_text), (CITATION, "\n".join(page) + "\n")):

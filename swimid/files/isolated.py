@@ -33,7 +33,7 @@ MAX_EXPANSION = 100
 #: Maximum fraction of the physical memory for the samples of one file.
 MEMORY_SHARE = 0.25
 #: Number of copies of the samples that a reader may hold in memory at once.
-N_COPIES = 4
+N_READER_COPIES = 4
 #: Maximum time for reading a file, s, and additional time for each byte of the file, s.
 MAX_TIME_S, TIME_S_PER_BYTE = 60.0, 5e-6
 #: Option of the Linux system call ``prctl`` that selects the signal at the end of the parent process.
@@ -42,7 +42,7 @@ PR_SET_PDEATHSIG = 1
 _is_child = False
 
 
-def allowed_bytes(path: Path) -> int:
+def max_bytes(path: Path) -> int:
     """Return the maximum size of the samples of a file in memory, bytes."""
     most = max(ALWAYS_BYTES, MAX_EXPANSION * path.stat().st_size)
     return int(min(most, MEMORY_SHARE * physical_bytes()))
@@ -57,7 +57,7 @@ def check_size(path: Path, size: int) -> None:
     ------
     InputError
     """
-    most = allowed_bytes(path)
+    most = max_bytes(path)
     if size > most:
         text = f"its samples take {size / 1e6:.0f} MB of memory; at most {most / 1e6:.0f} MB are allowed"
         raise InputError(text, file=path, hint="divide the recording into several files")
@@ -76,7 +76,9 @@ def check_zip(path: Path) -> None:
         check_size(path, sum(member.file_size for member in archive.infolist()))
 
 
-def run(function: Callable[..., Made], *args: Any, file: Path, fork: bool = sys.platform == "linux") -> Made:
+def run_isolated(
+    function: Callable[..., Made], *args: Any, file: Path, fork: bool = sys.platform == "linux"
+) -> Made:
     """Call a function that reads a file in a child process, and return its result.
 
     On Linux the child process is a fork, which starts within milliseconds, and its memory is limited. On
@@ -104,7 +106,7 @@ def run(function: Callable[..., Made], *args: Any, file: Path, fork: bool = sys.
     if _is_child:
         return function(*args)
     size = file.stat().st_size
-    time_s, memory = MAX_TIME_S + TIME_S_PER_BYTE * size, N_COPIES * allowed_bytes(file)
+    time_s, memory = MAX_TIME_S + TIME_S_PER_BYTE * size, N_READER_COPIES * max_bytes(file)
     if fork:
         answer, status = _in_fork(function, args, time_s, memory)
     else:

@@ -22,7 +22,7 @@ from swimid.notices import warn
 #: Minimum free space on the disk of the cache folder, bytes. All kernels together need less.
 MIN_FREE_BYTES = 50 << 20
 _VARIABLE = "NUMBA_CACHE_DIR"
-_PACKAGE = Path(__file__).parents[1]
+_PACKAGE_ROOT = Path(__file__).parents[1]
 
 
 def find_fault(folder: Path) -> str:
@@ -88,14 +88,14 @@ def remove_cache() -> int:
     int
         Number of bytes that were freed.
     """
-    files = [path for path in _PACKAGE.rglob("__pycache__/**/*") if path.suffix in (".nbi", ".nbc")]
-    files += _PACKAGE.rglob("__pycache__/lanes/*.py")
+    files = [path for path in _PACKAGE_ROOT.rglob("__pycache__/**/*") if path.suffix in (".nbi", ".nbc")]
+    files += _PACKAGE_ROOT.rglob("__pycache__/lanes/*.py")
     files += (path for path in own_cache().rglob("*") if path.is_file())
     freed = 0
     for path in set(files):
         freed += path.stat().st_size
         path.unlink()
-    for folder in (*_PACKAGE.rglob("__pycache__/lanes"), own_cache()):
+    for folder in (*_PACKAGE_ROOT.rglob("__pycache__/lanes"), own_cache()):
         shutil.rmtree(folder, ignore_errors=True)
     return freed
 
@@ -112,7 +112,7 @@ def choose_cache() -> None:
     if stated:
         fault = _find_faults([Path(stated)])
     else:
-        beside = {path.parent / "__pycache__" for path in _PACKAGE.rglob("*.py")}
+        beside = {path.parent / "__pycache__" for path in _PACKAGE_ROOT.rglob("*.py")}
         fault = _find_faults([*beside, *(folder / "lanes" / "__pycache__" for folder in beside)])
     if not fault:
         return

@@ -33,7 +33,7 @@ def sha256(path: str | Path) -> str:
 
 
 @dataclass(frozen=True)
-class Held:
+class InputInMemory:
     """Name and SHA-256 of an input of a computation that was in memory and not in a file."""
 
     name: str
@@ -110,7 +110,7 @@ def digests_of(inputs: Iterable[Input]) -> Inputs:
     SWM176
         If another file has changed since it was read.
     """
-    digests, known = Inputs(), reading.known()
+    digests, known = Inputs(), reading.list_files()
     for given in inputs:
         if not isinstance(given, str | Path):
             digests.add(given.name, given.digest())
@@ -154,7 +154,7 @@ def collect(inputs: Iterable[Input], *, settings: dict[str, Any] | None = None) 
     if simulated := [reading.name_of(path_of(one)) for one in given if says_simulated(one)]:
         block["simulated"] = simulated
     if settings:
-        block["settings"] = _published(settings)
+        block["settings"] = _publish(settings)
     return block
 
 
@@ -194,13 +194,13 @@ def says_simulated(given: Input) -> bool:
 
 
 def _head(path: Path) -> str:
-    """Return the first bytes of a file (:data:`NEAR`) as text.
+    """Return the first bytes of a file (:data:`MARK_RANGE_BYTES`) as text.
 
     For a Parquet file that swimid wrote, the text is ``PAR1`` and the metadata of the file as comment lines.
     For an HDF5 file with the attribute ``made_by``, it is this attribute as a comment line.
     """
     with file_errors(path, noted=False), path.open("rb") as stream:
-        head = stream.read(NEAR)
+        head = stream.read(MARK_RANGE_BYTES)
     if head.startswith(b"PAR1"):
         pyarrow, head = tabular.pyarrow(), b"PAR1"
         with suppress(pyarrow.ArrowInvalid):
@@ -219,25 +219,25 @@ def _head(path: Path) -> str:
 def command_line() -> str:
     """Return the command line of this process, with paths as results state them.
 
-    The options for the number of threads and for a cluster are left out, because they change no result.
+    The option for the number of threads is left out, because it changes no result.
     """
     program = Path(sys.argv[0]).name.replace("__main__.py", "swimid")
     words = _IDLE.sub("", "\0".join([program, *sys.argv[1:], ""])).split("\0")[:-1]
-    return shlex.join(map(reading.published, words))
+    return shlex.join(map(reading.publish_word, words))
 
 
 #: Pattern of options that change no result, in a command line whose words end with a zero.
-_IDLE = re.compile(r"(?<=\0)--(?:jobs|cluster)[=\0][^\0]*\0")
+_IDLE = re.compile(r"(?<=\0)--jobs[=\0][^\0]*\0")
 
 
-def _published(value: Any) -> Any:
+def _publish(value: Any) -> Any:
     """Return the settings of a command with paths as results state them."""
     if isinstance(value, Mapping):
-        return {name: _published(one) for name, one in value.items()}
+        return {name: _publish(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_published(one) for one in value]
+        return [_publish(one) for one in value]
     if isinstance(value, str):
-        return reading.published(value)
+        return reading.publish_word(value)
     return value
 
 
@@ -255,12 +255,12 @@ def _versions() -> dict[str, str]:
 #: Text in the metadata field ``Software`` or ``dc:creator`` of a picture that marks it as written by swimid.
 SOFTWARE = "swimid"
 #: Text in the comment of a GIF, or in the last box of a video file, that marks it as written by swimid.
-MADE_BY = "made by swimid"
+MADE_BY_TEXT = "made by swimid"
 #: Bytes at the end of a video file that mark it as written by swimid. They form a ``free`` box, which players
 #: skip (ISO/IEC 14496-12, section 8.1.2).
-VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
+VIDEO_BOX = (8 + len(MADE_BY_TEXT)).to_bytes(4, "big") + b"free" + MADE_BY_TEXT.encode()
 #: Number of bytes at the start and at the end of a file in which the mark of swimid is searched.
-NEAR = 65536
+MARK_RANGE_BYTES = 65536
 
 _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
 #: Pattern of the names of file formats that only swimid writes. The excluded formats are also written by
@@ -312,7 +312,7 @@ def is_own(path: Path) -> bool:
         return True
     start = _head(path)
     with file_errors(path, noted=False), path.open("rb") as stream:
-        stream.seek(max(path.stat().st_size - NEAR, 0))
+        stream.seek(max(path.stat().st_size - MARK_RANGE_BYTES, 0))
         tail = stream.read()
     if not tail or tail.endswith(VIDEO_BOX):
         return True

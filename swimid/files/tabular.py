@@ -60,13 +60,13 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
     if len(names) == 1 and re.search(r"[;\t]", header):
         text = "its columns must be separated by commas, not by semicolons or tabs"
         raise InputError(text, file=path, line=line)
-    twice = repeated(names)
+    twice = find_repeated(names)
     if twice is not None:
         raise InputError("two columns have this name", file=path, line=line, column=twice)
     return names
 
 
-def repeated(names: Iterable[str]) -> str | None:
+def find_repeated(names: Iterable[str]) -> str | None:
     """Return the first name that stands twice in a list; None if all names differ.
 
     >>> repeated(["x", "y", "z", "y"])
@@ -142,7 +142,7 @@ def count_cells(line: str, delimiter: str = ",") -> int:
         return 0
 
 
-def missing_column(
+def column_error(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
     """Return the error for a column that a table lacks, with the most similar existing column as a hint.
@@ -160,7 +160,7 @@ def missing_column(
     return InputError(what, file=path, line=line, column=column, hint=hint)
 
 
-def number(text: str) -> float | None:
+def parse_number(text: str) -> float | None:
     """Return the number in a cell of a table; None if the text is not a number.
 
     >>> number(" 1e-3 "), number("1,5"), number("1_0")
@@ -181,19 +181,23 @@ def plain_text(cell: Any) -> Any:
     >>> plain_text("=1+1"), plain_text("-0.5"), plain_text(-0.5), plain_text("ok")
     ("'=1+1", '-0.5', -0.5, 'ok')
     """
-    if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) and number(cell) is None:
+    if (
+        isinstance(cell, str)
+        and cell.startswith(("=", "+", "-", "@", "\t", "\r"))
+        and parse_number(cell) is None
+    ):
         return f"'{cell}"
     return cell
 
 
 def number_hint(text: str) -> str:
     """Return the hint for the error that the text of a table cell is not a number."""
-    if number(text.replace(",", ".")) is not None:
+    if parse_number(text.replace(",", ".")) is not None:
         return "write the decimal point as a dot"
     return "leave the cell empty where the sample is missing"
 
 
-PARQUET = (".parquet", ".pq")
+PARQUET_ENDINGS = (".parquet", ".pq")
 
 
 def pyarrow() -> Any:

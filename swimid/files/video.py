@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError
-from swimid.files.provenance import MADE_BY, VIDEO_BOX
+from swimid.files.provenance import MADE_BY_TEXT, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
 #: Resolution of the time stamps of frames in H.264 videos, ticks per second.
@@ -167,7 +167,7 @@ class Gif:
             append_images=rest,
             duration=round(1000 / self._rate),
             loop=0,
-            comment=MADE_BY.encode(),
+            comment=MADE_BY_TEXT.encode(),
         )
 
 

@@ -25,7 +25,7 @@ from typing_extensions import TypedDict
 
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
-from swimid.options import BEYOND, is_beyond
+from swimid.options import BEYOND, describe_problem, is_beyond
 
 #: Maximum size of a YAML file, bytes. A larger file is an error, and is not parsed.
 MAX_BYTES = 20_000_000
@@ -39,7 +39,7 @@ _NUMBERS, _ROW_TAG = re.compile(r"(?<=[ [,])\[[-+.\deE, ]{200,}\](?=[],}\s])"), 
 #: Maximum number of characters of a YAML text on one line, such as a comment line of a log.
 MAX_SCALAR = 100_000
 #: Maximum number of characters of a value in a message.
-MAX_SHOWN = 80
+MAX_VALUE_LETTERS = 80
 #: Placeholder for an unknown value in a drafted file. The user must replace it by a value.
 ASK = "ASK"
 
@@ -195,7 +195,7 @@ def load(path: str | Path) -> CommentedMap:
     if len(raw) > MAX_BYTES:
         raise InputError(f"has {len(raw)} bytes; a YAML input may have {MAX_BYTES}", file=path)
     try:
-        data = _parsed(_yaml(), text)
+        data = _parse(_yaml(), text)
     except Exception as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
         place = mark and mark.line + 1
@@ -270,7 +270,7 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
     return data
 
 
-def _parsed(yaml: YAML, text: str) -> Any:
+def _parse(yaml: YAML, text: str) -> Any:
     """Return the content of a YAML text; raise an error if it has more than :data:`MAX_NODES` nodes.
 
     The separators of nodes, words and characters are counted before the text is parsed, which takes long.
@@ -280,13 +280,13 @@ def _parsed(yaml: YAML, text: str) -> Any:
     text = _NUMBERS.sub(lambda row: f"{_ROW_TAG} '{row[0]}'", text)
     if known <= MAX_NODES:
         data = yaml.load(io.StringIO(text))
-        known = _expanded(data, {})
+        known = _count_nodes(data, {})
     if known > MAX_NODES:
         raise ValueError(f"it has more than {MAX_NODES} nodes with its anchors written out")
     return data
 
 
-def _expanded(node: Any, known: dict[int, int]) -> int:
+def _count_nodes(node: Any, known: dict[int, int]) -> int:
     """Return the number of nodes of a YAML document, where each alias counts as a copy of its node.
 
     The number is at most ``MAX_NODES + 1``. ``known`` has the numbers of nodes that are already counted.
@@ -296,11 +296,11 @@ def _expanded(node: Any, known: dict[int, int]) -> int:
     if id(node) not in known:
         known[id(node)] = MAX_NODES + 1  # A node that contains itself counts as too large.
         inner = node.values() if isinstance(node, dict) else node
-        known[id(node)] = min(1 + sum(_expanded(part, known) for part in inner), MAX_NODES + 1)
+        known[id(node)] = min(1 + sum(_count_nodes(part, known) for part in inner), MAX_NODES + 1)
     return known[id(node)]
 
 
-def validated(path: str | Path, model: type[M]) -> M:
+def read_document(path: str | Path, model: type[M]) -> M:
     """Read a YAML file and return its content as an object of a pydantic model.
 
     An error names the line of the file, and the most similar key for an unknown key.
@@ -343,7 +343,7 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
         ) from error
 
 
-def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | None]:
+def _follow(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | None]:
     """Follow the location of a pydantic error in YAML data as far as possible.
 
     Return the keys and indices that were found, the data at the end of this path, and the line of its last
@@ -364,12 +364,12 @@ def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int |
 
 def line_of(data: Any, location: Sequence[Any]) -> int | None:
     """Return the line of the last key of a path of keys that is in a YAML document; None if none is."""
-    return _followed(data, location)[2]
+    return _follow(data, location)[2]
 
 
 def _key(data: Any, problem: Any) -> list[Any]:
     """Return the path of the key to which a validation error of pydantic refers, also if it is missing."""
-    parts = _followed(data, problem["loc"])[0]
+    parts = _follow(data, problem["loc"])[0]
     if problem["type"] == "missing":
         parts.append(problem["loc"][-1])
     return parts
@@ -385,24 +385,28 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
             hint = suggestion(str(location[-1]), allowed, "allowed here")
         return f"unknown key '{location[-1]}'", hint
     if kind == "missing":
-        place = _followed(data, location[:-1])[1]
+        place = _follow(data, location[:-1])[1]
         if isinstance(place, Mapping) and (wrote := nearest(str(location[-1]), [*map(str, place)])):
             hint = f"you wrote '{wrote}'"
         return f"key '{location[-1]}' is missing", hint
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind == "value_error":
-        return message, None
-    expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
-    if close := nearest(str(value), [word.strip(" '") for word in expected.split(",")]):
-        hint = f"did you mean '{close}'?"
-    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+,\d+", value):
-        hint = f"write the decimal point as a dot: {value.replace(',', '.')}"
-    elif kind == "too_long" and all(isinstance(one, int) for one in value):
-        hint = "a decimal comma separates two items; write the decimal point as a dot"
+        return problem["msg"].removeprefix("Value error, "), None
     shown = type(value).__name__
     if value is None or isinstance(value, str | int | float):
-        shown = textwrap.shorten(repr(value), MAX_SHOWN, placeholder=" ...")
-    return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", hint
+        shown = textwrap.shorten(repr(value), MAX_VALUE_LETTERS, placeholder=" ...")
+    return f"{shown} is not allowed: {describe_problem(problem)}", _hint_of_value(problem)
+
+
+def _hint_of_value(problem: Any) -> str | None:
+    """Return the hint about a value that is not allowed: a similar word, or a decimal point."""
+    value = problem.get("input")
+    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+,\d+", value):
+        return f"write the decimal point as a dot: {value.replace(',', '.')}"
+    if problem["type"] == "too_long" and all(isinstance(one, int) for one in value):
+        return "a decimal comma separates two items; write the decimal point as a dot"
+    expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
+    close = nearest(str(value), [word.strip(" '") for word in expected.split(",")])
+    return f"did you mean '{close}'?" if close else None
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
@@ -433,14 +437,14 @@ def _branches(node: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, An
 
 def dumps(data: Mapping[str, Any]) -> str:
     """Return the YAML text of a mapping, with short lists and mappings on one line."""
-    return _text(_styled(plain(data, finite=True), _is_short))
+    return _text(_style(plain(data, finite=True), _is_short))
 
 
 def dumps_flat(data: Mapping[str, Any]) -> str:
     """Return the YAML text of a mapping, with every value on the line of its key."""
     if not data:
         return ""
-    return _text(_styled(plain(data), lambda value, depth: depth > 0))
+    return _text(_style(plain(data), lambda value, depth: depth > 0))
 
 
 def _text(styled: Any) -> str:
@@ -449,16 +453,16 @@ def _text(styled: Any) -> str:
     return stream.getvalue()
 
 
-def _styled(value: Any, on_one_line: Callable[[Any, int], bool], depth: int = 0) -> Any:
+def _style(value: Any, on_one_line: Callable[[Any, int], bool], depth: int = 0) -> Any:
     """Return a copy of YAML data that marks the lists and mappings to write on one line.
 
     ``on_one_line`` decides this from a list or mapping and its depth in the document.
     """
     styled: Any = value
     if isinstance(value, dict):
-        styled = CommentedMap((k, _styled(v, on_one_line, depth + 1)) for k, v in value.items())
+        styled = CommentedMap((k, _style(v, on_one_line, depth + 1)) for k, v in value.items())
     elif isinstance(value, list):
-        styled = CommentedSeq(_styled(v, on_one_line, depth + 1) for v in value)
+        styled = CommentedSeq(_style(v, on_one_line, depth + 1) for v in value)
     if styled is not value and on_one_line(value, depth):
         styled.fa.set_flow_style()
     return styled
@@ -493,7 +497,7 @@ def parse_scalar(text: str) -> Any:
     if len(text) > MAX_SCALAR:
         raise ValueError(f"it has {len(text)} characters; at most {MAX_SCALAR} are allowed")
     try:
-        data = _parsed(YAML(typ="safe", pure=True), text.strip())
+        data = _parse(YAML(typ="safe", pure=True), text.strip())
     except Exception as error:
         raise ValueError(first_line(error)) from error
     if found := _decimal_comma(data, text):

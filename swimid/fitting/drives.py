@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from swimid.robots.spatial import Stroke
+    from swimid.robots.spatial import HingeStroke
 
 Array = NDArray[np.float64]
 #: Type of a joint motion: angle (rad), rate (rad/s) and acceleration (rad/s2) at given times.
 Motion = tuple[Array, Array, Array]
 
 
-def eased(time_s: Array, ramp_s: float) -> Array:
+def ease_in(time_s: Array, ramp_s: float) -> Array:
     """Return a quintic smoothstep, which rises from 0 at time zero to 1 at ``ramp_s`` > 0."""
     found = np.array(np.clip(time_s / ramp_s, 0.0, 1.0))
     rising = (found > 0.0) & (found < 1.0)
@@ -27,13 +27,13 @@ def eased(time_s: Array, ramp_s: float) -> Array:
 
 
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
-    """Return the smoothstep :func:`eased` and its first two time derivatives; a step for ``ramp_s`` 0."""
+    """Return the smoothstep :func:`ease_in` and its first two time derivatives; a step for ``ramp_s`` 0."""
     if ramp_s <= 0:
         on = (time_s >= 0).astype(float)
         return on, np.zeros_like(on), np.zeros_like(on)
     s = np.clip(time_s / ramp_s, 0.0, 1.0)
     return (
-        eased(time_s, ramp_s),
+        ease_in(time_s, ramp_s),
         30.0 * s**2 * (1.0 - s) ** 2 / ramp_s,
         60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / ramp_s**2,
     )
@@ -45,7 +45,7 @@ def straight(time_s: Array) -> Motion:
     return zero, zero, zero
 
 
-def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
+def _apply_ramp(drive: TailBeat | Cycle, time_s: Array, motion: Motion) -> Motion:
     """Return a joint motion multiplied by the ramp of the drive, a smoothstep that begins at time zero.
 
     The motion is unchanged if the drive is steady.
@@ -58,7 +58,7 @@ def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
 
 
 @dataclass(frozen=True)
-class Beat:
+class TailBeat:
     """Commanded tail beat of a trial, in SI units."""
 
     #: Waveform: ``sine``, ``hopf`` or ``a-cpg``.
@@ -107,7 +107,7 @@ class Beat:
             ends = [self._wave(time_s + side * cell_s, phase)[1] for side in (-0.5, 0.5)]
             bend = (ends[1] - ends[0]) / cell_s
         a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
-        return _ramped(self, time_s, (a * value + b, a * rate, a * bend))
+        return _apply_ramp(self, time_s, (a * value + b, a * rate, a * bend))
 
     def _wave(self, time_s: Array, phase_rad: float) -> Motion:
         if self.waveform != "sine":
@@ -172,7 +172,7 @@ class Cycle:
 
     name: str
     #: Stroke in the robot file: angles of the hinges over one cycle.
-    law: Stroke
+    law: HingeStroke
     #: Frequency of the stroke: cycles per second.
     frequency_hz: float
     #: Factor on the deviation of the angles from their values at the start of the cycle.
@@ -210,5 +210,5 @@ class Cycle:
         first = float(angles[0])
         value = self.scale * (spline(at) - first)
         rate, bend = self.scale * f * spline(at, 1), self.scale * f**2 * spline(at, 2)
-        angle, rate, bend = _ramped(self, time_s, (value, rate, bend))
+        angle, rate, bend = _apply_ramp(self, time_s, (value, rate, bend))
         return first + angle, rate, bend

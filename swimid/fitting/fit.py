@@ -2,16 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.files.provenance import Input
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.model import Model, Trial, chosen
+from swimid.fitting.model import Model, Trial, choose_parameters
 from swimid.fitting.options import FitOptions
 from swimid.logs.experiments import read_experiments
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, automatic, recorded, silent
+from swimid.notices import Progress, automatic, record_warnings, silent
 from swimid.options import takes
 from swimid.results.parameters import Fitted
 
@@ -48,40 +49,6 @@ def fit(
         If the model does not have a named parameter, or no trial has the role ``fit``.
     NoTrustworthyResult
         If the search does not converge, or no parameter can be identified.
-
-    Examples
-    --------
-    A body coasts from 1 m/s against a quadratic drag. The experiment is a class here, or else a file:
-
-    >>> from typing import Literal
-    >>> import numpy as np
-    >>> import pandas as pd
-    >>> import swimid
-    >>> from swimid.fitting.fit_common import Experiment, read_log
-    >>> from swimid.logs.experiments import TrialEntry
-    >>> class CoastingModel(swimid.Model):
-    ...     name = "coasting"
-    ...     parameters = (swimid.Parameter("drag_per_m", "1/m", 0.0, 10.0, start=1.0, scale=1.0),)
-    ...     channels = (swimid.Channel("x_m", "m", "way"),)
-    ...
-    ...     def simulate(self, values, trial):
-    ...         return {"x_m": np.log1p(values[0] * trial.time_s) / values[0]}
-    >>> class Coasting(swimid.Trials):
-    ...     about = "a body coasts"
-    ...     models = ("coasting",)
-    ...     experiment: Literal["coasting"]
-    ...     trials: list[TrialEntry]
-    ...
-    ...     def load(self, path, **options):
-    ...         logs = [read_log(one, path.parent, required=("x_m",)) for one in self.trials]
-    ...         trials = [swimid.Trial(log.path.name, "fit", log.time_s, {"x_m": log["x_m"]}) for log in logs]
-    ...         return Experiment.of(self, path, CoastingModel(), trials, [log.source for log in logs])
-    >>> t = np.arange(200) / 50
-    >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
-    >>> log = pd.DataFrame({"t_s": t, "x_m": way})
-    >>> trials = swimid.load([{"log": log}], experiment=Coasting, robot="boxfish")
-    >>> round(fit(trials)["drag_per_m"].value, 2)
-    0.5
     """
     if not isinstance(trials, TrialSet):
         trials = TrialSet.read(trials, read_experiments(*options.own_experiments))
@@ -114,53 +81,29 @@ def fit_model(
     """Estimate the parameters of any model from trials in memory, with all checks and figures of a fit.
 
     Convergence does not show that the model is right: look at ``.verdict``, and at the checks of the
-    residuals in ``.checks()``.
+    residuals in ``.checks()``. :func:`swimid.fitting.output_error.fit_output_error` describes the method.
 
     Parameters
     ----------
     model : Model
-        Model that simulates a trial from parameter values.
     trials : sequence of Trial
-        Trials to fit. Trials of the role ``validate`` are held out: they are simulated and scored, not
-        fitted.
-    fixed : mapping of name to float, optional
-        Values of parameters that are not estimated, in the units of the parameters.
-    freed : sequence of str
-        Names of parameters that are estimated although the model fixes them by default.
-    bounds : mapping of name to (lower, upper), optional
-        Bounds that replace those of the model, in the units of the parameters.
+        Trials of the role ``validate`` are held out: they are simulated and scored, not fitted.
+    fixed, freed, bounds : mapping, sequence and mapping, optional
+        Values of parameters that are not estimated, names of parameters that are estimated although the model
+        fixes them, and bounds (lower, upper) that replace those of the model, in the units of the parameters.
     robot : str
         Name of the robot, for the parameter file.
     inputs : sequence of paths or objects
         Sources of the trials for the provenance: the ``log.source`` of each log.
     output : path, optional
-        Parameter file to write, together with its evidence file. By default nothing is written.
-    progress : Progress
-        Progress bar of the search.
-
-    Returns
-    -------
-    Fitted
-        ``.parameters`` has the value, standard error and 95 % interval of each parameter, in its unit.
-        ``.correlation``, ``.converged`` and ``.verdict`` show whether the parameters can be trusted.
+        Parameter file to write, together with its evidence file.
 
     Raises
     ------
-    UsageError
-        If the model does not have a named parameter, or no trial has the role ``fit``.
-    InputError
-        If the output cannot be written.
+    UsageError, InputError
+        For an unknown name, without a trial to fit, or if the output cannot be written.
     NoTrustworthyResult
         If the search does not converge, or no parameter can be identified.
-
-    See Also
-    --------
-    swimid.fitting.output_error.fit : the estimator, and a description of its method.
-
-    References
-    ----------
-    .. [1] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
-       Output error and coloured residuals.
 
     Examples
     --------
@@ -183,27 +126,34 @@ def fit_model(
     """
     if not any(trial.role == "fit" for trial in trials):
         raise UsageError("there is no trial to fit")
+    choices = {"fixed": dict(fixed or {}), "freed": list(freed), "bounds": dict(bounds or {})}
+    return _fit_parameters(model, trials, choices, robot, inputs, output, progress)
+
+
+def _fit_parameters(
+    model: Model,
+    trials: Sequence[Trial],
+    choices: dict[str, Any],
+    robot: str,
+    inputs: Sequence[Input],
+    output: str | Path | None,
+    progress: Progress,
+) -> Fitted:
+    """Estimate the parameters of a model with the choices of the user (see :func:`fit_model`)."""
     target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
-    with recorded(repeat=True) as notices:
-        parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
-        result = output_error.fit(model, trials, parameters=parameters, progress=progress)
-        result = output_error.complete(result)
-        settings = {
-            "fixed": dict(fixed or {}),
-            "freed": list(freed),
-            "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
-        }
+    with record_warnings(repeat=True) as notices:
+        parameters = choose_parameters(model.parameters, **choices)
+        result = output_error.fit_output_error(model, trials, parameters=parameters, progress=progress)
+        result = output_error.complete_fit(result)
+        bounds = {name: list(pair) for name, pair in choices["bounds"].items()}
+        settings = {**choices, "bounds": bounds}
         origin = provenance.collect(inputs, settings=settings)
         file = fit_common.parameter_file(result, robot=robot, provenance=origin)
-        tested = [*fit_common.checks(result), *fit_common.error_checks(result)]
+        tested = fit_common.assess(result)
     fit_common.insist_identified(result, "use more trials, and such as differ more")
-    fitted_trials = sum(trial.role == "fit" for trial in trials)
     title = f"Fit of {model.name}"
     if robot:
         title += f" of {robot}"
-    said = (
-        f"{', '.join(result.shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
-        f"by output-error maximum likelihood with the model {model.name}."
-    )
+    said = fit_common.describe_method(result, "trial(s)", f"the model {model.name}")
     shown = {"figures": fit_common.figures(result), "methods": [said, fit_common.COVARIANCE]}
     return fit_common.finish("fit", file, tested, notices, target, title=title, **shown)

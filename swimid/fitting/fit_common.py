@@ -18,14 +18,14 @@ from swimid.files import atomic
 from swimid.files.kernels import numba
 from swimid.files.provenance import Input
 from swimid.fitting import steps
-from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL
-from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
+from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL, Differences
+from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import (
     SIGNIFICANCE,
     autocorrelation,
     combinations,
-    joined,
+    join_series,
     ljung_box,
     sentences,
 )
@@ -38,12 +38,12 @@ from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
+from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, parameter_text
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot, locate
 
 #: Minimum absolute correlation of two parameters that are reported as hard to separate.
-STRONG = 0.95
+HIGH_CORRELATION = 0.95
 #: Ratio of the error on validation trials to the error on fitted trials above which a check warns.
 VALIDATION_RATIO = 2.0
 #: Sentence on standard errors for the methods section of a report.
@@ -52,10 +52,10 @@ COVARIANCE = (
     "differences of the parameters between the trials; a standard error is half an interval divided by 1.96."
 )
 #: Maximum number of parameters that a sentence names.
-MAX_LISTED = 4
+MAX_LISTED_PARAMETERS = 4
 #: Maximum standard deviation of the samples of a channel in which nothing moves, divided by that of its white
 #: noise. The estimate of the noise from 100 samples has a standard error of a tenth.
-STILL = 1.3
+MAX_STILL_RATIO = 1.3
 #: Residual above which a sample is an outlier, in robust standard deviations.
 OUTLIER = 8.0
 #: Minimum change of the samples by the integration step that is shown, over the allowed change.
@@ -65,7 +65,7 @@ VERDICTS: tuple[Literal["warn"], Literal["fail"]] = ("warn", "fail")
 #: Sources of the values of a model without a parameter file: of a robot file, and of a simulator of the user.
 ROBOT_FILE, TRIALS_FILE = "the robot file", "the trials file"
 #: Names of the channels of angles that a camera may measure in addition to a position.
-ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
+ANGLE_CHANNELS = ("yaw_rad", "pitch_rad", "roll_rad")
 
 
 # ---------------------------------------------------------------- a model with its trials
@@ -134,7 +134,7 @@ class Experiment:
 
 
 @dataclass(frozen=True)
-class Run:
+class SimulationRun:
     """Simulation of an experiment without a recording.
 
     Attributes
@@ -185,7 +185,7 @@ def load_experiment(source: str | Path | TrialSet, *, command: str = "", **optio
     return experiment
 
 
-def read_log(
+def read_trial_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
     """Read the log of a trial, cut it to the interval in the trials file, and blank repeated positions.
@@ -193,18 +193,22 @@ def read_log(
     Positions and angles of a log of ``track video`` are those measured in the frames, not the smoothed ones.
     The errors of smoothed values extend over many frames, which no noise model of a fit describes.
     """
-    pose = [name for name in (*required, *optional) if name in (*POSITIONS, *ANGLES)]
+    pose = [name for name in (*required, *optional) if name in (*POSITIONS, *ANGLE_CHANNELS)]
     measured = {name: re.sub(r"_(m|rad)$", r"_raw_\1", name) for name in pose}
     optional = (*optional, *measured.values())
     if entry._held is not None:
-        log = entry._held.chosen(required, optional)
+        log = entry._held.select_columns(required, optional)
     else:
         log = log_format.read(folder / entry.log, required=required, optional=optional)
     columns = {name: values for name, values in log.columns.items() if name not in measured.values()}
-    if log_format.written_by(log.metadata, "swimid track video"):
+    if log_format.is_written_by(log.metadata, "swimid track video"):
         # In a log of another program a column of this name may have any meaning.
         columns |= {name: log[raw] for name, raw in measured.items() if raw in log}
-    log = _measured_anew(replace(log, columns=columns))
+    return _cut(_blank_repeats(replace(log, columns=columns)), entry)
+
+
+def _cut(log: Log, entry: TrialEntry) -> Log:
+    """Return the part of a log in the interval that the trials file states."""
     if entry.start_s is None and entry.end_s is None:
         return log
     low = -np.inf if entry.start_s is None else entry.start_s
@@ -219,7 +223,7 @@ def read_log(
     return replace(log, columns={k: v[keep] for k, v in log.columns.items()})
 
 
-def _measured_anew(log: Log) -> Log:
+def _blank_repeats(log: Log) -> Log:
     """Return a copy of the log with NaN where a position only repeats that of the previous camera picture."""
     places = [name for name in POSITIONS if name in log]
     held = find_held(log.time_s, [log[name] for name in places])
@@ -240,7 +244,7 @@ def _measured_anew(log: Log) -> Log:
         "log is written faster than it is measured",
     )
     # An angle counts as repeated if all its values at the repeated positions equal the value before.
-    angles = [n for n in ANGLES if n in log and (log[n][at] == log[n][at - 1]).all()]
+    angles = [n for n in ANGLE_CHANNELS if n in log and (log[n][at] == log[n][at - 1]).all()]
     masked = {n: np.where(repeats, np.nan, log[n]) for n in (*places, *angles)}
     return replace(log, columns={**log.columns, **masked})
 
@@ -271,7 +275,7 @@ GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 
 @dataclass(frozen=True)
-class Score:
+class SeriesScore:
     """Errors of the simulation of one channel."""
 
     #: Root-mean-square error, in the unit of the channel.
@@ -292,12 +296,12 @@ class Score:
         return {**asdict(self), "unit": unit}
 
 
-def score(measured: Array, simulated: Array) -> Score:
+def compute_score(measured: Array, simulated: Array) -> SeriesScore:
     """Return the errors of a simulated series compared with a measured one, shape (n,) each.
 
     Samples missing in either series are left out. Without samples the errors are NaN.
 
-    >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
+    >>> compute_score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
     """
     return score_trials([(measured, simulated)], own_motion=False)
@@ -308,7 +312,7 @@ def _ratio(value: float, size: float) -> float:
     return value / size if size > 0 else math.nan
 
 
-def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
+def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> SeriesScore:
     """Compute the errors of one channel over several trials.
 
     Parameters
@@ -326,12 +330,12 @@ def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> S
     >>> wave = np.array([0.0, 1.0, 0.0, -1.0])
     >>> pair = (wave, 0.5 * wave)
     >>> turned = (wave + 90.0, 0.5 * wave + 90.0)
-    >>> round(score_trials([pair, turned], own_motion=True).vaf, 3), round(score(*pair).vaf, 3)
+    >>> round(score_trials([pair, turned], own_motion=True).vaf, 3), round(compute_score(*pair).vaf, 3)
     (0.75, 0.75)
     """
     there = [pair for pair in (_both(y, z) for y, z in parts) if len(pair[0])]
     if not there:
-        return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+        return SeriesScore(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
     if not own_motion:
         there = [(np.concatenate([y for y, _ in there]), np.concatenate([z for _, z in there]))]
     error = np.concatenate([y - z for y, z in there])
@@ -340,7 +344,7 @@ def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> S
     variance = float(share @ [np.var(y) for y, _ in there])
     missed = float(share @ [np.var(y - z) for y, z in there])
     rmse = float(np.sqrt(np.mean(error**2)))
-    return Score(
+    return SeriesScore(
         rmse=rmse,
         nrmse=_ratio(rmse, span),
         vaf=1.0 - _ratio(missed, variance),
@@ -521,13 +525,17 @@ def warm_up() -> None:
 
 
 def score_checks(
-    scores: Mapping[str, Any], *, fitted: Iterable[str], noise: Iterable[str] = (), held_out: bool = False
+    scores: Mapping[str, Any],
+    *,
+    fitted: Iterable[str],
+    noise: Iterable[str] = (),
+    held_out: bool = False,
 ) -> list[ev.Check]:
     """Return checks of the errors of channels against the limits :data:`GOOD` and :data:`USABLE`.
 
     Parameters
     ----------
-    scores : mapping of channel name to Score, or to an object with ``nrmse`` and ``vaf``
+    scores : mapping of channel name to SeriesScore, or to an object with ``nrmse`` and ``vaf``
         Errors of each channel over all trials.
     fitted : iterable of str
         Channels to which the parameters were fitted. For these channels a variance accounted for below
@@ -543,7 +551,7 @@ def score_checks(
         check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
             text = "noise alone is left"
-            check = ev.check(check.name, check.value, None, text=text)
+            check = ev.make_check(check.name, check.value, None, text=text)
         found.append(check)
     for name in (name for name in fitted if name in scores):
         vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
@@ -554,7 +562,7 @@ def score_checks(
             if vaf < 0.0:
                 reason = f"the simulated {name} is farther from the measurement than a constant is"
             needed = f"≥ {100 * least:g} %"
-            found.append(ev.check(said, shown, False, needed, otherwise="fail", reason=reason))
+            found.append(ev.make_check(said, shown, False, needed, otherwise="fail", reason=reason))
     return found
 
 
@@ -568,7 +576,7 @@ def share_check(
     otherwise = VERDICTS[not value <= usable]
     limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
     reason = f"the {name} is {shown} of the {of}"
-    return ev.check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
+    return ev.make_check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
 
 
 # ---------------------------------------------------------------- document and checks
@@ -608,6 +616,14 @@ def _correlation(result: FitResult) -> Correlation | None:
     return Correlation(names=[result.labels[i] for i in keep], matrix=(part / np.outer(sd, sd)).tolist())
 
 
+def _known_sums(result: FitResult) -> dict[str, Estimate]:
+    """Return the weighted sums of confounded parameters that the trials determine, by their text."""
+    return {
+        c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
+        for c in combinations(result)
+    }
+
+
 def _identifiability(result: FitResult, correlation: Correlation | None) -> list[str]:
     """Return sentences on parameters of a fit that the trials do not determine, and warn of each."""
     said = sentences(result)
@@ -621,13 +637,15 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
         return said
     for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):
         rho = correlation.matrix[i][j]
-        if abs(rho) > STRONG and result.status[first] == result.status[second] == "estimated":
+        if abs(rho) > HIGH_CORRELATION and result.status[first] == result.status[second] == "estimated":
             said.append(f"{first} and {second} are hard to separate (correlation {rho:+.3f})")
             warn("SWM011", said[-1])
     return said
 
 
-def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, Score]:
+def compute_scores(
+    result: FitResult, role: str, trials: Sequence[str] | None = None
+) -> dict[str, SeriesScore]:
     """Return the errors of each measured channel over the trials of one role.
 
     If ``trials`` are named, only those among them are used.
@@ -661,7 +679,7 @@ def is_still(series: Iterable[Array]) -> bool:
 
     The explained variance of such a channel is that of the noise, and says nothing of a model.
     """
-    return all(float(np.nanstd(y)) <= STILL * white_noise_sd(y, 0.0) for y in series)
+    return all(float(np.nanstd(y)) <= MAX_STILL_RATIO * white_noise_sd(y, 0.0) for y in series)
 
 
 def refuse_interrupted(result: FitResult) -> None:
@@ -677,8 +695,8 @@ def insist_identified(result: FitResult, hint: str) -> None:
     """
     if result.differences is not None and result.differences.are_likely:
         return
-    if result.shared and all(result.status[label] != "estimated" for label in result.shared):
-        text = f"none of {', '.join(result.shared)} can be identified from these trials"
+    if result.common_labels and all(result.status[label] != "estimated" for label in result.common_labels):
+        text = f"none of {', '.join(result.common_labels)} can be identified from these trials"
         raise NoTrustworthyResult(text, hint=hint)
 
 
@@ -708,27 +726,20 @@ def parameter_file(
     }
     units = {c.name: c.unit for c in result.model.channels}
     listed = {
-        role: {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
+        role: {name: score.as_dict(units[name]) for name, score in compute_scores(result, role).items()}
         for role in ("fit", "validate")
     }
     trials = {role: [t.id for t in result.trials if t.role == role] for role in listed}
     validation: dict[str, Any] = {}
     if listed["validate"]:
         validation = {"trials": trials["validate"], "channels": listed["validate"]}
-    between: dict[str, Any] = {}
-    if result.differences is not None:
-        between = dict(vars(result.differences))
-    known_sums = {
-        c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
-        for c in combinations(result)
-    }
     return ParameterFile(
         model=result.model.name,
         robot=robot,
         parameters=estimates(result),
         identifiability=_identifiability(result, correlation),
         correlation=correlation,
-        derived={**known_sums, **(derived or {})},
+        derived={**_known_sums(result), **(derived or {})},
         settings=settings or {},
         fit=Fit(
             trials=trials["fit"],
@@ -739,7 +750,7 @@ def parameter_file(
             noise=noise,
             method=method,  # type: ignore[call-arg]
             samples=result.samples,  # type: ignore[call-arg]
-            between_trials=between,  # type: ignore[call-arg]
+            between_trials=asdict(result.differences) if result.differences else {},  # type: ignore[call-arg]
             step_error=result.step_error,  # type: ignore[call-arg]
             samples_sha256={t.id: t.digest for t in result.trials},
         ),
@@ -757,12 +768,12 @@ def robot_reference(experiment: Experiment, folder: Path) -> str:
     if experiment.robot_path is None:
         return name
     path = experiment.robot_path.resolve()
-    if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
+    if name in robot_format.list_built_in_robots() and path == robot_format.locate(name).resolve():
         return name
     return Path(os.path.relpath(path, folder.resolve())).as_posix()
 
 
-def prepare(
+def prepare_fit(
     experiment: Experiment,
     output: Path | None,
     *,
@@ -784,7 +795,21 @@ def prepare(
     """
     if output is not None:
         atomic.check_writable(output, inputs=(*experiment.inputs, *also))
-    return chosen(parameters or experiment.model.parameters, **choices)
+    return choose_parameters(parameters or experiment.model.parameters, **choices)
+
+
+def assess(result: FitResult) -> list[ev.Check]:
+    """Return the checks of a fit, and those of its errors on fitted and on validation trials."""
+    return [*checks(result), *error_checks(result)]
+
+
+def describe_method(result: FitResult, trials: str, law: str) -> str:
+    """Return a sentence on the estimates, the kind of their trials, and the law of the model."""
+    count = sum(t.role == "fit" for t in result.trials)
+    return (
+        f"{', '.join(result.common_labels)} were estimated from {count} {trials} ({result.samples} samples) "
+        f"by output-error maximum likelihood with {law}."
+    )
 
 
 def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
@@ -793,20 +818,42 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     With ``held_out`` a fit without held-out trials does not pass. The caller sets it to False if it holds out
     parts of the data itself.
     """
+    found = [*_convergence(result), *_identified(result)]
+    found += [_whiteness(result, channel) for channel in result.noise]
+    found += _agreement(result)
+    found += [check for channel in result.noise if (check := _outliers(result, channel))]
+    if result.step_error:
+        found += step_check(["the trials"], [{"a sample": result.step_error / steps.STEP_ERROR}])
+    if held_out:
+        number = sum(t.role == "validate" for t in result.trials)
+        text = "trials with role: validate are predicted, not fitted"
+        shown = ("held-out trials", str(number), number > 0, "1 or more", text)
+        found.append(ev.make_check(*shown, reason="no trial was held out (role: validate)"))
+    channels = [c for c in result.model.channels if result.series_of(c.name, "validate")]
+    return found + [_validation(result, c) for c in channels if c.name in result.noise]
+
+
+def _convergence(result: FitResult) -> list[ev.Check]:
+    """Return the checks whether the search ended at the minimum."""
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
-    value = numbers.number(done)
-    found = [ev.check("converged", value, done, "yes", message, otherwise="fail", reason=reason)]
-    if result.restarts is not None:
-        value = numbers.number(result.settled)
-        if result.restarts:
-            value += f", after {result.restarts} restarts"
-        name, text = "starts near the answer lead back to it", "points and short searches around it"
-        reason = "starts near the answer still lead to better ones"
-        found.append(ev.check(name, value, result.settled, "yes", text, reason=reason))
-    names = {p.name: spoken(p.name, p.meaning) for p in result.parameters}
+    value = numbers.format_number(done)
+    found = [ev.make_check("converged", value, done, "yes", message, otherwise="fail", reason=reason)]
+    if result.restarts is None:
+        return found
+    value = numbers.format_number(result.settled)
+    if result.restarts:
+        value += f", after {result.restarts} restarts"
+    name, text = "starts near the answer lead back to it", "points and short searches around it"
+    reason = "starts near the answer still lead to better ones"
+    return [*found, ev.make_check(name, value, result.settled, "yes", text, reason=reason)]
+
+
+def _identified(result: FitResult) -> list[ev.Check]:
+    """Return the checks whether the trials determine the shared parameters, inside their bounds."""
+    names = {p.name: parameter_text(p.name, p.meaning) for p in result.parameters}
     unknown, at_bound, known = (
-        [names[label] for label in result.shared if result.status[label] == status]
+        [names[label] for label in result.common_labels if result.status[label] == status]
         for status in ("unidentifiable", "at-bound", "estimated")
     )
     value, reason = "all", f"not identifiable: {', '.join(unknown)}"
@@ -815,23 +862,12 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     otherwise = VERDICTS[len(known) < len(unknown)]
     text = "standard errors are below half of the sizes of identifiable parameters"
     shown = ("identifiable", value, not unknown, "every estimated parameter", text)
-    found.append(ev.check(*shown, otherwise=otherwise, reason=reason))
+    found = [ev.make_check(*shown, otherwise=otherwise, reason=reason)]
     if at_bound:
         listed = ", ".join(at_bound)
         reason = f"at a bound: {listed}"
-        found.append(ev.check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
-    found += [_whiteness(result, channel) for channel in result.noise]
-    found += _agreement(result)
-    found += [check for channel in result.noise if (check := _outliers(result, channel))]
-    if result.step_error:
-        found += step_check(["the trials"], [{"a sample": result.step_error / steps.STEP_ERROR}])
-    number = sum(t.role == "validate" for t in result.trials)
-    if held_out:
-        text = "trials with role: validate are predicted, not fitted"
-        shown = ("held-out trials", str(number), number > 0, "1 or more", text)
-        found.append(ev.check(*shown, reason="no trial was held out (role: validate)"))
-    channels = [c for c in result.model.channels if result.series_of(c.name, "validate")]
-    return found + [_validation(result, c) for c in channels if c.name in result.noise]
+        found.append(ev.make_check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
+    return found
 
 
 def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) -> list[ev.Check]:
@@ -842,8 +878,8 @@ def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) ->
     trials : sequence of str
         Ids of the trials.
     changes : sequence of mapping of str to float
-        Changes of the channels of each trial (:attr:`swimid.fitting.steps.Step.changes`). There is no check
-        if nothing is integrated.
+        Changes of the channels of each trial (:attr:`swimid.fitting.steps.StepChoice.changes`). There is no
+        check if nothing is integrated.
     """
     found = {f"{name} of {t}": c for t, own in zip(trials, changes, strict=True) for name, c in own.items()}
     if not found:
@@ -857,21 +893,22 @@ def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) ->
         f"{steps.STEP_ERROR:g} of the noise, or if that is unknown {steps.STEP_LIMIT:g} of the range"
     )
     reason = f"halving the integration step changes {name} by {size} times what is allowed"
-    return [warned_check("SWM016", "integration step", size, change <= 1.0, "≤ 1", text, reason)]
+    return [warn_check("SWM016", "integration step", size, change <= 1.0, "≤ 1", text, reason)]
 
 
-def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
+def warn_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
     """Return a check of a fit. If it does not pass, warn the user of its reason.
 
     Parameters
     ----------
     *shown
-        Name, value, whether the check passes, limit, text and reason (:func:`swimid.results.evidence.check`).
+        Name, value, whether the check passes, limit, text and reason
+        (:func:`swimid.results.evidence.make_check`).
     """
     *_, passed, _, text, reason = shown
     if not passed:
         warn(code, f"{reason}; {text}".removesuffix("; "))
-    return ev.check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
+    return ev.make_check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
 
 
 def _agreement(result: FitResult) -> list[ev.Check]:
@@ -879,41 +916,46 @@ def _agreement(result: FitResult) -> list[ev.Check]:
     differ = result.differences
     if differ is None:
         return []
+    agree = [_consistency(result, differ)] if differ.trials > 1 else []
+    return [*agree, _visibility(result, differ)]
+
+
+def _consistency(result: FitResult, differ: Differences) -> ev.Check:
+    """Return the check whether the trials agree."""
     share = numbers.percent(differ.probability)
     if differ.probability > 0.999:
         share = "> 99.9 %"
     value, text = f"probability of differences {share}", ""
     different = [name for name, chance in differ.chance.items() if chance > 0.5]
-    sizes = [f"{name} by {_relative(result, name, differ.sd[name])}" for name in different]
-    reason = f"the trials differ: {', '.join(sizes) or 'it is not clear in which parameter'}"
+    sizes = ", ".join(f"{name} by {_relative(result, name, differ.sd[name])}" for name in different)
+    reason = f"the trials differ: {sizes or 'it is not clear in which parameter'}"
     if differ.are_likely:
-        value = f"{', '.join(sizes) or 'differences'} (probability {share})"
+        value = f"{sizes or 'differences'} (probability {share})"
         text = "standard deviations between the trials, which the standard errors include"
-    found = []
-    if differ.trials > 1:
-        limit = f"≤ {numbers.percent(DIFFERENT)}"
-        found.append(
-            warned_check("SWM014", "trials agree", value, not differ.are_likely, limit, text, reason)
-        )
+    limit = f"≤ {numbers.percent(DIFFERENT)}"
+    return warn_check("SWM014", "trials agree", value, not differ.are_likely, limit, text, reason)
+
+
+def _visibility(result: FitResult, differ: Differences) -> ev.Check:
+    """Return the check whether differences between these trials would show."""
     hidden = [name for name in differ.hidden if result.status.get(name) == "estimated"]
     name, limit = "differences between trials visible", "of every estimated parameter"
     if not hidden:
-        return [*found, ev.check(name, "yes", True, limit)]
-    value = f"not of {', '.join(hidden)}"
-    named = hidden[:MAX_LISTED]
-    if len(hidden) > MAX_LISTED:
-        named.append(f"{len(hidden) - MAX_LISTED} more")
-    reason = f"differences of {numbers.listed(named)} between these trials would not show"
+        return ev.make_check(name, "yes", True, limit)
+    value, named = f"not of {', '.join(hidden)}", hidden[:MAX_LISTED_PARAMETERS]
+    if len(hidden) > MAX_LISTED_PARAMETERS:
+        named.append(f"{len(hidden) - MAX_LISTED_PARAMETERS} more")
+    reason = f"differences of {numbers.join_names(named)} between these trials would not show"
     if differ.trials == 1:
         value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
     share = numbers.percent(ASSUMED_DIFFERENCE)
     worst = max(hidden, key=lambda n: differ.hidden[n] / (result.stderr(n) or math.inf))
-    error = numbers.number(NORMAL * differ.hidden[worst], 2, result.parameter(worst).unit)
+    error = numbers.format_number(NORMAL * differ.hidden[worst], 2, result.parameter(worst).unit)
     text = (
         f"intervals hold only for equal values in all trials; if {worst} differs by {share}, its interval is "
         f"± {error}. Fit repeats of one setting, or more settings"
     )
-    return [*found, warned_check("SWM028", name, value, False, limit, text, reason)]
+    return warn_check("SWM028", name, value, False, limit, text, reason)
 
 
 def _relative(result: FitResult, name: str, sd: float) -> str:
@@ -921,12 +963,12 @@ def _relative(result: FitResult, name: str, sd: float) -> str:
     size = abs(result.value(name))
     if size > 0.1 * result.parameter(name).scale:
         return numbers.percent(sd / size, 2)
-    return numbers.number(sd, 2, result.parameter(name).unit)
+    return numbers.format_number(sd, 2, result.parameter(name).unit)
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:
     """Return a check that warns of outliers among the residuals of a channel; None if there are none."""
-    parts = {s.trial: s.weighted for s in result.series_of(channel, "fit")}
+    parts = {s.trial: s.z_scores for s in result.series_of(channel, "fit")}
     values = np.concatenate(list(parts.values()))
     values = values[np.isfinite(values)]
     if len(values) < 20:
@@ -937,7 +979,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
     if limit <= 0 or not count:
         return None
     named = ", ".join(f"{t}: {n}" for t, n in owners.items() if n)
-    return warned_check(
+    return warn_check(
         "SWM025",
         f"no outliers, {channel}",
         f"{count} of {len(values)} samples",
@@ -950,11 +992,11 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
     """Return a check whether the residuals of a channel are white."""
-    test = ljung_box(_weighted(result, channel))
+    test = ljung_box(_join_residuals(result, channel))
     p = ev.p_text(test.p_value)
     name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
-    text = "" if test.passed else "the model may miss an effect; the standard errors account for it"
-    return warned_check("SWM013", name, p, test.passed, f"p ≥ {SIGNIFICANCE:g}", text, reason)
+    text = "" if test.is_passed else "the model may miss an effect; the standard errors account for it"
+    return warn_check("SWM013", name, p, test.is_passed, f"p ≥ {SIGNIFICANCE:g}", text, reason)
 
 
 def _validation(result: FitResult, channel: Channel) -> ev.Check:
@@ -963,17 +1005,17 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
     The error is compared with that on fitted trials, and with that of a constant.
     """
     held_out = result.series_of(channel.name, "validate")
-    fitted = ev.rms(*(s.residual for s in result.series_of(channel.name, "fit")))
-    error = ev.rms(*(s.residual for s in held_out))
-    constant = ev.rms(*(s.measured - np.nanmean(s.measured) for s in held_out))
+    fitted = ev.compute_rms(*(s.residual for s in result.series_of(channel.name, "fit")))
+    error = ev.compute_rms(*(s.residual for s in held_out))
+    constant = ev.compute_rms(*(s.measured - np.nanmean(s.measured) for s in held_out))
     ratio = error / fitted if fitted else math.inf
-    worst = max(held_out, key=lambda s: ev.rms(s.residual))
-    return warned_check(
+    worst = max(held_out, key=lambda s: ev.compute_rms(s.residual))
+    return warn_check(
         "SWM015",
         f"validation, {channel.name}",
-        numbers.number(error, 3, channel.unit),
+        numbers.format_number(error, 3, channel.unit),
         ratio <= VALIDATION_RATIO,
-        f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
+        f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.format_number(fitted, 3, channel.unit)})",
         f"root-mean-square error on trials that were not fitted, largest in {worst.trial}",
         f"the held-out error of {channel.name} is {ratio:.1f} times that of fitted trials",
         # The check fails if, on a logarithmic scale, the held-out error is closer to the error of a constant
@@ -982,19 +1024,19 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
     )
 
 
-def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
+def _join_residuals(result: FitResult, channel: str, role: str = "fit") -> Array:
     """Return the weighted residuals of a channel. The trials of a role are joined to one series."""
-    return joined([s.weighted for s in result.series_of(channel, role)], gap=30)
+    return join_series([s.z_scores for s in result.series_of(channel, role)], gap=30)
 
 
 def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) -> list[ev.Check]:
     """Return checks of the errors on fitted and on validation trials, with the limits of ``compare``."""
     found = []
     for role in roles:
-        known = {name: score for name, score in scores(result, role).items() if name in result.noise}
+        known = {name: score for name, score in compute_scores(result, role).items() if name in result.noise}
         pairs = _own_pairs(result, role)
         still = [name for name in known if is_still(y for y, _ in pairs[name])]
-        white = [name for name in known if ljung_box(_weighted(result, name, role)).passed]
+        white = [name for name in known if ljung_box(_join_residuals(result, name, role)).is_passed]
         judged = [name for name in result.noise if name not in still]
         found += score_checks(known, fitted=judged, noise=white + still, held_out=role == "validate")
     return found
@@ -1003,7 +1045,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
     """Return a check that the beat frequency found in each log equals the one stated in the trials file.
 
-    The module :mod:`swimid.logs.beat` finds the frequency.
+    The module :mod:`swimid.kinematics.frequency` finds the frequency.
     """
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong, shown = [], "yes"
@@ -1011,7 +1053,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
         if abs(b["found_hz"] - b["stated_hz"]) > max(FREQUENCY_RTOL * b["stated_hz"], 3 * b["stderr_hz"]):
             wrong.append(name)
             shown = f"not in {len(wrong)} of {len(known)} trials"
-    return ev.check(
+    return ev.make_check(
         "beat frequency as stated",
         shown,
         not wrong,
@@ -1029,7 +1071,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
         name = channel.meaning or channel.name
         factor, unit = numbers.in_degrees(channel.unit)
         found += [
-            ev.measured_and_simulated(
+            ev.make_fit_figure(
                 f"overlay-{channel.name}",
                 f"{name[:1].upper()}{name[1:]}, measured and simulated",
                 "Points are measured, and thinned; lines are simulated with the estimated parameters. Trials "
@@ -1038,12 +1080,12 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 series,
                 factor,
             ),
-            ev.residuals(
+            ev.make_residual_figure(
                 f"residuals-{channel.name}",
                 f"Residuals of {name}",
                 "Measured minus simulated over the standard deviation of the noise.",
                 series,
-                autocorrelation(_weighted(result, channel.name)),
+                autocorrelation(_join_residuals(result, channel.name)),
             ),
         ]
     return found
@@ -1070,19 +1112,19 @@ def finish(
     """
     evidence = ev.Evidence(
         command=command,
-        verdict=ev.judged(answer(file), checks),
+        verdict=ev.make_verdict(answer(file), checks),
         checks=checks,
-        notices=ev.notices(warnings),
+        notices=list(warnings),
         provenance=file.provenance,
         **shown,
     )
-    return Fitted.of(file, evidence).saved(output)
+    return Fitted.of(file, evidence).write_output(output)
 
 
 def answer(file: ParameterFile) -> str:
     """Return the answer of a fit: a sentence with the first three estimated shared parameters."""
     parts = [
-        f"{spoken(name, e.meaning)} {numbers.measured(e.value, e.stderr, e.unit)}"
+        f"{parameter_text(name, e.meaning)} {numbers.format_estimate(e.value, e.stderr, e.unit)}"
         for name, e in file.parameters.items()
         if e.status == "estimated" and "[" not in name
     ]

@@ -5,24 +5,22 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swimid import executors
 from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult
-from swimid.fitting.problem import Problem, map_in_threads
+from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent
 
 #: Maximum relative difference between the costs of two fits that count as the same minimum.
-SAME = 1e-3
+SAME_COST_RTOL = 1e-3
 
 
 class Start(NamedTuple):
@@ -48,7 +46,6 @@ def multistart(
     jobs: int | None = None,
     max_iterations: int = UNFINISHED_ITERATIONS,
     first: FitResult | None = None,
-    elsewhere: Callable[[Array], Array] | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
     """Fit from several starting points, and return the best fit.
@@ -56,26 +53,20 @@ def multistart(
     Parameters
     ----------
     model, trials, parameters, jobs, max_iterations
-        As in :func:`swimid.fitting.output_error.fit`.
+        As in :func:`swimid.fitting.output_error.fit_output_error`.
     starts : int
-        Number of starting points. The first ones are ``begins``. The others are uniform random samples of
-        :meth:`swimid.fitting.problem.Problem.search_range`.
+        Number of starting points: ``begins``, and uniform random samples of the search range.
     begins : sequence of ndarray, each shape (p,), optional
-        Starting points that are used first. The default is one point, the start values of the parameters.
+        Starting points that are used first. The default is the start values of the parameters.
     first : FitResult, optional
         Result of the fit from the first starting point, if it is already known.
-    elsewhere : callable, optional
-        Function that searches from a starting point on another machine, and returns the end point. The fits
-        then begin at the end points.
 
     Returns
     -------
     best : FitResult
-        Fit of the lowest cost. If several fits have the same minimum (:data:`SAME`), a converged one is
-        preferred. A converged fit is tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
+        Fit of the lowest cost, tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
     ends : list of Start
-        Starting points and end points in the order of the searches. After Ctrl-C the remaining searches are
-        left out.
+        Starting points and end points in the order of the searches, up to an interruption by Ctrl-C.
 
     Raises
     ------
@@ -83,59 +74,75 @@ def multistart(
         If all searches fail: the error of the first search.
     """
     parameters = tuple(parameters or model.parameters)
+    points = _draw_starts(model, trials, parameters, begins, starts, seed)
+    fit_from = functools.partial(
+        output_error.fit_output_error, model, trials,
+        parameters=parameters, jobs=jobs, tested=False, max_iterations=max_iterations,
+    )  # fmt: skip
+    ends: list[Start] = []
+    outcomes: list[FitResult | NoTrustworthyResult] = []
+    with progress("starts", total=starts) as step:
+        for begin in points:
+            try:
+                result, first = first or fit_from(begin=begin), None
+            except KeyboardInterrupt:
+                if not any(isinstance(one, FitResult) for one in outcomes):
+                    raise
+                break
+            except NoTrustworthyResult as error:
+                outcomes.append(error)
+                ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
+            else:
+                outcomes.append(result)
+                ends.append(Start(begin, result.estimate, result.cost, result.converged))
+                if result.interrupted:
+                    break
+            step()
+            least = min(end.cost for end in ends)
+            show(step, f"least cost {least:.5g}, reached {count_agreeing(ends)} times")
+    return _select_best(outcomes, jobs or os.cpu_count() or 1), ends
+
+
+def _draw_starts(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: Sequence[Parameter],
+    begins: Sequence[Array] | None,
+    starts: int,
+    seed: int,
+) -> list[Array]:
+    """Return the starting points of a multistart fit (see :func:`multistart`)."""
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
     low, high = problem.search_range()
     points = list(begins or [problem.start])[:starts]
-    points += [rng.uniform(low, high) for _ in range(starts - len(points))]
-    results: list[FitResult] = []
-    ends: list[Start] = []
-    failures: list[NoTrustworthyResult] = []
-    searched: AbstractContextManager[Iterable[Array]] = nullcontext(points)
-    if elsewhere is not None:
-        searched = map_in_threads(elsewhere, points, executors.WAITING)
-    with progress("starts", total=starts) as step, searched as begun:
-        for k, (begin, nearer) in enumerate(zip(points, begun, strict=True)):
-            try:
-                found = {0: first}.get(k) or output_error.fit(
-                    model, trials, parameters=parameters,
-                    jobs=jobs, begin=nearer, tested=False, max_iterations=max_iterations,
-                )  # fmt: skip
-            except KeyboardInterrupt:
-                if not results:
-                    raise
-                break
-            except NoTrustworthyResult as error:
-                failures.append(error)
-                ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
-            else:
-                ends.append(Start(begin, found.estimate, found.cost, found.converged))
-                results.append(found)
-                if found.interrupted:
-                    break
-            step()
-            least = min((end.cost for end in ends), default=math.inf)
-            show(step, f"least cost {least:.5g}, reached {agreeing(ends)} times")
+    return points + [rng.uniform(low, high) for _ in range(starts - len(points))]
+
+
+def _select_best(outcomes: Sequence[FitResult | NoTrustworthyResult], jobs: int) -> FitResult:
+    """Return the best of several fits, tested by restarts; raise the first failure if all fits failed."""
+    results = [one for one in outcomes if isinstance(one, FitResult)]
+    failures = [one for one in outcomes if isinstance(one, NoTrustworthyResult)]
     if not results:
         raise failures[0]
-    best = found = functools.reduce(_better, results)
+    best = plain = functools.reduce(_better, results)
     if best.converged:
-        best = output_error.check_by_restarts(best, jobs=jobs or os.cpu_count() or 1)
-    evaluations = best.evaluations - found.evaluations + sum(r.evaluations for r in results)
-    return replace(best, evaluations=evaluations), ends
+        best = output_error.check_by_restarts(best, jobs=jobs)
+    evaluations = best.evaluations - plain.evaluations + sum(r.evaluations for r in results)
+    return replace(best, evaluations=evaluations)
 
 
-def agreeing(ends: Sequence[Start]) -> int:
+def count_agreeing(ends: Sequence[Start]) -> int:
     """Return the number of searches of a multistart fit that ended at the lowest cost.
 
     Only costs are compared. End points of equal cost may differ in directions that the data do not determine.
 
     >>> where = np.zeros(1)
-    >>> agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
+    >>> count_agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
     2
     """
     least = min((e.cost for e in ends), default=math.inf)
-    return sum(e.cost <= least * (1 + SAME) for e in ends)
+    return sum(e.cost <= least * (1 + SAME_COST_RTOL) for e in ends)
 
 
 def _better(best: FitResult, other: FitResult) -> FitResult:
@@ -143,7 +150,7 @@ def _better(best: FitResult, other: FitResult) -> FitResult:
 
     If their costs belong to the same minimum, a converged fit is preferred.
     """
-    same = max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME)
+    same = max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME_COST_RTOL)
     return min(best, other, key=lambda result: (same and not result.converged, result.cost))
 
 
@@ -209,9 +216,7 @@ def nsga2(
     name: str = "front",
     advance: Callable[[], Any] = lambda: None,
 ) -> Front:
-    """Search for the Pareto front of several objectives by NSGA-II (Deb et al. 2002).
-
-    The method is described in doi:10.1109/4235.996017.
+    """Search for the Pareto front of several objectives by NSGA-II (Deb et al., doi:10.1109/4235.996017).
 
     Parameters
     ----------
@@ -223,11 +228,9 @@ def nsga2(
     population, generations, seed
         Population size, number of generations and random seed. The same seed gives the same front.
     first : ndarray, shape (d,), optional
-        A point of the first population, such as the result of an earlier fit.
+        A point of the first population.
     checkpoint : Checkpoint, optional
-        Storage for the objectives of every generation, under ``name``. An interrupted search that is started
-        again reads its first generations from the storage, and has the same result as without an
-        interruption.
+        Storage for the objectives of every generation, under ``name``, from which a search is resumed.
     advance : callable
         Function that is called after each generation.
     """
@@ -256,7 +259,7 @@ def nsga2(
         def objectives_of(points: Array = points) -> Array:
             return np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE).ravel()
 
-        found = keep.kept(f"{name}: generation {generation}", objectives_of).reshape(-1, objectives)
+        found = keep.get_or_compute(f"{name}: generation {generation}", objectives_of).reshape(-1, objectives)
         Evaluator().eval(StaticProblem(problem, F=found), asked)
         algorithm.tell(infills=asked)
         evaluations += len(points)

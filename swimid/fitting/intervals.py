@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from swimid.fitting.model import Array
-from swimid.fitting.noise import RANK_RTOL, NoisePosterior, Rows, compute_posterior, compute_rows
+from swimid.fitting.noise import DERIVATIVE_RTOL, NoisePosterior, NoiseRows, compute_posterior, compute_rows
 from swimid.fitting.problem import Problem
 from swimid.fitting.uncertainty import VAGUE, orthogonal_part
 
@@ -214,10 +214,10 @@ def compute_errors(
         columns = part[:, np.searchsorted(numbers, np.concatenate((shared, mine)))]
         parts.append(columns)
         common = columns[:, : len(shared)]
-        rest = orthogonal_part(columns[:, len(shared) :], common, RANK_RTOL)
+        rest = orthogonal_part(columns[:, len(shared) :], common, DERIVATIVE_RTOL)
         # What remains of a column that the own unknowns can replace is rounding error.
         norms = np.linalg.norm(common, axis=0)
-        apart.append(np.where(np.linalg.norm(rest, axis=0) > RANK_RTOL * norms, rest, 0.0))
+        apart.append(np.where(np.linalg.norm(rest, axis=0) > DERIVATIVE_RTOL * norms, rest, 0.0))
     frame = Coordinates(apart)
     if not len(frame.forward):
         nothing = np.full((len(theta),) * 2, np.nan)
@@ -244,7 +244,7 @@ class _Scores:
 
     Parameters
     ----------
-    series : dict of channel to dict of trial index to Rows
+    series : dict of channel to dict of trial index to NoiseRows
     backward : ndarray, shape (s, q)
         Changes of the shared unknowns by the whitened coordinates.
     own : sequence of int
@@ -266,7 +266,9 @@ class _Scores:
         Memory of the noise, s: the longest of all channels.
     """
 
-    def __init__(self, series: Mapping[str, Mapping[int, Rows]], backward: Array, own: Sequence[int]) -> None:
+    def __init__(
+        self, series: Mapping[str, Mapping[int, NoiseRows]], backward: Array, own: Sequence[int]
+    ) -> None:
         self.series, self.backward = series, backward
         self.posteriors = [compute_posterior(parts) for parts in series.values()]
         self.degrees = sum(posterior.degrees for posterior in self.posteriors)
@@ -395,8 +397,8 @@ def _mix(
     This prior gives Student's distribution with the degrees of freedom of the trials if the differences
     exceed the noise [1]_.
     """
-    information, trials = scores.information, scores.information.shape[1]
-    likely = np.einsum("j,jkqr->kqr", scores.weight, information)
+    trials = scores.information.shape[1]
+    likely = np.einsum("j,jkqr->kqr", scores.weight, scores.information)
     pooled = np.linalg.pinv(likely.sum(axis=0), hermitian=True)
     enlargement, just_shown = _visibility(likely, pooled, frame.forward)
     shown = (enlargement < MAX_ENLARGEMENT) & (just_shown < magnitude) & ~frame.undetermined
@@ -407,10 +409,44 @@ def _mix(
     highest = np.minimum(magnitude, LARGEST_SIZE * error)
     # A parameter that no trial determines to within its magnitude has a narrow range of sizes.
     lowest = np.minimum(SMALLEST_SIZE * error, 0.1 * highest)
+    hypotheses, mixture, weights = _weigh_sets(scores, frame, visible, lowest, highest)
+    chance, sd = {}, {}
+    for i in visible:
+        each = [(h, one.members.index(i)) for h, one in enumerate(hypotheses) if i in one.members]
+        mass = np.concatenate([weights[h].sum(axis=0) for h, _ in each])
+        sizes = np.concatenate([hypotheses[h].sizes[:, at] for h, at in each])
+        chance[labels[i]] = float(mass.sum())
+        order = np.argsort(sizes)
+        half = np.searchsorted(np.cumsum(mass[order]), 0.5 * mass.sum())
+        sd[labels[i]] = float(sizes[order][min(half, len(sizes) - 1)])
+    # A parameter that acts in one of several trials cannot differ between them.
+    acting = np.sum(own > 1e-9 * own.max(axis=0), axis=0)
+    hidden = {}
+    for i in np.flatnonzero(~frame.undetermined & ~shown & ((acting > 1) | (trials == 1))).tolist():
+        size = min(ASSUMED_DIFFERENCE * magnitude[i], highest[i])
+        covariance = _evaluate(scores, frame.forward, _Set((i,), np.array([[size]])))[2][0, 0]
+        hidden[labels[i]] = math.sqrt(max(frame.backward[i] @ covariance @ frame.backward[i], 0.0))
+    return mixture, Differences(trials, 1.0 - float(weights[0].sum()), sd, chance, hidden)
+
+
+def _weigh_sets(
+    scores: _Scores, frame: Coordinates, visible: Sequence[int], lowest: Array, highest: Array
+) -> tuple[list[_Set], Mixture, list[Array]]:
+    """Return the sets of parameters that may differ, their mixture, and the probabilities of each set.
+
+    Each set has one probability for each form of the noise and each size of the differences.
+
+    Parameters
+    ----------
+    visible : sequence of int
+        Parameters whose differences are visible. The leading ones are combined.
+    lowest, highest : ndarray
+        Smallest and largest standard deviation between trials of each parameter.
+    """
     hypotheses = [_Set((), np.zeros((1, 0)))]
     hypotheses += [_draw_sizes((i,), lowest, highest) for i in visible]
     found = [_evaluate(scores, frame.forward, one) for one in hypotheses]
-    alone = _own_likelihood(information, scores.score)[:, None]
+    alone = _own_likelihood(scores.information, scores.score)[:, None]
     gains = [float(np.max(alone + one[0])) for one in found[1:]]
     leading = sorted(visible[i] for i in np.argsort(gains)[::-1][:MAX_TOGETHER])
     for count in range(2, len(leading) + 1):
@@ -424,31 +460,14 @@ def _mix(
     top = max(float(part.max()) for part in logs)
     weights = [p * np.exp(part - top) for p, part in zip(prior, logs, strict=True)]
     total = sum(float(part.sum()) for part in weights)
-    weight = np.concatenate([part.ravel() for part in weights]) / total
-    q = information.shape[-1]
+    weights = [part / total for part in weights]
+    weight, q = np.concatenate([part.ravel() for part in weights]), scores.information.shape[-1]
     mean = np.concatenate([one[1].reshape(-1, q) for one in found])
     covariance = np.concatenate([one[2].reshape(-1, q, q) for one in found])
     order = np.argsort(-weight)
     kept = order[: int(np.searchsorted(np.cumsum(weight[order]), 1.0 - NEGLIGIBLE_WEIGHT)) + 1]
     mixture = Mixture(weight[kept] / weight[kept].sum(), mean[kept], covariance[kept], scores.degrees)
-    chance, sd = {}, {}
-    for i in visible:
-        each = [(h, one.members.index(i)) for h, one in enumerate(hypotheses) if i in one.members]
-        mass = np.concatenate([weights[h].sum(axis=0) for h, _ in each]) / total
-        sizes = np.concatenate([hypotheses[h].sizes[:, at] for h, at in each])
-        chance[labels[i]] = float(mass.sum())
-        order = np.argsort(sizes)
-        half = np.searchsorted(np.cumsum(mass[order]), 0.5 * mass.sum())
-        sd[labels[i]] = float(sizes[order][min(half, len(sizes) - 1)])
-    # A parameter that acts in one of several trials cannot differ between them.
-    acting = np.sum(own > 1e-9 * own.max(axis=0), axis=0)
-    hidden = {}
-    for i in np.flatnonzero(~frame.undetermined & ~shown & ((acting > 1) | (trials == 1))).tolist():
-        size = min(ASSUMED_DIFFERENCE * magnitude[i], highest[i])
-        covariance = _evaluate(scores, frame.forward, _Set((i,), np.array([[size]])))[2][0, 0]
-        hidden[labels[i]] = math.sqrt(max(frame.backward[i] @ covariance @ frame.backward[i], 0.0))
-    differ = 1.0 - float(weights[0].sum()) / total
-    return mixture, Differences(trials, differ, sd, chance, hidden)
+    return hypotheses, mixture, weights
 
 
 class _Set(NamedTuple):

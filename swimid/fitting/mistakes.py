@@ -9,7 +9,7 @@ transformation of the data or of the drive, and the corrected trials are a rival
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -22,32 +22,32 @@ from swimid.fitting.drives import Motion
 from swimid.fitting.fit_common import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.output_error import FitResult, Series
-from swimid.notices import recorded
+from swimid.notices import record_warnings
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
 #: Factors between units of length that are often confused in recordings.
-FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
-DEGREE = math.pi / 180.0
+UNIT_FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
+RAD_PER_DEGREE = math.pi / 180.0
 #: Factors that undo common mistakes in the amplitude of a drive (AMPLITUDES) and in the motion of all driven
 #: joints (JOINTS), by the description of the correction.
 AMPLITUDES = {
     "twice the amplitude of the drive": 2.0,
     "half the amplitude of the drive": 0.5,
-    "the amplitude of the drive taken as radians": 1.0 / DEGREE,
-    "the amplitude of the drive multiplied by pi/180": DEGREE,
+    "the amplitude of the drive taken as radians": 1.0 / RAD_PER_DEGREE,
+    "the amplitude of the drive multiplied by pi/180": RAD_PER_DEGREE,
 }
 JOINTS = {
     "the signs of all driven joints changed": -1.0,
-    "the driven joints taken as degrees": DEGREE,
-    "the driven joints multiplied by 180/pi": 1.0 / DEGREE,
+    "the driven joints taken as degrees": RAD_PER_DEGREE,
+    "the driven joints multiplied by 180/pi": 1.0 / RAD_PER_DEGREE,
     "the driven joints multiplied by 2": 2.0,
     "the driven joints multiplied by 0.5": 0.5,
 }
 #: Maximum number of recording mistakes whose correction is tested by a new fit.
 MAX_REFITS = 4
 #: Relative tolerance of the cost when initial states are estimated during the search for mistakes.
-START_TOLERANCE = 1e-3
+SCREEN_START_RTOL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,8 @@ class Explanation:
         )
 
 
+#: Type of changes of channels by description: factor and offset of each channel.
+Changes = dict[str, Mapping[str, tuple[float, float]]]
 #: Type of a mapping from the id of each trial to its simulated and measured series.
 TrialSeries = Mapping[str, Sequence[Series]]
 
@@ -107,47 +109,69 @@ TrialSeries = Mapping[str, Sequence[Series]]
 # ------------------------------------------------------------ catalogue
 
 
-def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
+def list_mistakes(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     """Return all recording mistakes that can occur in the trials of a model."""
-    names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
-    pose = fit_common.pose_channels(model)
-    units = {c.name: c.unit for c in model.channels}
-    place = [name for name in pose if units[name] == "m"]
-    known = [name for name in names if name in units]
-    changes: dict[str, Mapping[str, tuple[float, float]]] = {}
-    if {"x_m", "y_m", "yaw_rad"} <= set(pose):
-        changes["yaw + 180 degrees"] = {"yaw_rad": (1.0, math.pi)}
-        changes["yaw mirrored"] = {"yaw_rad": (-1.0, 0.0)}
-        changes["y mirrored"] = {"y_m": (-1.0, 0.0)}
-        changes["the film mirrored"] = {"y_m": (-1.0, 0.0), "yaw_rad": (-1.0, 0.0)}
-    elif {"x_m", "z_m", "pitch_rad"} <= set(pose):
-        changes["the film mirrored"] = {"z_m": (-1.0, 0.0), "pitch_rad": (-1.0, 0.0)}
-    changes |= {f"the sign of {name} changed": {name: (-1.0, 0.0)} for name in known if name not in pose}
-    for name in (n for n in known if units[n] == "rad"):
-        changes[f"{name} taken as degrees"] = {name: (DEGREE, 0.0)}
-        changes[f"{name} multiplied by 180/pi"] = {name: (1.0 / DEGREE, 0.0)}
-    groups = [place, *([name] for name in known if name not in place)]
-    for group in (group for group in groups if group and units[group[0]] != "rad"):
-        for factor in FACTORS:
-            says = f"{' and '.join(group)} multiplied by {factor:g}"
-            changes[says] = dict.fromkeys(group, (factor, 0.0))
-    found = [Mistake(says, partial(_changed, pose, change)) for says, change in changes.items()]
-    found += [Mistake(says, partial(_driven, factor)) for says, factor in AMPLITUDES.items()]
-    joints = max((len(t.swim.joints) for t in trials if t.swim.joints is not None), default=0)
-    for k in range(joints):
-        found.append(Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, -1.0, [k])))
-    if joints:
-        found += [Mistake(says, partial(_joint, by, range(joints))) for says, by in JOINTS.items()]
-    swimmer = model.swimmer
-    columns = {} if swimmer is None else {name: law.column for name, law in swimmer.inputs.items()}
-    for name in dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units):
-        found.append(Mistake(f"the sign of {columns.get(name, name)} changed", partial(_reversed, name)))
-    if swimmer is not None and not swimmer.in_space:
+    pose, units = fit_common.pose_channels(model), {c.name: c.unit for c in model.channels}
+    names = dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs))
+    changes = _list_reflections(pose) | _list_channel_changes(pose, units, [n for n in names if n in units])
+    found = [Mistake(says, partial(_change_channels, pose, change)) for says, change in changes.items()]
+    found += [Mistake(says, partial(_scale_amplitude, factor)) for says, factor in AMPLITUDES.items()]
+    found += _list_joint_mistakes(max((len(t.swim.joints or ()) for t in trials), default=0))
+    found += _list_input_mistakes(model, trials, units)
+    if model.swimmer is not None and not model.in_space:
         found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
     return found
 
 
-def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], trial: Trial) -> Trial | None:
+def _list_input_mistakes(model: Model, trials: Sequence[Trial], units: Mapping[str, str]) -> list[Mistake]:
+    """Return wrong signs of the inputs that are no channels."""
+    columns = {}
+    if model.swimmer is not None:
+        columns = {name: law.column for name, law in model.swimmer.inputs.items()}
+    names = dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units)
+    signs = {name: f"the sign of {columns.get(name, name)} changed" for name in names}
+    return [Mistake(says, partial(_reverse_input, name)) for name, says in signs.items()]
+
+
+def _list_joint_mistakes(count: int) -> list[Mistake]:
+    """Return wrong signs and units of the logged motions of driven joints."""
+    signs = [(f"the sign of driven joint {k + 1} changed", -1.0, [k]) for k in range(count)]
+    units = [(says, factor, range(count)) for says, factor in JOINTS.items() if count]
+    return [Mistake(says, partial(_joint, factor, joints)) for says, factor, joints in (*signs, *units)]
+
+
+def _list_reflections(pose: Sequence[str]) -> Changes:
+    """Return the changes of a pose by a film that is mirrored, or by a heading that is reversed."""
+    if {"x_m", "y_m", "yaw_rad"} <= set(pose):
+        return {
+            "yaw + 180 degrees": {"yaw_rad": (1.0, math.pi)},
+            "yaw mirrored": {"yaw_rad": (-1.0, 0.0)},
+            "y mirrored": {"y_m": (-1.0, 0.0)},
+            "the film mirrored": {"y_m": (-1.0, 0.0), "yaw_rad": (-1.0, 0.0)},
+        }
+    if {"x_m", "z_m", "pitch_rad"} <= set(pose):
+        return {"the film mirrored": {"z_m": (-1.0, 0.0), "pitch_rad": (-1.0, 0.0)}}
+    return {}
+
+
+def _list_channel_changes(pose: Sequence[str], units: Mapping[str, str], names: Sequence[str]) -> Changes:
+    """Return the changes of channels by a wrong sign or a wrong unit."""
+    changes: Changes = {f"the sign of {n} changed": {n: (-1.0, 0.0)} for n in names if n not in pose}
+    for name in (n for n in names if units[n] == "rad"):
+        changes[f"{name} taken as degrees"] = {name: (RAD_PER_DEGREE, 0.0)}
+        changes[f"{name} multiplied by 180/pi"] = {name: (1.0 / RAD_PER_DEGREE, 0.0)}
+    place = [name for name in pose if units[name] == "m"]
+    groups = [place, *([name] for name in names if name not in place)]
+    for group in (group for group in groups if group and units[group[0]] != "rad"):
+        for factor in UNIT_FACTORS:
+            says = f"{' and '.join(group)} multiplied by {factor:g}"
+            changes[says] = dict.fromkeys(group, (factor, 0.0))
+    return changes
+
+
+def _change_channels(
+    pose: Sequence[str], change: Mapping[str, tuple[float, float]], trial: Trial
+) -> Trial | None:
     """Return a copy of the trial with channels and initial pose changed to ``factor * value + offset``.
 
     Return None if the trial has none of these channels.
@@ -155,16 +179,16 @@ def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], tri
     if not any(name in trial.measured for name in change):
         return None
 
-    def changed(name: str, values: Any) -> Any:
+    def convert(name: str, values: Any) -> Any:
         factor, offset = change.get(name, (1.0, 0.0))
         return factor * values + offset
 
     swim = trial.swim
     if swim.pose is not None:
-        moved = [changed(name, at) for name, at in zip(pose, swim.pose, strict=False)]
+        moved = [convert(name, at) for name, at in zip(pose, swim.pose, strict=False)]
         swim = replace(swim, pose=(*moved, *swim.pose[len(moved) :]))
     measured, inputs = (
-        {name: changed(name, values) for name, values in series.items()}
+        {name: convert(name, values) for name, values in series.items()}
         for series in (trial.measured, trial.inputs)
     )
     # Discard the initial velocities, which were estimated from the uncorrected channels.
@@ -172,7 +196,7 @@ def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], tri
     return replace(trial, measured=measured, inputs=inputs, swim=swim, starts=starts)
 
 
-def _driven(factor: float, trial: Trial) -> Trial | None:
+def _scale_amplitude(factor: float, trial: Trial) -> Trial | None:
     """Return a copy of the trial with the amplitude of its beat multiplied by a factor.
 
     Return None if the trial has no beat.
@@ -193,11 +217,11 @@ def _joint(factor: float, numbers: Sequence[int], trial: Trial) -> Trial | None:
         return None
     joints = list(trial.swim.joints)
     for k in (k for k in numbers if k < len(joints)):
-        joints[k] = partial(_scaled, joints[k], factor)
+        joints[k] = partial(_scale_motion, joints[k], factor)
     return replace(trial, swim=replace(trial.swim, joints=joints))
 
 
-def _reversed(name: str, trial: Trial) -> Trial | None:
+def _reverse_input(name: str, trial: Trial) -> Trial | None:
     """Return a copy of the trial with the sign of one input changed; None if it has no such input."""
     inputs, given = dict(trial.inputs), dict(trial.swim.inputs)
     if name in given:
@@ -214,7 +238,7 @@ def _negative(value: Callable[[Array], Array], time_s: Array) -> Array:
     return -value(time_s)
 
 
-def _scaled(motion: Callable[[Array], Motion], factor: float, time_s: Array) -> Motion:
+def _scale_motion(motion: Callable[[Array], Motion], factor: float, time_s: Array) -> Motion:
     """Return angle, rate and acceleration of a joint at given times, multiplied by a factor."""
     angle, rate, bend = motion(time_s)
     return factor * angle, factor * rate, factor * bend
@@ -227,7 +251,7 @@ def _steady(trial: Trial) -> Trial | None:
     """
     if trial.swim.drive is None or trial.swim.steady:
         return None
-    return replace(trial, swim=trial.swim.begun())
+    return replace(trial, swim=trial.swim.make_steady())
 
 
 # ------------------------------------------------------------ search
@@ -243,12 +267,12 @@ def series_of(trial: Trial, simulated: Mapping[str, Array]) -> list[Series]:
     ]
 
 
-def compute_errors(series: Sequence[Series]) -> dict[str, float]:
+def compute_trial_errors(series: Sequence[Series]) -> dict[str, float]:
     """Return the errors of the channels of a trial in its own axes, divided by their measured ranges."""
     measured, simulated = fit_common.own_axes(
         {s.channel: s.measured for s in series}, {s.channel: s.simulated for s in series}
     )
-    errors = {name: fit_common.score(measured[name], simulated[name]).nrmse for name in measured}
+    errors = {name: fit_common.compute_score(measured[name], simulated[name]).nrmse for name in measured}
     return {name: error for name, error in errors.items() if math.isfinite(error)}
 
 
@@ -273,28 +297,36 @@ def search(
     refit : callable, optional
         Function that fits corrected trials. The most promising corrections are then judged by such a fit.
     """
-    alternatives = len(known) * (len(trials) + 1)
-    each = {t.id: t for t in trials if t.id in before}
     screened = []
     for mistake in known:
-        corrected = {name: one for name, t in each.items() if (one := _correct(mistake, t, before, simulate))}
-        gains = [gain for _, _, gain in corrected.values()]
-        screened.append((sum(max(gain, 0.0) for gain in gains), mistake, corrected))
-    screened.sort(key=lambda one: -one[0])
+        each = {t.id: _correct(mistake, t, before, simulate) for t in trials if t.id in before}
+        corrected = {name: one for name, one in each.items() if one is not None}
+        screened.append((sum(max(gain, 0.0) for _, _, gain in corrected.values()), mistake, corrected))
+    screened = sorted(screened, key=lambda one: -one[0])[: None if refit is None else MAX_REFITS]
+    explain = partial(_explain, trials=trials, alternatives=len(known) * (len(trials) + 1), before=before)
     found = []
-    for _, mistake, corrected in screened[: None if refit is None else MAX_REFITS]:
+    for _, mistake, corrected in screened:
         gained = tuple(name for name, (_, _, gain) in corrected.items() if gain > rivals.STRONG)
-        if refit is None:
-            after: TrialSeries = {name: corrected[name][1] for name in gained}
-            found.append(_explain(mistake, gained, trials, alternatives, before, after))
-            continue
-        for chosen in dict.fromkeys((gained, tuple(corrected)) if gained else ()):
-            fit = refit([corrected[t.id][0] if t.id in chosen else t for t in trials])
-            if fit is not None:
-                parts = zip(trials, fit.trials, strict=True)
-                after = {t.id: [s for s in fit.series if s.trial == changed.id] for t, changed in parts}
-                found.append(_explain(mistake, chosen, trials, alternatives, before, after))
-    return max((one for one in found if one is not None), key=lambda one: one.score, default=None)
+        after = {gained: {name: corrected[name][1] for name in gained}}
+        if refit is not None:
+            sets = dict.fromkeys((gained, tuple(corrected)) if gained else ())
+            after = {ids: _refit_series(refit, trials, corrected, ids) for ids in sets}
+        found += [explain(mistake, ids, after=series) for ids, series in after.items() if series]
+    return max(filter(None, found), key=lambda one: one.score, default=None)
+
+
+def _refit_series(
+    refit: Callable[[Sequence[Trial]], FitResult | None],
+    trials: Sequence[Trial],
+    corrected: Mapping[str, tuple[Trial, list[Series], float]],
+    ids: Collection[str],
+) -> dict[str, list[Series]]:
+    """Return the series of a fit with some trials corrected, by the id of the trial; empty if it fails."""
+    fit = refit([corrected[t.id][0] if t.id in ids else t for t in trials])
+    if fit is None:
+        return {}
+    parts = zip(trials, fit.trials, strict=True)
+    return {t.id: [s for s in fit.series if s.trial == changed.id] for t, changed in parts}
 
 
 def _correct(
@@ -311,7 +343,7 @@ def _correct(
     changed = replace(changed, id=f"{trial.id} ({mistake.says})")
     try:
         # Ignore a correction with which the trial cannot be simulated.
-        with recorded():
+        with record_warnings():
             found = [series_of(changed, simulated) for simulated in simulate(changed)]
     except (NoTrustworthyResult, np.linalg.LinAlgError):
         return None
@@ -348,7 +380,7 @@ def _explain(
     if not corrected:
         return None
     score = _compute_gain(list(after), before, after) - 2.0 * math.log(alternatives)
-    errors = [(compute_errors(before[name]), compute_errors(after[name])) for name in corrected]
+    errors = [(compute_trial_errors(before[name]), compute_trial_errors(after[name])) for name in corrected]
     if score <= rivals.STRONG or any(error > GOOD for _, late in errors for error in late.values()):
         return None
     falls = {}
@@ -363,16 +395,16 @@ def _explain(
     return Explanation(mistake.says, where, channel, first, last, score)
 
 
-def check(found: Explanation | None, count: int) -> ev.Check:
+def check_mistakes(found: Explanation | None, count: int) -> ev.Check:
     """Return a check with the result of the search for recording mistakes.
 
     The argument ``count`` is the number of mistakes that were tested.
     """
     if found is None:
-        return ev.check("usual mistakes", f"none of {count} found", None)
+        return ev.make_check("usual mistakes", f"none of {count} found", None)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"
     reason = f"a usual mistake explains the error: {found.says}"
-    return ev.check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
+    return ev.make_check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
 
 
 def is_suspect(checks: Iterable[ev.Check], before: TrialSeries) -> bool:
@@ -381,5 +413,5 @@ def is_suspect(checks: Iterable[ev.Check], before: TrialSeries) -> bool:
     A search is worth while if a check fails, or if the error of a trial exceeds ``USABLE``.
     """
     return any(c.verdict == "fail" for c in checks) or any(
-        error > USABLE for series in before.values() for error in compute_errors(series).values()
+        error > USABLE for series in before.values() for error in compute_trial_errors(series).values()
     )

@@ -27,7 +27,7 @@ from swimid.notices import Progress, silent
 
 if TYPE_CHECKING:
     from swimid.effects.base import Effect
-    from swimid.fitting.drives import Beat, Cycle, Motion
+    from swimid.fitting.drives import Cycle, Motion, TailBeat
 
 Array = NDArray[np.float64]
 #: Names of the position channels along the axes x, y and z.
@@ -36,7 +36,7 @@ POSITIONS = ("x_m", "y_m", "z_m")
 MEAN_SPEED = "mean_speed_m_s"
 #: Number of segments into which a track is divided to compute the mean speed. Few long segments keep
 #: measurement noise from lengthening the path.
-STRETCHES = 12
+N_SPEED_SEGMENTS = 12
 Outcome = TypeVar("Outcome")
 Entry = TypeVar("Entry")
 
@@ -152,7 +152,7 @@ class RigInput:
 class SwimInput:
     """Drive, initial pose and own coefficients of a robot with links in one trial."""
 
-    beat: Beat | None = None
+    beat: TailBeat | None = None
     stroke: Cycle | None = None
     #: Functions that return the motion of each driven joint at given times (s). They replace a beat or
     #: stroke.
@@ -169,7 +169,7 @@ class SwimInput:
     coefficients: Mapping[str, float] | None = None
 
     @property
-    def drive(self) -> Beat | Cycle | None:
+    def drive(self) -> TailBeat | Cycle | None:
         """Tail beat or stroke that drives the robot. None for joint angles from a log, or without a drive."""
         return self.beat or self.stroke
 
@@ -178,7 +178,7 @@ class SwimInput:
         """Whether the simulation begins on the limit cycle of the drive."""
         return self.drive is not None and self.drive.steady
 
-    def begun(self) -> SwimInput:
+    def make_steady(self) -> SwimInput:
         """Return a copy of the input for steady swimming, which begins on the limit cycle of the drive."""
         if self.stroke is not None:
             return replace(self, stroke=replace(self.stroke, steady=True, ramp_s=0.0, cycles=math.inf))
@@ -187,11 +187,11 @@ class SwimInput:
         return replace(self, beat=replace(self.beat, steady=True, ramp_s=0.0))
 
     @property
-    def measured(self) -> bool:
+    def has_measured_joints(self) -> bool:
         """Whether the joint motions in the log were measured. Otherwise they are commands to actuators."""
         return self.joints is not None and not self.commanded
 
-    def posed(self, count: int = 3) -> tuple[float, ...]:
+    def get_pose(self, count: int = 3) -> tuple[float, ...]:
         """Return the initial pose of the robot; ``count`` zeros if it is unknown."""
         return self.pose or (0.0,) * count
 
@@ -305,7 +305,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Rig:
+class RigCoordinate:
     """Coordinate of a body on a test rig, which has one degree of freedom.
 
     Attributes
@@ -329,7 +329,7 @@ class Rig:
 # Suppress numba's warning that compiled functions as arguments of compiled functions are experimental.
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
-#: Numba signature ``force(t, pose, velocity, constants, wrench)`` of functions in a :class:`Force`.
+#: Numba signature ``force(t, pose, velocity, constants, wrench)`` of functions in a :class:`ExternalForce`.
 FORCE_SIGNATURE = numba.types.void(
     numba.types.float64,
     numba.types.float64[::1],
@@ -349,7 +349,8 @@ def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 
 @dataclass(frozen=True)
 class Traceable:
-    """Function of a :class:`Force` that can also be traced with symbols to simulate batches of trials.
+    """Function of a :class:`ExternalForce` that can also be traced with symbols to simulate batches of
+    trials.
 
     Attributes
     ----------
@@ -371,22 +372,22 @@ TRACEABLE: dict[str, Traceable] = {}
 
 
 def traceable(on: Literal["base", "hull", "last"], constants: int) -> Callable[[Callable[..., None]], Any]:
-    """Return a decorator that compiles a function of a :class:`Force` that can be traced.
+    """Return a decorator that compiles a function of a :class:`ExternalForce` that can be traced.
 
     The function must branch on values only by ``max``, ``min`` and ``abs``. It may use the heading only in
     sine and cosine. See :class:`Traceable`.
     """
 
-    def compiled(function: Callable[..., None]) -> Any:
+    def compile_force(function: Callable[..., None]) -> Any:
         made = numba.cfunc(FORCE_SIGNATURE, cache=True)(function)
         TRACEABLE[f"{function.__module__}.{function.__qualname__}"] = Traceable(made, on, constants)
         return made
 
-    return compiled
+    return compile_force
 
 
 @dataclass(frozen=True)
-class Force:
+class ExternalForce:
     """Force on one link of a robot, evaluated inside the compiled integration step."""
 
     #: Numba cfunc with :data:`FORCE_SIGNATURE`. If batches of simulations use it, :func:`traceable` must
@@ -454,7 +455,7 @@ class Hooks:
     #: Functions that change in place the coefficients (dict of name to float) of a model with one equation.
     coefficients: tuple[Callable[[dict[str, float]], None], ...] = ()
     #: Forces that are added to those of the model, at most :data:`MOST_FORCES`.
-    force: tuple[Force, ...] = ()
+    force: tuple[ExternalForce, ...] = ()
     #: Motions of the water. All fluid forces depend on the velocity relative to the water.
     flow: tuple[Flow, ...] = ()
     #: Functions that change the output of the sensors.
@@ -484,25 +485,25 @@ class Hooks:
             self.command or self.stroke or self.tables or self.coefficients or self.force or self.flow
         )
 
-    def unmeasured(self) -> Hooks:
+    def drop_sensing(self) -> Hooks:
         """Return the hooks without the effects of sensors and clocks, which change only the measurement."""
         if not (self.output or self.late):
             return self
         return replace(self, output=(), clock_s=0.0, clock_drift=0.0)
 
-    def actuated(self, time_s: Array, command: Array, joint: int = 0) -> Array:
+    def actuate(self, time_s: Array, command: Array, joint: int = 0) -> Array:
         """Return the output of the actuator of a driven joint, after all ``command`` hooks."""
         for change in self.command:
             command = change(time_s, command, joint)
         return command
 
-    def beaten(self, stroke: Stroke) -> Stroke:
+    def change_stroke(self, stroke: Stroke) -> Stroke:
         """Return the steady beat after all ``stroke`` hooks."""
         for change in self.stroke:
             stroke = change(stroke)
         return stroke
 
-    def changed(self, values: dict[str, Any], hooks: str) -> dict[str, Any]:
+    def change_values(self, values: dict[str, Any], hooks: str) -> dict[str, Any]:
         """Apply all ``tables`` or all ``coefficients`` hooks to ``values`` in place, and return them."""
         for change in getattr(self, hooks):
             change(values)
@@ -513,11 +514,11 @@ class Hooks:
         """Whether the clock of the log differs from the clock of the drive."""
         return self.clock_s != 0.0 or self.clock_drift != 0.0
 
-    def happened(self, time_s: Array) -> Array:
+    def compute_event_times(self, time_s: Array) -> Array:
         """Return the true times of the events that the log shows at the given times, s."""
         return time_s - (self.clock_s + self.clock_drift * time_s) if self.late else time_s
 
-    def seen(self, channels: Mapping[str, Array], time_s: Array) -> dict[str, Array]:
+    def sense(self, channels: Mapping[str, Array], time_s: Array) -> dict[str, Array]:
         """Return the simulated channels as the sensors show them, after all ``output`` hooks."""
         found = dict(channels)
         for change in self.output:
@@ -582,27 +583,11 @@ class Acting:
             self._latest.pop(name, None)
 
 
-class Model:
-    """Interface of a model for fits, comparisons and diagnoses.
-
-    A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. It overrides
-    :meth:`hooked` instead of :meth:`simulate` if it supports other hooks than ``output`` and ``clock``. Other
-    members state properties that only some models have: the coordinate on a :attr:`rig`, the links
-    (:attr:`body`), the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
-
-    Effects act on a copy of the model (:meth:`with_effects`). :meth:`run` and :meth:`run_many` simulate
-    trials with all effects of the model.
+class RobotFacts:
+    """Facts about the robot of a model and about its drive. A model overrides those that apply to it.
 
     Attributes
     ----------
-    name : str
-        Name of the model in the parameter file.
-    parameters : tuple of Parameter
-        Parameters, in the order of the values that :meth:`run` takes. Those of the effects come last.
-    channels : tuple of Channel
-        Channels that the model simulates.
-    offers : frozenset of str
-        Names of the hooks (:class:`swimid.fitting.model.Hooks`) that :meth:`hooked` supports.
     force_unit : str
         Unit of the forces in the equation of motion: N, N m for an angle, m/s^2 for a force per mass.
     timed_runs : bool
@@ -617,6 +602,94 @@ class Model:
         Ending of the user's file of a simulator; empty if the model has no such file.
     fluid_density_kg_m3 : float or None
         Density of the fluid in the robot file; None if unknown.
+    """
+
+    force_unit: str = "N"
+    timed_runs: bool = False
+    has_gaps: bool = False
+    in_space: bool = False
+    file_ending: str = ""
+    fluid_density_kg_m3: float | None = None
+
+    @property
+    def rig(self) -> RigCoordinate | None:
+        """Coordinate of the body if the model is a test rig; None for other models."""
+        return None
+
+    @property
+    def body(self) -> Any:
+        """Links of a planar robot (:class:`swimid.swimmer.planar.model.PlanarBody`); None otherwise."""
+        return None
+
+    @property
+    def swimmer(self) -> Any:
+        """Model itself if it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); else None."""
+        return None
+
+    @property
+    def planar_pose(self) -> tuple[str, ...]:
+        """Channels of two positions and the heading of a body that moves in a plane; empty otherwise."""
+        if self.body is None or not self.body.free:
+            return ()
+        return tuple(self.body.pose)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """World axes along which the body can travel."""
+        return ("x",)
+
+    def origin(self, trial: Trial) -> dict[str, float]:
+        """Return the initial position in a trial, by channel. Channels that it does not name start at 0."""
+        return {}
+
+    def get_file_values(self) -> dict[str, float]:
+        """Return the parameter values of the robot file, if a fit may start from other values."""
+        return {}
+
+    def is_commanded(self, trial: Trial) -> bool:
+        """Return whether the input of a trial is a command, and not the measured output of the actuators."""
+        return True
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """Yield for each commanded actuator the times (s), the command, and its known maximum rate (1/s)."""
+        return iter(())
+
+    def onset(self, trial: Trial) -> float:
+        """Return the start time of the simulation, s: zero with a drive, else the first sample of the log."""
+        if trial.swim.drive is not None:
+            return 0.0
+        return float(trial.time_s[0])
+
+    def beats(self, trials: Sequence[Trial]) -> list[float]:
+        """Return the known drive frequencies of the trials, Hz."""
+        return [float(t.swim.drive.frequency_hz) for t in trials if t.swim.drive is not None]
+
+    def list_input_channels(self, trial: Trial) -> list[str]:
+        """Return the measured channels of a trial that are inputs of the model, which it does not predict."""
+        return []
+
+
+class Model(RobotFacts):
+    """Interface of a model for fits, comparisons and diagnoses.
+
+    A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. It overrides
+    :meth:`simulate_hooked` instead of :meth:`simulate` if it supports other hooks than ``output`` and
+    ``clock``. Other members state properties that only some models have: the coordinate on a :attr:`rig`, the
+    links (:attr:`body`), the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
+
+    Effects act on a copy of the model (:meth:`with_effects`). :meth:`run` and :meth:`run_many` simulate
+    trials with all effects of the model.
+
+    Attributes
+    ----------
+    name : str
+        Name of the model in the parameter file.
+    parameters : tuple of Parameter
+        Parameters, in the order of the values that :meth:`run` takes. Those of the effects come last.
+    channels : tuple of Channel
+        Channels that the model simulates.
+    offers : frozenset of str
+        Names of the hooks (:class:`swimid.fitting.model.Hooks`) that :meth:`simulate_hooked` supports.
     acting : tuple of Acting
         Effects that act on the model.
 
@@ -638,76 +711,11 @@ class Model:
     parameters: tuple[Parameter, ...]
     channels: tuple[Channel, ...]
     offers: frozenset[str] = frozenset({"output", "clock"})
-    force_unit: str = "N"
-    timed_runs: bool = False
-    has_gaps: bool = False
-    in_space: bool = False
-    file_ending: str = ""
-    fluid_density_kg_m3: float | None = None
     acting: tuple[Acting, ...] = ()
-
-    @property
-    def rig(self) -> Rig | None:
-        """Coordinate of the body if the model is a test rig; None for other models."""
-        return None
-
-    @property
-    def body(self) -> Any:
-        """Body of a planar robot with links (:class:`swimid.swimmer.planar.model.Body`); None otherwise."""
-        return None
-
-    @property
-    def swimmer(self) -> Any:
-        """Model itself if it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); else None."""
-        return None
-
-    @property
-    def planar_pose(self) -> tuple[str, ...]:
-        """Channels of two positions and the heading of a body that moves in a plane; empty otherwise."""
-        if self.body is None or not self.body.free:
-            return ()
-        return tuple(self.body.pose)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """World axes along which the body can travel."""
-        return ("x",)
 
     def scales(self, trials: Sequence[Trial]) -> Scales:
         """Return the typical scales of speed, force and other quantities in the given trials."""
         return Scales(self, trials)
-
-    def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the initial position in a trial, by channel. Channels that it does not name start at 0."""
-        return {}
-
-    def stated(self) -> dict[str, float]:
-        """Return the parameter values of the robot file, if a fit may start from other values."""
-        return {}
-
-    # -------------------------------------------------------- drive
-
-    def commanded(self, trial: Trial) -> bool:
-        """Return whether the input of a trial is a command, and not the measured output of the actuators."""
-        return True
-
-    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield for each commanded actuator the times (s), the command, and its known maximum rate (1/s)."""
-        return iter(())
-
-    def onset(self, trial: Trial) -> float:
-        """Return the start time of the simulation, s: zero with a drive, else the first sample of the log."""
-        if trial.swim.drive is not None:
-            return 0.0
-        return float(trial.time_s[0])
-
-    def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """Return the known drive frequencies of the trials, Hz."""
-        return [float(t.swim.drive.frequency_hz) for t in trials if t.swim.drive is not None]
-
-    def given(self, trial: Trial) -> list[str]:
-        """Return the measured channels of a trial that are inputs of the model, which it does not predict."""
-        return []
 
     # -------------------------------------------------------- effects
 
@@ -743,7 +751,7 @@ class Model:
         """Effects that act on the model."""
         return tuple(acting.effect for acting in self.acting)
 
-    def _acted(self, values: Array) -> Array:
+    def _add_changes(self, values: Array) -> Array:
         """Return parameter values with the changes by effects added, limited to the bounds."""
         # A later effect may change the parameter of an earlier one.
         for acting in reversed(self.acting):
@@ -755,11 +763,12 @@ class Model:
 
     def hooks(self, values: Array, trial: Trial) -> Hooks:
         """Return the combined hooks of all effects in one trial at the given parameter values."""
-        values = self._acted(values)
+        values = self._add_changes(values)
         return sum((acting.hooks(values, trial) for acting in self.acting), NONE)
 
     def _arguments(self, values: Array, trial: Trial, *, measured: bool = True) -> Request:
-        """Return the arguments with which :meth:`hooked` simulates a trial with all effects of the model.
+        """Return the arguments with which :meth:`simulate_hooked` simulates a trial with all effects of the
+        model.
 
         Parameters
         ----------
@@ -768,9 +777,9 @@ class Model:
         """
         hooks = self.hooks(values, trial)
         if not measured:
-            hooks = hooks.unmeasured()
+            hooks = hooks.drop_sensing()
         own = self.acting[0].first if self.acting else len(values)
-        return self._acted(values)[:own], trial, hooks
+        return self._add_changes(values)[:own], trial, hooks
 
     # -------------------------------------------------------- simulation
 
@@ -797,14 +806,14 @@ class Model:
             trial are NaN.
         """
         requests = unless_broken(partial(self._arguments, measured=measured), runs)
-        simulated = iter(self.hooked_many([one for one in requests if one is not None]))
+        simulated = iter(self.simulate_many([one for one in requests if one is not None]))
         return [
-            self.broken_down(trial) if one is None else next(simulated)
+            self.make_broken(trial) if one is None else next(simulated)
             for one, (_, trial) in zip(requests, runs, strict=True)
         ]
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial without effects. A model overrides this method or :meth:`hooked`.
+        """Simulate one trial without effects. A model overrides this method or :meth:`simulate_hooked`.
 
         Parameters
         ----------
@@ -818,29 +827,29 @@ class Model:
         dict of channel name to ndarray, each shape (n,)
             Simulated values at the sample times of the trial. NaN where the simulation diverges.
         """
-        if type(self).hooked is Model.hooked:
+        if type(self).simulate_hooked is Model.simulate_hooked:
             raise NotImplementedError(f"the model {self.name} has no method 'simulate'")
-        return self.hooked(values, trial, NONE)
+        return self.simulate_hooked(values, trial, NONE)
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Simulate one trial with the given hooks (see :meth:`simulate`).
 
         A model that supports other hooks than ``output`` and ``clock`` overrides this method.
         """
-        late = replace(trial, time_s=hooks.happened(trial.time_s)) if hooks.late else trial
-        return hooks.seen(self.simulate(values, late), trial.time_s)
+        late = replace(trial, time_s=hooks.compute_event_times(trial.time_s)) if hooks.late else trial
+        return hooks.sense(self.simulate(values, late), trial.time_s)
 
-    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
-        """Simulate several trials, each with its hooks (see :meth:`hooked`).
+    def simulate_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
+        """Simulate several trials, each with its hooks (see :meth:`simulate_hooked`).
 
         A model that simulates batches faster overrides this method. If a simulation diverges, all values of
         this trial are NaN.
         """
-        found = unless_broken(self.hooked, runs)
-        return [one or self.broken_down(trial) for one, (_, trial, _) in zip(found, runs, strict=True)]
+        found = unless_broken(self.simulate_hooked, runs)
+        return [one or self.make_broken(trial) for one, (_, trial, _) in zip(found, runs, strict=True)]
 
     @property
-    def together(self) -> int:
+    def batch_size(self) -> int:
         """Number of trials that the model simulates together in about the time of one trial."""
         return 1
 
@@ -863,7 +872,7 @@ class Model:
         """
         return self, {}
 
-    def broken_down(self, trial: Trial) -> dict[str, Array]:
+    def make_broken(self, trial: Trial) -> dict[str, Array]:
         """Return the channels of a simulation that diverged: NaN at every sample."""
         return {c.name: np.full(len(trial.time_s), np.nan) for c in self.channels}
 
@@ -875,7 +884,7 @@ class Model:
         width = trial.time_s + step - np.maximum(trial.time_s - step, 0)
         return {name: (late[name] - early[name]) / width for name in late}
 
-    def refined(self) -> Model | None:
+    def refine(self) -> Model | None:
         """Return the model with half the integration step; None if the model does not integrate."""
         return None
 
@@ -925,7 +934,7 @@ def unless_broken(compute: Callable[..., Outcome], runs: Iterable[tuple[Any, ...
         return [one(arguments) for arguments in runs]
 
 
-def chosen(
+def choose_parameters(
     parameters: Sequence[Parameter],
     *,
     fixed: Mapping[str, float] | None = None,
@@ -996,11 +1005,11 @@ def share(parameters: Sequence[Parameter], groups: Mapping[str, Sequence[str]]) 
     for p in parameters:
         name = owner.get(p.name, p.name)
         if name not in found:
-            found[name] = _shared(name, [known[m] for m in groups[name]]) if p.name in owner else p
+            found[name] = _merge_members(name, [known[m] for m in groups[name]]) if p.name in owner else p
     return tuple(found.values())
 
 
-def _shared(name: str, members: Sequence[Parameter]) -> Parameter:
+def _merge_members(name: str, members: Sequence[Parameter]) -> Parameter:
     """Return the parameter that its members share."""
     first = members[0]
     for other in members[1:]:
@@ -1137,7 +1146,7 @@ def _speed(trial: Trial) -> float | None:
     place = np.column_stack([trial.measured[name] for name in names])
     there = np.isfinite(place).all(axis=1)
     time, place = trial.time_s[there], place[there]
-    every = slice(None, None, max(len(time) // STRETCHES, 1))
+    every = slice(None, None, max(len(time) // N_SPEED_SEGMENTS, 1))
     if len(time) > 1 and time[every][-1] > time[0]:
         path = float(np.linalg.norm(np.diff(place[every], axis=0), axis=1).sum())
         return path / float(time[every][-1] - time[0])

@@ -36,7 +36,7 @@ from swimid.fitting.uncertainty import fit_joint
 #: Ratios of slow to fast noise: variance of the slow noise over that of independent noise in the mean of all
 #: samples within one time constant. The slow noise is negligible at the first one, and the independent noise
 #: at the last.
-RATIOS = np.geomspace(0.03, 1e7, 12)
+SLOW_NOISE_RATIOS = np.geomspace(0.03, 1e7, 12)
 #: Number of time constants, from two sampling intervals to MAX_MEMORY durations of the longest trial.
 N_TIMES, MAX_MEMORY = 12, 1.5
 #: Number of blocks into which the residual of a trial is divided to compare local levels, number of parts
@@ -48,7 +48,7 @@ LEVEL_P_VALUE = 0.01
 MIN_VARIANCE = 1e-16
 #: Smallest singular value of normalised derivatives that determines a direction, as a fraction of the
 #: largest.
-RANK_RTOL = 1e-7
+DERIVATIVE_RTOL = 1e-7
 
 
 # ---------------------------------------------------------------- whitening
@@ -156,7 +156,7 @@ class Autoregression:
 
 
 @dataclass(frozen=True)
-class Rows:
+class NoiseRows:
     """Weighted residual and derivatives of one channel of one trial.
 
     Attributes
@@ -179,16 +179,16 @@ class Rows:
     residual: Array
 
     @classmethod
-    def of(cls, time_s: Array, mask: NDArray[np.bool_], derivatives: Array, residual: Array) -> Rows:
+    def of(cls, time_s: Array, mask: NDArray[np.bool_], derivatives: Array, residual: Array) -> NoiseRows:
         """Return the rows of the samples that a mask marks. Undetermined directions are left out."""
         norms = np.maximum(np.linalg.norm(derivatives, axis=0), 1e-300)
         u, singular, vt = np.linalg.svd(derivatives / norms, full_matrices=False)
-        kept = singular > RANK_RTOL * singular.max(initial=0.0)
+        kept = singular > DERIVATIVE_RTOL * singular.max(initial=0.0)
         factor = singular[kept, None] * vt[kept] * norms
         return cls(time_s[mask], np.flatnonzero(mask), u[:, kept], factor, residual)
 
     @classmethod
-    def alone(cls, time_s: Array, mask: NDArray[np.bool_], residual: Array) -> Rows:
+    def alone(cls, time_s: Array, mask: NDArray[np.bool_], residual: Array) -> NoiseRows:
         """Return the rows of a residual without derivatives. The times are those of all samples."""
         nothing = np.empty((len(residual), 0))
         return cls(time_s[mask], np.flatnonzero(mask), nothing, nothing[:0], residual)
@@ -206,7 +206,7 @@ class Rows:
 
 def compute_rows(
     problem: Problem, residuals: Sequence[Array], derivatives: Sequence[Array]
-) -> dict[str, dict[int, Rows]]:
+) -> dict[str, dict[int, NoiseRows]]:
     """Return the rows of each channel, by the index of the trial.
 
     Parameters
@@ -214,11 +214,11 @@ def compute_rows(
     residuals, derivatives : sequence of ndarray, each shape (n_k,) and (n_k, p_k)
         Weighted residuals of each trial, and derivatives of its simulated samples in the same unit.
     """
-    found: dict[str, dict[int, Rows]] = {}
+    found: dict[str, dict[int, NoiseRows]] = {}
     for k, trial in enumerate(problem.trials):
         parts = zip(problem.by_channel(k, residuals[k]), problem.by_channel(k, derivatives[k]), strict=True)
         for (channel, mask, residual), (_, _, rows) in parts:
-            found.setdefault(channel, {})[k] = Rows.of(trial.time_s, mask, rows, residual)
+            found.setdefault(channel, {})[k] = NoiseRows.of(trial.time_s, mask, rows, residual)
     return found
 
 
@@ -307,7 +307,7 @@ class NoisePosterior:
         return float(np.exp(weight @ times / weight.sum()))
 
 
-def compute_posterior(rows: Mapping[int, Rows]) -> NoisePosterior:
+def compute_posterior(rows: Mapping[int, NoiseRows]) -> NoisePosterior:
     """Return the probabilities of the forms of the noise of one channel.
 
     Notes
@@ -339,7 +339,7 @@ def compute_posterior(rows: Mapping[int, Rows]) -> NoisePosterior:
     return NoisePosterior(forms, np.exp(weight - total), squares / degrees, degrees, total)
 
 
-def _possible_forms(rows: Mapping[int, Rows]) -> tuple[list[NoiseForm], Array]:
+def _possible_forms(rows: Mapping[int, NoiseRows]) -> tuple[list[NoiseForm], Array]:
     """Return the forms of the noise of a channel, and their prior probabilities."""
     steps = np.concatenate([np.empty(0), *(np.diff(part.time_s) for part in rows.values())])
     step = float(np.median(steps)) if len(steps) else 0.0
@@ -347,7 +347,7 @@ def _possible_forms(rows: Mapping[int, Rows]) -> tuple[list[NoiseForm], Array]:
     forms, prior = [NoiseForm()], [1.0]
     if longest > 4.0 * step > 0.0:
         times = np.geomspace(2.0 * step, MAX_MEMORY * longest, N_TIMES)
-        slow = [NoiseForm(ratio * step / time, float(time)) for time in times for ratio in RATIOS]
+        slow = [NoiseForm(ratio * step / time, float(time)) for time in times for ratio in SLOW_NOISE_RATIOS]
         weight = np.array([form.time_s for form in slow])
         forms, prior = forms + slow, prior + list(weight / weight.sum())
     series = []

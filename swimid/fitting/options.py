@@ -9,7 +9,7 @@ import swimid.options as fits
 from swimid.options import Options
 
 
-class FitOptions(Options, command="fit", section="Identify", makes="parameters"):
+class FitOptions(Options, makes="parameters"):
     """Identify the model of an experiment that has no command of its own.
 
     TRIALS is a trials file of an experiment that is one Python file, your own or one of swimid
@@ -20,6 +20,6 @@ class FitOptions(Options, command="fit", section="Identify", makes="parameters")
     """
 
     own_experiments: tuple[Path, ...] = fits.own_experiments()
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()
     bounds: Mapping[str, tuple[float, float]] = fits.bounds()

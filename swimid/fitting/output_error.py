@@ -43,7 +43,7 @@ MAX_ITERATIONS, UNFINISHED_ITERATIONS = 200, 75
 #: a fit. Simulations with wrong parameters may break down with every step.
 MAX_START_HALVINGS = 3
 #: Relative tolerance of the cost when the initial state of a held-out trial is estimated.
-START_TOLERANCE = 1e-8
+START_RTOL = 1e-8
 #: Maximum number of restarts of a search near the estimates.
 MAX_RESTARTS = 6
 #: Minimum increases of twice the log-likelihood by restarts of a search. Above NEEDED_GAIN (an estimate moves
@@ -56,7 +56,7 @@ NEEDED_GAIN, SMALL_GAIN = 1.0, 0.1
 
 
 @dataclass(frozen=True)
-class Noise:
+class ChannelNoise:
     """Measurement noise of one channel, as estimated by a fit."""
 
     #: Standard deviation of the measured values, in the unit of the channel. If it differs between samples,
@@ -89,7 +89,7 @@ class Series:
         return self.measured - self.simulated
 
     @property
-    def weighted(self) -> Array:
+    def z_scores(self) -> Array:
         """Residuals divided by the standard deviations of their samples, shape (n,)."""
         return self.residual / self.sd
 
@@ -115,7 +115,7 @@ class FitResult:
     #: Measured and simulated series of the fitted and of the validation trials.
     series: list[Series]
     #: Estimated measurement noise of each channel.
-    noise: dict[str, Noise]
+    noise: dict[str, ChannelNoise]
     samples: int
     converged: bool
     message: str
@@ -146,7 +146,7 @@ class FitResult:
     settled: bool = True
 
     @property
-    def shared(self) -> list[str]:
+    def common_labels(self) -> list[str]:
         """Labels of the unknowns that all trials share."""
         return [label for label in self.labels if "[" not in label]
 
@@ -188,7 +188,7 @@ class FitResult:
 # ---------------------------------------------------------------- fit
 
 
-def fit(
+def fit_output_error(
     model: Model,
     trials: Sequence[Trial],
     *,
@@ -207,12 +207,11 @@ def fit(
     trials : sequence of Trial
         Trials of the role ``validate`` are simulated and scored, but not fitted.
     parameters : sequence of Parameter, optional
-        Parameters of the model with the choices of the user (:func:`swimid.fitting.model.chosen`). The
-        default is the parameters of the model.
+        Parameters of the model with the choices of the user (:func:`swimid.fitting.model.choose_parameters`).
+        The default is the parameters of the model.
     jobs : int, optional
-        Number of threads for long simulations. The default is the number of processors. The result does not
-        depend on the number of threads. With several threads, ``model.simulate`` must be safe to call from
-        several threads at once.
+        Number of threads for long simulations, on which the result does not depend. The default is the number
+        of processors. ``model.simulate`` must be safe to call from several threads at once.
     begin : ndarray, shape (p,), optional
         Starting point of the search, one value for each label of the result. The default is the start values
         of the parameters.
@@ -220,8 +219,8 @@ def fit(
         Whether to compare the estimates with points and short searches around them, and to search again from
         a better point (:func:`search_around`).
     max_iterations : int, optional
-        Number of iterations after which a search returns a result that is marked as not converged. By default
-        a search that does not converge within :data:`MAX_ITERATIONS` raises an error.
+        Number of iterations after which a result is returned that is marked as not converged. By default a
+        search that does not converge within :data:`MAX_ITERATIONS` raises an error.
 
     Returns
     -------
@@ -238,19 +237,12 @@ def fit(
     Notes
     -----
     The method is weighted nonlinear least squares by a bounded Levenberg-Marquardt search. The weights follow
-    from the estimated noise, and the search is repeated until the weights converge. The search
-    ends when five successive steps together have two properties. They lower the squared residuals by less
-    than one parameter that is fitted to noise alone does (:attr:`Sandwich.gain`). They move each shared
-    estimate by less than :data:`NEGLIGIBLE_MOVE` standard errors.
-
-    The covariance is ``H^-1 M H^-1`` with ``H = J'J`` and ``M = sum_trials J_k' R J_k``. R is the correlation
-    matrix of the weighted residuals under an autoregression whose order the BIC selects. If trials disagree,
-    the covariance is enlarged to include their differences. A parameter counts as free in the covariance if
-    noise alone can explain that it is at its bound.
+    from the estimated noise, and the search is repeated until they converge. :meth:`NoiseSearch.run` ends at
+    changes below the noise, and :func:`_make_result` has the covariance.
     """
     threads, budget = jobs or os.cpu_count() or 1, max_iterations or MAX_ITERATIONS
     chosen = tuple(parameters or model.parameters)
-    search = Search(model, tuple(trials), chosen, threads, begin=begin, budget=budget, progress=progress)
+    search = NoiseSearch(model, tuple(trials), chosen, threads, begin=begin, budget=budget, progress=progress)
     search.must_converge = max_iterations is None
     result = _fit_with_step(search)
     if tested and result.converged:
@@ -270,7 +262,7 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
         while True:
             # Limit all restarts together to twice the simulations of the first fit, unless the cost is not
             # smooth.
-            if spent > 2 * first.evaluations and not kinked(result):
+            if spent > 2 * first.evaluations and not is_kinked(result):
                 settled = gain <= NEEDED_GAIN
                 break
             with threadpool_limits(limits=1, user_api="blas"):
@@ -280,7 +272,9 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
                 settled = near.point is None
                 break
             again = _fit_with_step(
-                Search(result.model, result.trials, result.parameters, jobs, begin=near.point, near=result)
+                NoiseSearch(
+                    result.model, result.trials, result.parameters, jobs, begin=near.point, near=result
+                )
             )
             spent += again.evaluations
             gain = _objective(result) - _objective(again)
@@ -309,9 +303,9 @@ def _objective(result: FitResult) -> float:
 
 # Use one thread of BLAS. The matrices are small, so that more threads would only slow down the simulations.
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _fit_with_step(search: Search) -> FitResult:
+def _fit_with_step(search: NoiseSearch) -> FitResult:
     """Fit a model, and repeat the fit with a smaller integration step until the samples hardly change."""
-    spent, halvings = 0, steps.MAX_HALVINGS
+    spent, halvings = 0, steps.MAX_REFINEMENTS
     while True:
         result = search.run()
         if search.must_converge and not (result.converged or result.interrupted):
@@ -337,7 +331,7 @@ def _fit_with_step(search: Search) -> FitResult:
         search = replace(search, model=chosen.model, begin=result.estimate, near=result)
 
 
-def at(
+def evaluate_fit(
     model: Model,
     trials: Sequence[Trial],
     point: Array,
@@ -345,7 +339,7 @@ def at(
     parameters: Sequence[Parameter] | None = None,
     jobs: int | None = None,
 ) -> FitResult:
-    """Return the result that :func:`fit` would have if its search ended at a given point.
+    """Return the result that :func:`fit_output_error` would have if its search ended at a given point.
 
     The covariance is that of the model linearised at the point. The residuals at the point are treated as
     noise.
@@ -361,17 +355,17 @@ def at(
         If the model cannot be simulated at the point, or if there are fewer samples than unknowns.
     """
     threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
-    return _fit_with_step(Search(model, tuple(trials), parameters, threads, begin=point, budget=None))
+    return _fit_with_step(NoiseSearch(model, tuple(trials), parameters, threads, begin=point, budget=None))
 
 
 @dataclass
-class Search:
+class NoiseSearch:
     """Search for the minimum cost, repeated with re-estimated noise weights until the weights converge.
 
     Attributes
     ----------
     model, trials, parameters, jobs, progress
-        As in :func:`fit`.
+        As in :func:`fit_output_error`.
     begin : ndarray, shape (p,), optional
         Point at which the search begins.
     near : FitResult, optional
@@ -416,7 +410,7 @@ class Search:
         self.theta = problem.start
         if self.begin is not None:
             self.theta = np.clip(self.begin, problem.lower, problem.upper)
-        if problem.broken(self.theta):
+        if problem.find_broken(self.theta):
             runs = [(problem.vector(self.theta, k), trial) for k, trial in enumerate(fitted)]
             unknown = [dict.fromkeys(trial.measured, math.inf) for trial in fitted]
             chosen = steps.choose_step(self.model, runs, unknown, halvings=MAX_START_HALVINGS)
@@ -455,10 +449,10 @@ class Search:
                 f"{MIN_DECREASE:.0e} of their sum",
             )
         self._estimate_noise()
-        result = _result(self)
+        result = _make_result(self)
         reason = None
         if not self.interrupted:
-            reason = _unfinished(self, result)
+            reason = _explain_unfinished(self, result)
         if reason is None:
             return result
         return replace(result, converged=False, message=reason)
@@ -496,7 +490,7 @@ class Search:
 
     def _insist_unbroken(self) -> None:
         """Raise an error if a trial cannot be simulated at the current point of the search."""
-        broken = self.problem.broken(self.theta)
+        broken = self.problem.find_broken(self.theta)
         if broken:
             raise NoTrustworthyResult(
                 f"the simulation breaks down at the best point found, in {', '.join(broken)}",
@@ -517,19 +511,24 @@ class Search:
 
     def _estimate_noise(self) -> None:
         """Estimate the noise at the current point of the search, and set the weights of the samples."""
-        self.noise = uncertainty.estimate(self.problem, self.theta, self.noise, self.levels)
+        self.noise = uncertainty.estimate_noise(self.problem, self.theta, self.noise, self.levels)
 
     def _find_levels(self) -> bool:
         """Estimate the local levels of the noise at the current point, and return whether they differ."""
-        if not self.problem.broken(self.theta):
+        if not self.problem.find_broken(self.theta):
             self.levels = noise.compute_levels(self.problem, self.theta)
         return bool(self.levels)
 
     def _noise_limits(self) -> Patience:
-        """Return the rule that ends a search when its steps change less than noise does."""
+        """Return the rule that ends a search when its steps change less than noise does.
+
+        Five successive steps together lower the squared residuals by less than one parameter that is fitted
+        to noise alone (:attr:`Sandwich.gain`), and move each shared estimate by less than
+        :data:`NEGLIGIBLE_MOVE` standard errors.
+        """
         problem, theta = self.problem, self.theta
         self._insist_unbroken()
-        residuals, rows = _linearised(problem, theta)
+        residuals, rows = _linearise(problem, theta)
         found = sandwich(problem, rows, residuals, uncertainty.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
@@ -560,7 +559,7 @@ class Search:
         self.converged, self.message = found.success, found.message
 
 
-def _unfinished(search: Search, result: FitResult) -> str | None:
+def _explain_unfinished(search: NoiseSearch, result: FitResult) -> str | None:
     """Return the reason why a search did not end at a minimum, to within noise.
 
     Return None if the search ended at a minimum.
@@ -568,11 +567,7 @@ def _unfinished(search: Search, result: FitResult) -> str | None:
     if search.converged and search.message != STALLED:
         return None
     lowered, moved = search.patience.last(STRIDE)
-    moves = {"": 0.0}
-    for label, move in zip(result.labels, moved, strict=False):
-        error = result.stderr(label)
-        if "[" not in label and result.status[label] == "estimated" and error:
-            moves[label] = abs(float(move)) / error
+    moves = {"": 0.0} | _scale_moves(result, moved)
     worst = max(moves, key=lambda label: moves[label])
     still = moves[worst] > STRIDE * NEGLIGIBLE_MOVE
     if search.converged and not still:
@@ -585,16 +580,26 @@ def _unfinished(search: Search, result: FitResult) -> str | None:
         said = f"after {search.iterations} iterations steps still lower the cost"
     if still and math.isfinite(moves[worst]):
         said += f", and the last {STRIDE} moved {worst} by {moves[worst]:.2g} standard errors"
-    bound = [label for label in result.shared if result.status[label] == "at-bound"]
+    bound = [label for label in result.common_labels if result.status[label] == "at-bound"]
     if bound:
         said += f"; {', '.join(bound)} at a bound"
     return said
 
 
-def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], Blocks]:
+def _scale_moves(result: FitResult, moved: Array) -> dict[str, float]:
+    """Return the moves of the estimated shared parameters, in standard errors."""
+    moves = {}
+    for label, move in zip(result.labels, moved, strict=False):
+        error = result.stderr(label)
+        if "[" not in label and result.status[label] == "estimated" and error:
+            moves[label] = abs(float(move)) / error
+    return moves
+
+
+def _linearise(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], Blocks]:
     """Return the weighted residuals of each trial, and their derivatives with respect to scaled unknowns."""
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
-    return residuals, problem.blocks(theta, central=central).scaled(problem.scale)
+    return residuals, problem.blocks(theta, central=central).scale_columns(problem.scale)
 
 
 def with_intervals(result: FitResult) -> FitResult:
@@ -604,13 +609,13 @@ def with_intervals(result: FitResult) -> FitResult:
     autoregression, which need less time.
     """
     free: NDArray[np.bool_] = np.asarray(np.isfinite(result.information_root).all(axis=0))
-    problem, theta = weighted(result), np.asarray(result.estimate)
+    problem, theta = rebuild_problem(result), np.asarray(result.estimate)
     shared = [free[j] for j, (_, owner) in enumerate(problem.slots) if owner is None]
     if not len(result.information_root) or not any(shared):
         return result
     scale, central = problem.scale, result.samples * len(theta) <= 50_000
     derivatives = problem.own_jacobians(theta, central=central)
-    rows = [-part * scale[at] for part, at in zip(derivatives, problem.taken, strict=True)]
+    rows = [-part * scale[columns] for part, columns in zip(derivatives, problem.taken, strict=True)]
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     covariance, root, differences = compute_errors(problem, theta, free, rows, residuals)
     root = np.where(free, root / scale, np.nan)
@@ -620,7 +625,7 @@ def with_intervals(result: FitResult) -> FitResult:
     return replace(known, information_root=root, differences=differences)
 
 
-def complete(result: FitResult) -> FitResult:
+def complete_fit(result: FitResult) -> FitResult:
     """Return the result of a fit with its final intervals, and with its validation trials predicted.
 
     See :func:`with_intervals` and :func:`with_held_out`.
@@ -658,10 +663,15 @@ def _judge(
     return covariance, dict(zip(problem.labels, status.tolist(), strict=True))
 
 
-def _result(search: Search) -> FitResult:
-    """Return the result of a fit from the end of a search: estimates, covariance and status."""
+def _make_result(search: NoiseSearch) -> FitResult:
+    """Return the result of a fit from the end of a search: estimates, covariance and status.
+
+    The covariance is ``H^-1 M H^-1`` with ``H = J'J`` and ``M = sum_trials J_k' R J_k``. R is the correlation
+    matrix of the weighted residuals under an autoregression whose order the BIC selects. A parameter counts
+    as free in the covariance if noise alone can explain that it is at its bound.
+    """
     problem, theta, samples = search.problem, search.theta, search.samples
-    residuals, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
+    residuals, rows = _linearise(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = uncertainty.autoregressions(problem, residuals)
     free, found = _free_in_noise(problem, rows, residuals, autoregressions, _outward(problem, theta))
     covariance = np.full((len(theta), len(theta)), np.nan)
@@ -686,7 +696,7 @@ def _result(search: Search) -> FitResult:
         status=status,
         series=[],
         noise={
-            c: Noise(uncertainty.value_sd(problem, c, v), t, autoregressions[c])
+            c: ChannelNoise(uncertainty.value_sd(problem, c, v), t, autoregressions[c])
             for c, (v, t) in search.noise.items()
         },
         samples=samples,
@@ -776,11 +786,11 @@ SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
 #: and multiples of its estimate (FACTORS). Multiples of the scale help if the estimate is far from the best
 #: value. A free decay with dry friction has a local minimum for every number of half swings before the body
 #: sticks.
-SCALES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
+SCALE_FACTORS, ESTIMATE_FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
 #: Distance from the bound at which a parameter at a bound is tested, in typical scales of the parameter.
 INSIDE = 1.0
 #: Maximum step along a direction that the data hardly determine, as a fraction of the parameter values.
-MAX_STEP = 0.5
+MAX_STEP_SHARE = 0.5
 #: Minimum decrease of the sum of squared residuals that counts as a lower cost, in units of the residual
 #: variance. Such a decrease moves an estimate by about a thirtieth of its standard error.
 IMMATERIAL = 1e-3
@@ -808,7 +818,7 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
     """
     if not len(result.labels):
         return Surroundings(None, 0, False)
-    problem = weighted(result, jobs=jobs)
+    problem = rebuild_problem(result, jobs=jobs)
     rng = np.random.default_rng(seed)
     theta = np.asarray(result.estimate, dtype=float)
     here = _squares(problem, theta)
@@ -817,7 +827,7 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
     steps = _standard_steps(problem, theta, rows, variance)
     material = max(IMMATERIAL * here / max(result.samples, 1), 1e-9 * here)
     ends: list[tuple[float, Array]] = []
-    rough = kinked(result)
+    rough = is_kinked(result)
     for _ in range(N_PAIRS):
         step = PAIR_DISTANCE * steps @ _unit(rng, len(theta))
         pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
@@ -832,24 +842,35 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
     starts += _inside(problem, result, theta, rough)
     tolerance = 0.1 * material / max(here, 1e-300)
     if rough:
-        found = _searched(problem, starts, SHORT_ITERATIONS, tolerance)
+        found = _search_briefly(problem, starts, SHORT_ITERATIONS, tolerance)
         lowest = [point for _, point in sorted(found, key=lambda end: end[0])[:2]]
-        ends += found + _searched(problem, lowest, LONG_ITERATIONS, tolerance)
+        ends += found + _search_briefly(problem, lowest, LONG_ITERATIONS, tolerance)
     else:
         for start in starts:
-            step_only = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
-            cost = step_only.cost if np.isfinite(step_only.cost) else np.inf
-            ends.append((cost, step_only.x))
-            before, after = (float(np.linalg.norm(rows.along(p - theta))) for p in (start, step_only.x))
-            # A parameter without slope does not move: both distances are 0.
-            if cost >= here - material and after >= 0.5 * before:
-                ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
+            ends += _search_smooth(problem, theta, rows, start, here - material, tolerance)
     lower = [end for end in ends if end[0] < here - material]
     _, point = min(lower, key=lambda end: end[0], default=(here, None))
     return Surroundings(point, problem.evaluations, rough)
 
 
-def weighted(result: FitResult, *, jobs: int = 1) -> Problem:
+def _search_smooth(
+    problem: Problem, theta: Array, rows: Blocks, start: Array, limit: float, tolerance: float
+) -> list[tuple[float, Array]]:
+    """Return costs and end points of a step with given derivatives, and of a short search if it is needed.
+
+    The search is needed if the cost is not below the limit, and if the step leads less than half of the way
+    back to ``theta``.
+    """
+    solution = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
+    cost = solution.cost if np.isfinite(solution.cost) else np.inf
+    before, after = (float(np.linalg.norm(rows.along(p - theta))) for p in (start, solution.x))
+    # A parameter without slope does not move: both distances are 0.
+    if cost < limit or after < 0.5 * before:
+        return [(cost, solution.x)]
+    return [(cost, solution.x), *_search_briefly(problem, [solution.x], SHORT_ITERATIONS, tolerance)]
+
+
+def rebuild_problem(result: FitResult, *, jobs: int = 1) -> Problem:
     """Return the least-squares problem of a fit with its final weights."""
     fitted = [t for t in result.trials if t.role == "fit"]
     problem = Problem(result.model, result.parameters, fitted, jobs=jobs)
@@ -885,12 +906,12 @@ def _smooth(problem: Problem, theta: Array, rows: Blocks, step: Array, allowed: 
     return False
 
 
-def kinked(result: FitResult) -> bool:
+def is_kinked(result: FitResult) -> bool:
     """Return whether an estimated parameter makes the cost non-smooth (:attr:`Parameter.kinked`)."""
     return any(p.kinked and p.free for p in result.parameters)
 
 
-def _searched(
+def _search_briefly(
     problem: Problem, starts: list[Array], iterations: int, tolerance: float
 ) -> list[tuple[float, Array]]:
     """Return the cost and the end point of a short search from each starting point."""
@@ -915,9 +936,9 @@ def _standard_steps(problem: Problem, theta: Array, rows: Blocks, variance: floa
     The standard errors are those under white noise.
     """
     at_bound = (theta <= problem.lower) | (theta >= problem.upper)
-    values, vectors = np.linalg.eigh(rows.scaled(np.where(at_bound, 0.0, problem.scale)).normal())
+    values, vectors = np.linalg.eigh(rows.scale_columns(np.where(at_bound, 0.0, problem.scale)).normal())
     sizes = np.sqrt(variance / np.maximum(values, 1e-300))
-    largest = MAX_STEP * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
+    largest = MAX_STEP_SHARE * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
     steps = vectors * np.minimum(sizes, largest)
     steps[at_bound] = 0.0
     return np.asarray(problem.scale[:, None] * steps)
@@ -936,7 +957,9 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
             continue
         lower, upper, scale, values = problem.lower[j], problem.upper[j], problem.scale[j], []
         if result.parameter(label).kinked and not per_trial:
-            values = [size * scale for size in SCALES] + [f * theta[j] for f in FACTORS if theta[j]]
+            values = [size * scale for size in SCALE_FACTORS] + [
+                f * theta[j] for f in ESTIMATE_FACTORS if theta[j]
+            ]
         elif theta[j] - lower < 1e-3 * scale:
             values = [lower + INSIDE * scale]
         elif upper - theta[j] < 1e-3 * scale:
@@ -957,7 +980,7 @@ def estimate_start(
     trial: Trial,
     sd: Mapping[str, float],
     *,
-    tolerance: float = START_TOLERANCE,
+    tolerance: float = START_RTOL,
 ) -> dict[str, float]:
     """Estimate the per-trial parameters of one trial, with the shared parameters held.
 
@@ -984,7 +1007,7 @@ def estimate_start(
         return {}
     problem.sd[0] = [np.full(len(trial.time_s), sd[channel]) for channel in problem.channels[0]]
     begin = problem.start
-    if problem.broken(begin):
+    if problem.find_broken(begin):
         # The simulation may diverge because the initial state was estimated with other coefficients. Start
         # from the default values then.
         begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)

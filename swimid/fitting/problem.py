@@ -30,11 +30,11 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 WORTH_A_THREAD = 3e-4
 #: Maximum step of a search, in standard errors, after which the earlier derivatives are used again. The
 #: resulting error of the optimum is much smaller than this step.
-NEAR = 0.01
+REUSE_DISTANCE = 0.01
 #: Value of the weighted residual of a sample that the model cannot simulate.
-BROKEN = 1e6
+BROKEN_RESIDUAL = 1e6
 #: Number of latest points of a search whose simulations are cached.
-KEPT = 12
+MAX_CACHED_POINTS = 12
 #: Maximum number of columns of a block of derivatives whose products are computed without BLAS. For few
 #: columns, waking the threads of BLAS takes longer than the multiplication.
 FEW_COLUMNS = 8
@@ -71,7 +71,7 @@ class Blocks:
         kept = [(own, at[chosen[at]], part[:, chosen[at]]) for own, at, part in self.parts]
         return Blocks((self.shape[0], int(chosen.sum())), [(own, index[at], part) for own, at, part in kept])
 
-    def factored(self, scale: Array) -> tuple[list[Array], list[Array]]:
+    def factorise(self, scale: Array) -> tuple[list[Array], list[Array]]:
         """Return a QR factorisation of the block of each trial, with its columns multiplied by ``scale``.
 
         The first list has the orthonormal columns of each block, shape (n_k, m_k), and the second the
@@ -86,7 +86,7 @@ class Blocks:
             factors.append(whole)
         return bases, factors
 
-    def scaled(self, scale: Array) -> Blocks:
+    def scale_columns(self, scale: Array) -> Blocks:
         """Return the derivatives multiplied by one factor for each unknown."""
         return Blocks(self.shape, [(own, at, part * scale[at]) for own, at, part in self.parts])
 
@@ -111,7 +111,7 @@ class Blocks:
             found[at[:, None], at] += _product(part, part)
         return found
 
-    def updated(self, off: Array, step: Array, weights: Array) -> Blocks:
+    def update_secant(self, off: Array, step: Array, weights: Array) -> Blocks:
         """Return the derivatives after a secant update of each block.
 
         Parameters
@@ -136,19 +136,12 @@ def _product(part: Array, other: Array) -> Array:
     return np.asarray(part.T @ other)
 
 
-class Problem:
-    """Least-squares problem: weighted residuals of trials and their derivatives, for given unknowns.
+class ParameterMap:
+    """Map from the unknowns of a fit to the values of a model's parameters in each trial.
 
     The values of the model's parameters in trial k are ``A_k theta + b`` with the unknowns theta. A fixed
     parameter is an entry of b. An estimated one is an unknown that all trials share, or one unknown for each
-    trial. Several parameters of the model may share one unknown (:attr:`Parameter.members`). Simulations and
-    derivatives are cached without weights, so that new weights need no new simulation.
-
-    Parameters
-    ----------
-    jobs : int
-        Number of threads for simulations that take longer than :data:`WORTH_A_THREAD`. The results do not
-        depend on the number of threads.
+    trial. Several parameters of the model may share one unknown (:attr:`Parameter.members`).
 
     Attributes
     ----------
@@ -159,82 +152,49 @@ class Problem:
         Index of the parameter of each unknown, and index of its trial (None if all trials share it).
     taken : list of ndarray
         For each trial the indices of the unknowns that affect it.
-    channels : list of list of str
-        Names of the channels of each trial that have samples.
-    masks, sd : list of list of ndarray, each shape (n_k,)
-        Arrays by trial and channel: a mask of the existing samples, and their standard deviations.
-    counts : list of int
-        Number of residuals of each trial.
     start, lower, upper, scale : ndarray, shape (p,)
         Start values, bounds and typical scales of the unknowns. Start values that the log of a trial suggests
         are preferred to those of the parameter.
-    evaluations : int
-        Number of simulations of single trials so far.
-    near : float
-        Maximum step after which derivatives are used again, as in :data:`NEAR`.
-    prior : tuple of ndarray, shapes (p,) and (m, p)
-        Prior of the unknowns: mean, and square root of the precision matrix. They add the rows ``root @
-        (theta - mean)`` to the residuals. The default is no prior.
-    whiten : callable
-        Function that is called with the index of a trial and its weighted residuals or their derivatives. It
-        returns independent residuals of unit variance, or their derivatives. The default returns its
-        argument.
+    means : ndarray, shape (p,)
+        Start values of the parameters of the unknowns.
     """
 
-    def __init__(
-        self, model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial], *, jobs: int = 1
-    ) -> None:
-        self.model = model
-        self.parameters = list(parameters)
-        self.trials = list(trials)
-        self.jobs = jobs
-        self.near = NEAR
-        self.evaluations = 0
-        self.channels = [
-            [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
-            for t in self.trials
-        ]
+    def __init__(self, model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial]) -> None:
+        self.parameters, self.trials = list(parameters), list(trials)
         rows = [[model.index(name) for name in p.members or (p.name,)] for p in self.parameters]
         self._offset = np.zeros(len(model.parameters))
-        unknowns: list[tuple[int, int | None, str, float]] = []
-        for i, p in enumerate(self.parameters):
-            self._offset[rows[i]] = p.start
-            if p.free and not p.per_trial:
-                unknowns.append((i, None, p.name, p.start))
-            for k, t in enumerate(self.trials):
-                if p.free and p.per_trial and p.name not in t.held:
-                    unknowns.append((i, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)))
+        for p, own in zip(self.parameters, rows, strict=True):
+            self._offset[own] = p.start
+        unknowns = list(self._list_unknowns())
         self.slots = [(i, k) for i, k, _, _ in unknowns]
         self.labels = [label for _, _, label, _ in unknowns]
-        starts = np.array([start for _, _, _, start in unknowns], dtype=float)
-        self.taken: list[NDArray[np.intp]] = []
-        # Store for each trial which of its values have which unknown.
-        self._entries: list[NDArray[np.intp]] = []
-        for k in range(len(self.trials)):
-            owned = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
-            pairs = [(row, j) for j in owned for row in rows[self.slots[j][0]]]
-            self.taken.append(np.array(owned, dtype=int))
-            self._entries.append(np.array(pairs, dtype=int).reshape(-1, 2).T)
-        self.masks, self.sd, self._kept = [], [], []
-        for t, names in zip(self.trials, self.channels, strict=True):
-            masks = [np.isfinite(t.measured[c]) for c in names]
-            self.masks.append(masks)
-            self.sd.append([np.ones(len(t.time_s)) for _ in names])
-            self._kept.append(slice(None) if all(mask.all() for mask in masks) else np.concatenate(masks))
-        own = [self.parameters[i] for i, _ in self.slots]
-        self.lower, self.upper, self.scale, mean = (
-            np.array([getattr(p, name) for p in own]) for name in ("lower", "upper", "scale", "start")
+        self.taken: list[NDArray[np.intp]] = [
+            np.array([j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)], dtype=int)
+            for k in range(len(self.trials))
+        ]
+        # For each trial, the indices of its values and of their unknowns.
+        self._entries = [self._index_values(rows, taken) for taken in self.taken]
+        own_parameters = [self.parameters[i] for i, _ in self.slots]
+        self.lower, self.upper, self.scale, self.means = (
+            np.array([getattr(p, name) for p in own_parameters])
+            for name in ("lower", "upper", "scale", "start")
         )
-        self.prior = mean, np.zeros((0, len(own)))
-        self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
+        starts = np.array([start for _, _, _, start in unknowns], dtype=float)
         self.start = np.clip(starts, self.lower, self.upper)
-        self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
-        self.counts = [len(values) for values in self._measured]
-        self._simulated: dict[bytes, list[dict[str, Array]]] = {}
-        self._slopes: tuple[Array, bool, list[Array]] | None = None
-        self._held: list[dict[str, Array]] = [{} for _ in self.trials]
-        self._weights: dict[int, tuple[list[Array], Array]] = {}
-        self._typical_s = math.inf
+
+    def _index_values(self, rows: Sequence[Sequence[int]], taken: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the indices of the values of a trial that are unknowns, and of these unknowns."""
+        pairs = [(row, j) for j in taken for row in rows[self.slots[j][0]]]
+        return np.array(pairs, dtype=int).reshape(-1, 2).T
+
+    def _list_unknowns(self) -> Iterator[tuple[int, int | None, str, float]]:
+        """Yield parameter, trial, label and start value of each unknown."""
+        for i, p in enumerate(self.parameters):
+            if p.free and not p.per_trial:
+                yield i, None, p.name, p.start
+            for k, t in enumerate(self.trials):
+                if p.free and p.per_trial and p.name not in t.held:
+                    yield i, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)
 
     @property
     def box(self) -> Box:
@@ -263,30 +223,88 @@ class Problem:
         values[rows] = theta[unknowns]
         return values
 
+
+class Problem(ParameterMap):
+    """Least-squares problem: weighted residuals of trials and their derivatives, for given unknowns.
+
+    Simulations and derivatives are cached without weights, so that new weights need no new simulation.
+
+    Parameters
+    ----------
+    jobs : int
+        Number of threads for simulations that take longer than :data:`WORTH_A_THREAD`. The results do not
+        depend on the number of threads.
+
+    Attributes
+    ----------
+    channels : list of list of str
+        Names of the channels of each trial that have samples.
+    masks, sd : list of list of ndarray, each shape (n_k,)
+        Arrays by trial and channel: a mask of the existing samples, and their standard deviations.
+    counts : list of int
+        Number of residuals of each trial.
+    evaluations : int
+        Number of simulations of single trials so far.
+    near : float
+        Maximum step after which derivatives are used again, as in :data:`REUSE_DISTANCE`.
+    prior : tuple of ndarray, shapes (p,) and (m, p)
+        Prior of the unknowns: mean, and square root of the precision matrix. They add the rows ``root @
+        (theta - mean)`` to the residuals. The default is no prior.
+    whiten : callable
+        Function that is called with the index of a trial and its weighted residuals or their derivatives. It
+        returns independent residuals of unit variance, or their derivatives. The default returns its
+        argument.
+    """
+
+    def __init__(
+        self, model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial], *, jobs: int = 1
+    ) -> None:
+        super().__init__(model, parameters, trials)
+        self.model, self.jobs, self.near, self.evaluations = model, jobs, REUSE_DISTANCE, 0
+        self.channels, self.masks, self.sd, self._kept = [], [], [], []
+        for t in self.trials:
+            measured = [c.name for c in model.channels if c.name in t.measured]
+            names = [name for name in measured if np.isfinite(t.measured[name]).any()]
+            masks = [np.isfinite(t.measured[name]) for name in names]
+            whole = all(mask.all() for mask in masks)
+            self.channels.append(names)
+            self.masks.append(masks)
+            self.sd.append([np.ones(len(t.time_s)) for _ in names])
+            self._kept.append(slice(None) if whole else np.concatenate(masks))
+        self.prior = self.means, np.zeros((0, len(self.labels)))
+        self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
+        self._measured = [self.stack(k, t.measured) for k, t in enumerate(self.trials)]
+        self.counts = [len(values) for values in self._measured]
+        self._simulated: dict[bytes, list[dict[str, Array]]] = {}
+        self._slopes: tuple[Array, bool, list[Array]] | None = None
+        self._held: list[dict[str, Array]] = [{} for _ in self.trials]
+        self._weights: dict[int, tuple[list[Array], Array]] = {}
+        self._typical_s = math.inf
+
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
-        """Return the simulated channels of every trial. Those of the last :data:`KEPT` points are cached."""
+        """Return the simulated channels of every trial, which :data:`MAX_CACHED_POINTS` points cache."""
         key = np.asarray(theta, dtype=float).tobytes()
         if key not in self._simulated:
-            found = self.simulated([(theta, k) for k in range(len(self.trials))])
-            while len(self._simulated) >= KEPT:
+            found = self.simulate_points([(theta, k) for k in range(len(self.trials))])
+            while len(self._simulated) >= MAX_CACHED_POINTS:
                 del self._simulated[next(iter(self._simulated))]
             self._simulated[key] = found
         return self._simulated[key]
 
-    def broken(self, theta: Array) -> list[str]:
+    def find_broken(self, theta: Array) -> list[str]:
         """Return the ids of trials in which a measured sample cannot be simulated."""
         return [
             self.trials[k].id
             for k, simulated in enumerate(self.simulations(theta))
-            if not np.isfinite(self.stacked(k, simulated)).all()
+            if not np.isfinite(self.stack(k, simulated)).all()
         ]
 
     def trial_residuals(self, theta: Array, k: int) -> Array:
         """Return the weighted residuals of a trial, channel after channel, without missing samples."""
         with np.errstate(over="ignore", invalid="ignore"):
-            error = self._measured[k] - self.stacked(k, self.simulations(theta)[k])
+            error = self._measured[k] - self.stack(k, self.simulations(theta)[k])
             values = error * self.sample_weights(k)
-        return np.where(np.isfinite(values), values, BROKEN)
+        return np.where(np.isfinite(values), values, BROKEN_RESIDUAL)
 
     def residuals(self, theta: Array) -> Array:
         """Return the whitened residuals of all trials, followed by those of the prior, shape (n,)."""
@@ -374,7 +392,7 @@ class Problem:
             known = self._weights[k] = list(self.sd[k]), self.at_samples(k, each)
         return known[1]
 
-    def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
+    def stack(self, k: int, series: Mapping[str, Array]) -> Array:
         """Return the samples of all channels of a trial as one array, shape (n_k,).
 
         Missing samples are left out, so that the order is that of the residuals.
@@ -412,12 +430,10 @@ class Problem:
 
         The derivatives of a trial have the shape (n_k, m_k).
         """
-        if self._slopes is not None:
-            where, was_central, known = self._slopes
-            if (was_central or not central) and self._near(theta, where, known):
-                return known
+        if self._slopes is not None and self._is_near(theta, central, *self._slopes):
+            return self._slopes[2]
         size = np.maximum(np.abs(theta), self.scale)
-        here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
+        here = [self.stack(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
         steps = (1e-6, 1e-5)[central] * size
         # Use a backward difference if a forward step would exceed the upper bound.
         steps = np.where(theta + steps > self.upper, -steps, steps)
@@ -429,7 +445,7 @@ class Problem:
         for k, numbers in enumerate(self.taken):
             for j in (j for j in numbers if self.labels[j] not in self._held[k]):
                 points += [(moved[j], k) for moved in (ahead, back)[: 1 + both[j]]]
-        moves = iter(self.simulated(points))
+        moves = iter(self.simulate_points(points))
         width = (theta + steps) - np.where(both, theta - steps, theta)
         slopes = []
         for k, numbers in enumerate(self.taken):
@@ -438,16 +454,20 @@ class Problem:
                 if self.labels[j] in self._held[k]:
                     column[:] = self._held[k][self.labels[j]]
                     continue
-                column[:] = self.stacked(k, next(moves))
-                column -= self.stacked(k, next(moves)) if both[j] else here[k]
+                column[:] = self.stack(k, next(moves))
+                column -= self.stack(k, next(moves)) if both[j] else here[k]
                 column /= width[j]
             columns[~np.isfinite(columns)] = 0.0
             slopes.append(np.ascontiguousarray(columns.T))
         self._slopes = (theta.copy(), central, slopes)
         return slopes
 
-    def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
-        """Return whether two points differ by less than :attr:`near` standard errors."""
+    def _is_near(
+        self, theta: Array, central: bool, where: Array, was_central: bool, slopes: list[Array]
+    ) -> bool:
+        """Return whether known derivatives are accurate enough, and near enough (:attr:`near`)."""
+        if central and not was_central:
+            return False
         moved = left = 0.0
         for k, rows in enumerate(slopes):
             change = rows @ (theta - where)[self.taken[k]] * self.sample_weights(k)
@@ -457,7 +477,7 @@ class Problem:
         # Compare with a step of one standard error, which changes the cost by the variance of the residuals.
         return moved * sum(map(len, slopes)) <= self.near**2 * left
 
-    def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
+    def simulate_points(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
         """Simulate trials at given points, and return the measured channels of each simulation.
 
         Each item of ``points`` has the values of the unknowns and the index of the trial.
@@ -469,7 +489,7 @@ class Problem:
         if self.jobs > 1 and len(runs) > 1 and WORTH_A_THREAD < self._typical_s < math.inf:
             threads = self.jobs
             # Give each thread whole batches of the size that the model simulates at once.
-            together = self.model.together
+            together = self.model.batch_size
             share = math.ceil(len(runs) / threads / together) * together
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
             with map_in_threads(self.model.run_many, parts, threads) as batches:
@@ -504,7 +524,7 @@ MAX_SECANT_STEPS = 5
 #: Reasons why a search ended. ``STILL``: the step or the decrease of the cost is below the tolerance.
 #: ``STUCK``: no step lowers the cost, and the predicted decrease is negligible. ``KINKED``: no step lowers
 #: the cost, and the predicted decrease is not negligible; such a search has failed.
-STILL = "cost and parameters no longer change"
+NO_CHANGE = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 KINKED = "no step lowers the cost though the gradient does not vanish"
 
@@ -536,19 +556,15 @@ class _Tried(NamedTuple):
     cost: float
 
 
-# Ignore overflows: the cost of a very bad step may overflow, is then infinite, and the step is rejected.
-@np.errstate(over="ignore", invalid="ignore")
 def minimise(
     residuals: Callable[[Array], Array],
     jacobian: Callable[[Array], Blocks],
     start: Array,
     box: Box,
     *,
-    tolerance: float = 1e-10,
     max_iterations: int = 200,
     watch: Watch | None = None,
-    secant: bool = False,
-    undamped: bool = False,
+    **settings: Any,
 ) -> Solution:
     """Minimise a sum of squares within bounds.
 
@@ -560,17 +576,10 @@ def minimise(
     start : ndarray, shape (p,)
     box : Box
         Bounds and typical scales of the parameters.
-    tolerance : float
-        The search ends if neither the cost nor the parameters change by more than this fraction.
     watch : callable, optional
         Function that is called after each step and may end the search (:data:`Watch`).
-    secant : bool
-        Whether the Jacobian is updated after a step by the secant method. A new Jacobian is then computed
-        only if a step falls short of its prediction [1]_ [2]_, and such a step is also corrected for
-        curvature. Use it if derivatives are expensive.
-    undamped : bool
-        Whether the search ends only where an undamped step gains nothing. Use it if a prior determines what
-        the data leave open: damping hides such directions.
+    **settings
+        Attributes of the search (:class:`_Descent`): ``tolerance``, ``secant`` and ``undamped``.
 
     Notes
     -----
@@ -583,87 +592,177 @@ def minimise(
     .. [1] C. G. Broyden, Mathematics of Computation 19 (1965), 577-593.
     .. [2] H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05, 1999.
     """
-    lower, upper, scale = box
-    x = np.clip(np.asarray(start, dtype=float), lower, upper)
-    r = residuals(x)
-    cost = float(r @ r)
-    if not np.isfinite(cost):
-        return Solution(x, cost, False, "the model cannot be simulated at the starting values", 0)
-    tell = watch or (lambda x, cost, iteration: None)
-    tell(x, cost, 0)
-    attempt = partial(_attempt, residuals, box)
-    damping, growth, age, renew = 1e-3, 2.0, 0, True
-    for iteration in range(1, max_iterations + 1):
-        if renew:
-            rows, age = jacobian(x).scaled(scale), 0
-        renew = True
-        gradient, normal = rows.gradient(r), rows.normal()
-        blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+    descent = _Descent(residuals, jacobian, box, watch or (lambda x, cost, iteration: None), **settings)
+    return descent.run(np.asarray(start, dtype=float), max_iterations)
+
+
+@dataclass
+class _Descent:
+    """State of a Levenberg-Marquardt search.
+
+    Attributes
+    ----------
+    tolerance : float
+        The search ends if neither the cost nor the parameters change by more than this fraction.
+    secant : bool
+        Whether the Jacobian is updated after a step by the secant method. A new Jacobian is then computed
+        only if a step falls short of its prediction, and such a step is also corrected for curvature. Use it
+        if derivatives are expensive.
+    undamped : bool
+        Whether the search ends only where an undamped step gains nothing. Use it if a prior determines what
+        the data leave open: damping hides such directions.
+    x, r, cost
+        Current point, its residuals, and their sum of squares.
+    rows : Blocks
+        Derivatives with respect to the scaled parameters.
+    age : int
+        Number of secant updates since the derivatives were computed.
+    renew : bool
+        Whether to compute new derivatives in the next iteration.
+    """
+
+    residuals: Callable[[Array], Array]
+    jacobian: Callable[[Array], Blocks]
+    box: Box
+    watch: Watch
+    tolerance: float = 1e-10
+    secant: bool = False
+    undamped: bool = False
+    x: Array = field(init=False)
+    r: Array = field(init=False)
+    cost: float = field(init=False)
+    rows: Blocks = field(init=False)
+    damping: float = field(init=False, default=1e-3)
+    growth: float = field(init=False, default=2.0)
+    age: int = field(init=False, default=0)
+    renew: bool = field(init=False, default=True)
+
+    # Ignore overflows: the cost of a very bad step may overflow, is then infinite, and the step is rejected.
+    @np.errstate(over="ignore", invalid="ignore")
+    def run(self, start: Array, max_iterations: int) -> Solution:
+        """Search from a starting point."""
+        self.x = np.clip(start, self.box.lower, self.box.upper)
+        self.r = self.residuals(self.x)
+        self.cost = float(self.r @ self.r)
+        if not np.isfinite(self.cost):
+            text = "the model cannot be simulated at the starting values"
+            return Solution(self.x, self.cost, False, text, 0)
+        self.watch(self.x, self.cost, 0)
+        for iteration in range(1, max_iterations + 1):
+            reason = self._iterate(iteration)
+            if reason is not None:
+                return Solution(self.x, self.cost, reason is not KINKED, reason, iteration)
+        text = f"not converged after {max_iterations} iterations"
+        return Solution(self.x, self.cost, False, text, max_iterations)
+
+    def _iterate(self, iteration: int) -> str | None:
+        """Take one step that lowers the cost, and return the reason to end the search, if there is one."""
+        lower, upper, scale = self.box
+        if self.renew:
+            self.rows, self.age = self.jacobian(self.x).scale_columns(scale), 0
+        self.renew = True
+        gradient, normal = self.rows.gradient(self.r), self.rows.normal()
+        blocked = ((self.x <= lower) & (gradient > 0)) | ((self.x >= upper) & (gradient < 0))
         free = ~blocked
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         # Compute the cosine of the angle between the residuals and each column of the Jacobian.
-        slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
-        if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
-            return Solution(x, cost, True, "the gradient vanishes", iteration)
+        slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(self.cost, 1e-300)))
+        if not free.any() or self.cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
+            return "the gradient vanishes"
         for _ in range(40):
-            solve = partial(_step, normal, damping=damping * size**2, blocked=blocked)
-            low, high = (lower - x) / scale, (upper - x) / scale
-            taken = solve(gradient, low=low, high=high)
-            predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
-            tried = attempt(x, taken)
-            short = cost - tried.cost < MIN_AGREEMENT * predicted and np.isfinite(tried.cost)
-            if secant and short:
-                bend = rows.gradient(tried.residuals - r - rows.along(taken))
-                bent = solve(bend, low=low - taken, high=high - taken)
-                tried = _corrected(attempt, x, tried, bent, size)
-            small = bool(np.all(np.abs(tried.step) <= tolerance * (np.abs(x / scale) + tolerance)))
-            if tried.cost < cost:
-                lowered, off = cost - tried.cost, tried.residuals - r - rows.along(tried.step)
-                gain = lowered / predicted if predicted > 0 else 0.0
-                damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
-                growth = 2.0
-                still = small or (lowered <= tolerance * cost and predicted <= 10 * tolerance * cost)
-                x, r, cost = tried.x, tried.residuals, tried.cost
-                reason = tell(x, cost, iteration)
-                # End only with new derivatives, because a secant update may be the reason for a small step.
-                if still and not age:
-                    reason = STILL
-                if reason is STILL and undamped:
-                    rest = _undamped(attempt, rows.gradient(r), normal, box, x, cost, blocked)
-                    reason = STILL if cost - rest.cost <= MIN_REST else None
-                    x, r, cost = min((x, r, cost), (rest.x, rest.residuals, rest.cost), key=lambda t: t[-1])
-                    damping *= LESS_DAMPED
-                if reason is not None:
-                    return Solution(x, cost, True, reason, iteration)
-                if secant and gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still:
-                    rows, age, renew = rows.updated(off, tried.step, size**2), age + 1, False
-                break
-            if age:
+            tried, predicted = self._try_step(gradient, normal, blocked, size)
+            small = np.abs(tried.step) <= self.tolerance * (np.abs(self.x / scale) + self.tolerance)
+            if tried.cost < self.cost:
+                return self._accept(tried, predicted, bool(small.all()), normal, blocked, iteration)
+            if self.age:
                 # Compute new derivatives, because the secant updates may be the reason why the cost does not
                 # fall.
-                break
-            if small or abs(predicted) <= 1e-3 * tolerance * cost:
-                return Solution(x, cost, True, STUCK, iteration)
-            damping *= growth
-            growth *= 2.0
-        else:
-            return Solution(x, cost, False, KINKED, iteration)
-    return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
+                return None
+            if small.all() or abs(predicted) <= 1e-3 * self.tolerance * self.cost:
+                return STUCK
+            self.damping *= self.growth
+            self.growth *= 2.0
+        return KINKED
 
+    def _try_step(
+        self, gradient: Array, normal: Array, blocked: NDArray[np.bool_], size: Array
+    ) -> tuple[_Tried, float]:
+        """Try the damped step, and return it with the decrease of the cost that it predicts."""
+        solve = partial(_step, normal, damping=self.damping * size**2, blocked=blocked)
+        low, high = (self.box.lower - self.x) / self.box.scale, (self.box.upper - self.x) / self.box.scale
+        step = solve(gradient, low=low, high=high)
+        predicted = -float(2 * step @ gradient + step @ normal @ step)
+        tried = self._attempt(step)
+        short = self.cost - tried.cost < MIN_AGREEMENT * predicted and np.isfinite(tried.cost)
+        if self.secant and short:
+            bend = self.rows.gradient(tried.residuals - self.r - self.rows.along(step))
+            bent = solve(bend, low=low - step, high=high - step)
+            if np.linalg.norm(bent * size) <= MAX_CORRECTION * np.linalg.norm(tried.step * size):
+                tried = min(tried, self._attempt(tried.step + bent), key=lambda t: t.cost)
+        return tried, predicted
 
-def _attempt(residuals: Callable[[Array], Array], box: Box, x: Array, step: Array) -> _Tried:
-    there = np.clip(x + step * box.scale, box.lower, box.upper)
-    r = residuals(there)
-    return _Tried(step, there, r, float(np.nan_to_num(r @ r, nan=math.inf, posinf=math.inf)))
+    def _accept(
+        self,
+        tried: _Tried,
+        predicted: float,
+        small: bool,
+        normal: Array,
+        blocked: NDArray[np.bool_],
+        iteration: int,
+    ) -> str | None:
+        """Take a step that lowers the cost, and return the reason to end the search, if there is one."""
+        lowered, off = self.cost - tried.cost, tried.residuals - self.r - self.rows.along(tried.step)
+        gain = lowered / predicted if predicted > 0 else 0.0
+        self.damping = max(self.damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
+        self.growth = 2.0
+        still = small or (
+            lowered <= self.tolerance * self.cost and predicted <= 10 * self.tolerance * self.cost
+        )
+        self.x, self.r, self.cost = tried.x, tried.residuals, tried.cost
+        reason = self.watch(self.x, self.cost, iteration)
+        # End only with new derivatives, because a secant update may be the reason for a small step.
+        if still and not self.age:
+            reason = NO_CHANGE
+        if reason is NO_CHANGE and self.undamped:
+            rest = self._try_undamped(normal, blocked)
+            reason = NO_CHANGE if self.cost - rest.cost <= MIN_REST else None
+            if rest.cost < self.cost:
+                self.x, self.r, self.cost = rest.x, rest.residuals, rest.cost
+            self.damping *= LESS_DAMPED
+        updates = self.secant and gain > SECANT_AGREEMENT and self.age < MAX_SECANT_STEPS
+        if reason is None and updates and not still:
+            weights = np.sqrt(np.maximum(np.diag(normal), 1e-300)) ** 2
+            self.rows = self.rows.update_secant(off, tried.step, weights)
+            self.age, self.renew = self.age + 1, False
+        return reason
 
+    def _attempt(self, step: Array) -> _Tried:
+        x = np.clip(self.x + step * self.box.scale, self.box.lower, self.box.upper)
+        r = self.residuals(x)
+        return _Tried(step, x, r, float(np.nan_to_num(r @ r, nan=math.inf, posinf=math.inf)))
 
-def _corrected(
-    attempt: Callable[[Array, Array], _Tried], x: Array, tried: _Tried, bent: Array, size: Array
-) -> _Tried:
-    """Return a step corrected for curvature if the correction is short and lowers the cost."""
-    if np.linalg.norm(bent * size) > MAX_CORRECTION * np.linalg.norm(tried.step * size):
+    def _try_undamped(self, normal: Array, blocked: NDArray[np.bool_]) -> _Tried:
+        """Try the undamped Gauss-Newton step within the bounds, and shorter ones if it increases the cost.
+
+        Either the parameters that would leave the bounds are set to them, or the step ends where the first
+        parameter reaches its bound, whichever lowers the cost more in the linear model.
+        """
+        gradient, (lower, upper, scale) = self.rows.gradient(self.r), self.box
+        ends = (lower - self.x) / scale, (upper - self.x) / scale
+        none, damping = np.full(len(self.x), np.inf), 1e-12 * np.maximum(np.diag(normal), 1e-300)
+        within, free = (
+            _step(normal, gradient, damping, low, high, blocked) for low, high in (ends, (-none, none))
+        )
+        moves = free != 0.0
+        limit = np.where(free < 0.0, *ends)[moves]
+        until = free * min(float(np.min(limit / free[moves], initial=1.0)), 1.0)
+        step = min(within, until, key=lambda step: float(2.0 * step @ gradient + step @ normal @ step))
+        tried = self._attempt(step)
+        for part in SHORTER:
+            # A long step may leave the range of the derivatives.
+            if not tried.cost < self.cost:
+                tried = self._attempt(part * step)
         return tried
-    return min(tried, attempt(x, tried.step + bent), key=lambda t: t.cost)
 
 
 def _step(
@@ -688,37 +787,6 @@ def _step(
         step = np.where(below, low, np.where(above, high, step))
         fixed |= below | above
     return step
-
-
-def _undamped(
-    attempt: Callable[[Array, Array], _Tried],
-    gradient: Array,
-    normal: Array,
-    box: Box,
-    x: Array,
-    cost: float,
-    blocked: NDArray[np.bool_],
-) -> _Tried:
-    """Try the undamped Gauss-Newton step within the bounds, and shorter ones if it increases the cost.
-
-    Either the parameters that would leave the bounds are set to them, or the step ends where the first
-    parameter reaches its bound, whichever lowers the cost more in the linear model.
-    """
-    ends = (box.lower - x) / box.scale, (box.upper - x) / box.scale
-    none, damping = np.full(len(x), np.inf), 1e-12 * np.maximum(np.diag(normal), 1e-300)
-    within, free = (
-        _step(normal, gradient, damping, low, high, blocked) for low, high in (ends, (-none, none))
-    )
-    moves = free != 0.0
-    limit = np.where(free < 0.0, *ends)[moves]
-    until = free * min(float(np.min(limit / free[moves], initial=1.0)), 1.0)
-    step = min(within, until, key=lambda step: float(2.0 * step @ gradient + step @ normal @ step))
-    tried = attempt(x, step)
-    for part in SHORTER:
-        # A long step may leave the range of the derivatives.
-        if not tried.cost < cost:
-            tried = attempt(x, part * step)
-    return tried
 
 
 # ---------------------------------------------------------------- stopping criteria based on the noise

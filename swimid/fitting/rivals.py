@@ -28,11 +28,11 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.model import POSITIONS, Array, Parameter, Trial, chosen
-from swimid.fitting.noise import NoisePosterior, Rows, compute_posterior
+from swimid.fitting.model import POSITIONS, Array, Parameter, Trial, choose_parameters
+from swimid.fitting.noise import NoisePosterior, NoiseRows, compute_posterior
 from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult, Series
-from swimid.fitting.problem import BROKEN, Problem
-from swimid.notices import recorded
+from swimid.fitting.problem import BROKEN_RESIDUAL, Problem
+from swimid.notices import record_warnings
 
 #: Score above which a rival is better than a fit, and minus the score down to which it is as good: strong
 #: evidence (Kass and Raftery [2]_).
@@ -45,7 +45,7 @@ FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
 MAX_STEPS, DETERMINED = 5, 1e-4
 #: Minimum number of trials for the search for a trial with parameters of its own, and for a parameter that
 #: depends on a setting of the trials.
-MIN_TRIALS = 4
+MIN_TRIALS_RIVAL = 4
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Judged:
 
 def free(stated: FitResult, name: str) -> Rival:
     """Return the rival of a fit in which a held parameter is free."""
-    return Rival(name, chosen(stated.parameters, freed=(name,)), stated.trials)
+    return Rival(name, choose_parameters(stated.parameters, freed=(name,)), stated.trials)
 
 
 def judge(stated: FitResult, rivals: Sequence[Rival]) -> list[Judged]:
@@ -109,27 +109,33 @@ def refit(stated: FitResult, rival: Rival, **settings: Any) -> FitResult | None:
 
     The search begins at the estimates of the fit ``stated``, unless the rival changes trials. A parameter
     that only the rival estimates has several start values. The ``settings`` are those of
-    :func:`swimid.fitting.output_error.fit`.
+    :func:`swimid.fitting.output_error.fit_output_error`.
     """
-    known = {}
-    if all(any(trial is other for other in stated.trials) for trial in rival.trials):
-        known = {label: stated.value(label) for label in stated.shared}
-    freed = [p for p in rival.parameters if p.name == rival.name and p.free and p.name not in known]
-    starts: list[dict[str, float]] = [known]
-    for p in freed:
-        values = [p.start + step * p.scale for step in FREED_STARTS]
-        starts = [known | {p.name: value} for value in values if p.lower <= value <= p.upper]
     fits = []
-    for start in starts:
+    for start in _list_starts(stated, rival):
         begun = [replace(p, start=start.get(p.name, p.start)) if p.free else p for p in rival.parameters]
         # Ignore a search that fails, because a search from another start value may succeed.
-        with suppress(NoTrustworthyResult), recorded():
+        with suppress(NoTrustworthyResult), record_warnings():
             fits.append(
-                output_error.fit(stated.model, rival.trials, parameters=begun, tested=False, **settings)
+                output_error.fit_output_error(
+                    stated.model, rival.trials, parameters=begun, tested=False, **settings
+                )
             )
     if not fits:
         return None
     return replace(min(fits, key=lambda fit: fit.cost), parameters=rival.parameters)
+
+
+def _list_starts(stated: FitResult, rival: Rival) -> list[dict[str, float]]:
+    """Return the start values of parameters from which a rival is fitted."""
+    known = {}
+    if all(any(trial is other for other in stated.trials) for trial in rival.trials):
+        known = {label: stated.value(label) for label in stated.common_labels}
+    freed = [p for p in rival.parameters if p.name == rival.name and p.free and p.name not in known]
+    if not freed:
+        return [known]
+    values = [freed[0].start + step * freed[0].scale for step in FREED_STARTS]
+    return [known | {rival.name: v} for v in values if freed[0].lower <= v <= freed[0].upper]
 
 
 def compute_deviance(stated: FitResult, fits: Sequence[FitResult]) -> float:
@@ -145,7 +151,7 @@ def compute_deviance(stated: FitResult, fits: Sequence[FitResult]) -> float:
     fits : sequence of FitResult
         Fit of all trials, or fits of different trials.
     """
-    problems = [output_error.weighted(fit) for fit in fits]
+    problems = [output_error.rebuild_problem(fit) for fit in fits]
     for problem in problems:
         output_error.set_weights(problem, stated)
     points = [fit.estimate for fit in fits]
@@ -167,12 +173,12 @@ def _evaluate(problems: Sequence[Problem], points: Sequence[Array]) -> tuple[flo
     The steps are 0 if the most probable noise has no memory.
     """
     rows = [
-        (channel, Rows.alone(trial.time_s, mask, part))
+        (channel, NoiseRows.alone(trial.time_s, mask, part))
         for problem, theta in zip(problems, points, strict=True)
         for k, trial in enumerate(problem.trials)
         for channel, mask, part in problem.by_channel(k, problem.trial_residuals(theta, k))
     ]
-    if any(np.max(np.abs(part.residual), initial=0.0) >= BROKEN for _, part in rows):
+    if any(np.max(np.abs(part.residual), initial=0.0) >= BROKEN_RESIDUAL for _, part in rows):
         return math.inf, [np.zeros(len(theta)) for theta in points]
     posteriors = _weigh_noise(rows)
     deviance = -2.0 * sum(posterior.log_likelihood for posterior in posteriors.values())
@@ -209,7 +215,7 @@ def compute_gain(before: Iterable[Series], after: Iterable[Series]) -> float:
     first = {(s.trial, s.channel): s for s in before}
     last = {(s.trial, s.channel): s for s in after}
     sizes, other_sizes = _ranges(first.values()), _ranges(last.values())
-    rows: tuple[list[tuple[str, Rows]], list[tuple[str, Rows]]] = [], []
+    rows: tuple[list[tuple[str, NoiseRows]], list[tuple[str, NoiseRows]]] = [], []
     for key in (key for key in first if key in last):
         there = np.isfinite(first[key].residual)
         if not there.any():
@@ -217,10 +223,10 @@ def compute_gain(before: Iterable[Series], after: Iterable[Series]) -> float:
         errors = [side[key].residual[there] / first[key].sd[there] for side in (first, last)]
         if sizes[key] > 0.0 and other_sizes[key] > 0.0:
             errors[1] *= sizes[key] / other_sizes[key]
-        if not (np.abs(errors[1]) < BROKEN).all():
+        if not (np.abs(errors[1]) < BROKEN_RESIDUAL).all():
             return -math.inf
         for side, error in zip(rows, errors, strict=True):
-            side.append((key[1], Rows.alone(first[key].time_s, there, error)))
+            side.append((key[1], NoiseRows.alone(first[key].time_s, there, error)))
     posteriors = [_weigh_noise(side).values() for side in rows]
     old, new = (sum(posterior.log_likelihood for posterior in side) for side in posteriors)
     return 2.0 * (new - old)
@@ -240,9 +246,9 @@ def _ranges(series: Iterable[Series]) -> dict[tuple[str, str], float]:
     return found
 
 
-def _weigh_noise(rows: Iterable[tuple[str, Rows]]) -> dict[str, NoisePosterior]:
+def _weigh_noise(rows: Iterable[tuple[str, NoiseRows]]) -> dict[str, NoisePosterior]:
     """Return the probabilities of the forms of the noise of each channel from the residuals of its trials."""
-    channels: dict[str, dict[int, Rows]] = {}
+    channels: dict[str, dict[int, NoiseRows]] = {}
     for channel, part in rows:
         parts = channels.setdefault(channel, {})
         parts[len(parts)] = part
@@ -258,7 +264,7 @@ def find_odd_trial(stated: FitResult) -> Judged | None:
     Its fit is that of the other trials.
     """
     names = [t.id for t in stated.trials if t.role == "fit"]
-    if len(names) < MIN_TRIALS:
+    if len(names) < MIN_TRIALS_RIVAL:
         return None
     before, found = compute_deviance(stated, [stated]), []
     for name in names:
@@ -266,7 +272,7 @@ def find_odd_trial(stated: FitResult) -> Judged | None:
         both = [Rival(name, stated.parameters, part) for part in parts]
         others, own = (refit(stated, rival, max_iterations=UNFINISHED_ITERATIONS) for rival in both)
         if others is not None and own is not None:
-            price = len(stated.shared) * math.log(stated.samples) + 2.0 * math.log(len(names))
+            price = len(stated.common_labels) * math.log(stated.samples) + 2.0 * math.log(len(names))
             score = before - compute_deviance(stated, [others, own]) - price
             found.append(Judged(both[0], others, score))
     best = max(found, key=lambda judged: judged.score, default=None)

@@ -19,7 +19,7 @@ from swimid.fitting.model import Array, Model, Trial
 #: of the channel.
 STEP_ERROR, STEP_LIMIT = 0.1, 1e-3
 #: Maximum number of times that the integration step is halved.
-MAX_HALVINGS = 6
+MAX_REFINEMENTS = 6
 #: Range of a channel below which nothing moves in it, in the unit of the channel.
 MIN_RANGE = 1e-9
 
@@ -27,7 +27,7 @@ MIN_RANGE = 1e-9
 Noise = Mapping[str, Any]
 
 
-class Step(NamedTuple):
+class StepChoice(NamedTuple):
     """Model with the chosen integration step, and the accuracy of its simulations.
 
     Attributes
@@ -56,8 +56,8 @@ def choose_step(
     runs: Sequence[tuple[Array, Trial]],
     noise: Sequence[Noise] = (),
     *,
-    halvings: int = MAX_HALVINGS,
-) -> Step:
+    halvings: int = MAX_REFINEMENTS,
+) -> StepChoice:
     """Halve the integration step of a model until its simulations are accurate and do not break down.
 
     A simulation is accurate if no sample changes by more than a tenth of its noise when the step is halved. A
@@ -77,24 +77,21 @@ def choose_step(
     """
     noise = noise or [{}] * len(runs)
     changes: list[dict[str, float]] = [{} for _ in runs]
-    levels, models = [0] * len(runs), [model]
-    rest = list(range(len(runs)))
-    rough: list[dict[str, Array]] = []
-    while rest and (finer := models[-1].refined()) is not None:
-        rough = rough or model.run_many(runs)
+    levels, models, rest = [0] * len(runs), [model], list(range(len(runs)))
+    rough = model.run_many(runs) if model.refine() is not None else []
+    while rest and (finer := models[-1].refine()) is not None:
         fine = finer.run_many([runs[k] for k in rest])
         for k, one, other in zip(rest, rough, fine, strict=True):
             changes[k] = _changes(runs[k][1], one, other, noise[k])
-        left = [j for j, k in enumerate(rest) if _largest(changes[k]) > 1.0]
-        rest, rough = [rest[j] for j in left], [fine[j] for j in left]
+        left = [(k, other) for k, other in zip(rest, fine, strict=True) if _largest(changes[k]) > 1.0]
+        rest, rough = [k for k, _ in left], [other for _, other in left]
         if len(models) > halvings:
             break
         models.append(finer)
         for k in rest:
             levels[k] += 1
-    broken = [math.inf in one.values() for one in changes]
-    chosen = max((level for level, lost in zip(levels, broken, strict=True) if not lost), default=0)
-    return Step(models[chosen], changes, chosen)
+    chosen = max((k for k, one in zip(levels, changes, strict=True) if _largest(one) < math.inf), default=0)
+    return StepChoice(models[chosen], changes, chosen)
 
 
 def _largest(changes: Mapping[str, float]) -> float:
@@ -102,7 +99,7 @@ def _largest(changes: Mapping[str, float]) -> float:
     return max(changes.values(), default=0.0)
 
 
-def is_broken(trial: Trial, simulated: Mapping[str, Array]) -> bool:
+def is_broken_down(trial: Trial, simulated: Mapping[str, Array]) -> bool:
     """Return whether a simulation breaks down before the inputs of its trial end."""
     lost = any(not np.isfinite(values[-1]) for values in simulated.values())
     return lost and all(np.isfinite(values[-1]) for values in trial.inputs.values())
@@ -111,9 +108,9 @@ def is_broken(trial: Trial, simulated: Mapping[str, Array]) -> bool:
 def _changes(
     trial: Trial, rough: Mapping[str, Array], fine: Mapping[str, Array], noise: Noise
 ) -> dict[str, float]:
-    """Return the changes of the channels of one simulation (see :attr:`Step.changes`)."""
+    """Return the changes of the channels of one simulation (see :attr:`StepChoice.changes`)."""
     names = [name for name in rough if name in trial.measured] or list(rough)
-    if is_broken(trial, rough):
+    if is_broken_down(trial, rough):
         return dict.fromkeys(names, math.inf)
     found = {}
     for name in names:

@@ -5,10 +5,10 @@ factor, or (with uncertain time stamps) it includes the speed times the error of
 divided by the standard deviation of the error follow an autoregression.
 
 The tests are functions of arrays. A residual series is one array at a constant sampling rate, in which NaN
-marks missing samples. Several trials are joined with NaN between them (:func:`joined`). A pair of samples
-counts only if both exist, so that gaps do not bias a test. The tests of statsmodels use the same formulas,
-but count all samples. With a fifth of the samples missing, the Ljung-Box test of statsmodels rejects 0.8 % of
-white series at the 5 % level. The test of this module rejects 5.4 %.
+marks missing samples. Several trials are joined with NaN between them (:func:`join_series`). A pair of
+samples counts only if both exist, so that gaps do not bias a test. The tests of statsmodels use the same
+formulas, but count all samples. With a fifth of the samples missing, the Ljung-Box test of statsmodels
+rejects 0.8 % of white series at the 5 % level. The test of this module rejects 5.4 %.
 
 References
 ----------
@@ -56,7 +56,7 @@ def weigh_first(problem: Problem) -> None:
                 problem.sd[k][i] = np.broadcast_to(known, values.shape).copy()
 
 
-def estimate(
+def estimate_noise(
     problem: Problem,
     theta: Array,
     previous: dict[str, tuple[float, float]],
@@ -175,7 +175,7 @@ SIGNIFICANCE = 0.01
 
 
 @dataclass(frozen=True)
-class Correlation:
+class SeriesCorrelation:
     """Autocorrelation function of a series, with the confidence band of white noise.
 
     Each field has the shape (m,) for m lags.
@@ -204,17 +204,17 @@ class TestResult:
     p_value: float
 
     @property
-    def passed(self) -> bool:
+    def is_passed(self) -> bool:
         """Whether the test does not reject the null hypothesis at the level :data:`SIGNIFICANCE`."""
         return self.p_value >= SIGNIFICANCE
 
 
-def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
+def join_series(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
     """Join several series with ``gap`` samples of NaN between them.
 
     ``gap`` must be at least the largest lag that is used.
 
-    >>> joined([np.array([1.0]), np.array([2.0])], gap=2)
+    >>> join_series([np.array([1.0]), np.array([2.0])], gap=2)
     array([ 1., nan, nan,  2.])
     """
     apart = [piece for part in parts for piece in (np.full(gap, np.nan), np.asarray(part, dtype=float))]
@@ -226,14 +226,14 @@ def default_lags(samples: int) -> int:
     return max(1, min(25, samples // 5))
 
 
-def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _centre(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a copy of x without its mean and with zeros for NaN, and a mask of the finite samples."""
     x = np.asarray(x, dtype=float)
     there = np.isfinite(x)
     return np.where(there, x - np.sum(x[there]) / max(np.count_nonzero(there), 1), 0.0), there
 
 
-def _lagged_means(
+def _compute_lag_means(
     x: np.ndarray, x_there: np.ndarray, y: np.ndarray, y_there: np.ndarray, lags: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean of x(k) y(k - lag) over existing sample pairs, and their number, for each lag."""
@@ -248,7 +248,7 @@ def _lagged_means(
     return means, pairs
 
 
-def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation:
+def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> SeriesCorrelation:
     """Compute the autocorrelation at lags 0 .. max_lag, and the confidence band of white noise.
 
     The band is ``1.96 / sqrt(pairs)``. The value at a lag is the mean over the sample pairs of this lag,
@@ -264,17 +264,17 @@ def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation
     >>> autocorrelation(np.array([1.0, -1.0] * 50), max_lag=2).values.round(6)
     array([ 1., -1.,  1.])
     """
-    values, there = _centred(x)
+    values, there = _centre(x)
     count = int(np.count_nonzero(there))
     if max_lag is None:
         max_lag = default_lags(count)
     lags = np.arange(max_lag + 1)
-    means, pairs = _lagged_means(values, there, values, there, lags)
+    means, pairs = _compute_lag_means(values, there, values, there, lags)
     variance = means[0] if means[0] > 0 else np.nan
-    return Correlation(lags, means / variance, 1.96 / np.sqrt(np.maximum(pairs, 1)), pairs)
+    return SeriesCorrelation(lags, means / variance, 1.96 / np.sqrt(np.maximum(pairs, 1)), pairs)
 
 
-def absorbed(fitted: np.ndarray, tested: np.ndarray) -> float:
+def count_absorbed(fitted: np.ndarray, tested: np.ndarray) -> float:
     """Return the number of tested regressors that a fit has made orthogonal to its residuals.
 
     A regression removes from the residuals what its own regressors explain. A test of whether the residuals
@@ -332,7 +332,7 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: float = 0.0) ->
     fitted : float
         Number of degrees of freedom that are lost because parameters were estimated from the same data. It is
         the number of coefficients of a pure autoregressive or moving-average model, and follows from
-        :func:`absorbed` for other models.
+        :func:`count_absorbed` for other models.
 
     Returns
     -------
@@ -380,7 +380,7 @@ def independence(
         :func:`default_lags`.
     fitted : float
         Number of degrees of freedom that are lost because parameters were estimated from the same data
-        (:func:`absorbed`).
+        (:func:`count_absorbed`).
 
     Returns
     -------
@@ -394,15 +394,15 @@ def independence(
     the cross-covariances, and R_u(j) is the shifted Toeplitz covariance matrix of the source. Residual
     covariances inside the confidence band of white noise are set to zero.
     """
-    e, e_there = _centred(residuals)
-    u, u_there = _centred(source)
+    e, e_there = _centre(residuals)
+    u, u_there = _centre(source)
     top = default_lags(int(np.count_nonzero(e_there)))
     number = lags or top
-    means, pairs = _lagged_means(e, e_there, u, u_there, np.arange(first, first + number))
+    means, pairs = _compute_lag_means(e, e_there, u, u_there, np.arange(first, first + number))
     if not np.all(pairs) or not e.any() or not u.any():
         return TestResult(0.0, number, 1.0)
     re = autocorrelation(residuals, max_lag=top)
-    covariances = np.nan_to_num(_lagged_means(u, u_there, u, u_there, np.arange(number + top))[0])
+    covariances = np.nan_to_num(_compute_lag_means(u, u_there, u, u_there, np.arange(number + top))[0])
     power = float(np.mean(e[e_there] ** 2))
     matrix = np.zeros((number, number))
     for j in range(-top, top + 1):
@@ -428,7 +428,7 @@ def fit_joint(parts: Sequence[np.ndarray]) -> np.ndarray:
 
     The result is empty if the series are white, or shorter than 12 samples together.
     """
-    x = joined(parts, gap=30)
+    x = join_series(parts, gap=30)
     if np.isfinite(x).sum() < 12 or not np.nanstd(x) > 0:
         return np.empty(0)
     return fit_autoregression(x, max_order=default_lags(max(map(len, parts))))
@@ -456,7 +456,7 @@ def fit_autoregression(x: np.ndarray, *, max_order: int | None = None) -> np.nda
     ValueError
         If fewer than three samples are finite.
     """
-    values, there = _centred(x)
+    values, there = _centre(x)
     n = int(np.count_nonzero(there))
     if n < 3:
         raise ValueError(f"an autoregression needs at least three samples, here are {n}")
@@ -529,7 +529,7 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
     return np.asarray(covariance / covariance[0])
 
 
-def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, Array]) -> list[Array]:
+def _correlate_rows(problem: Problem, rows: list[Array], autoregressions: dict[str, Array]) -> list[Array]:
     """Return the rows of each trial multiplied by the correlation matrix of the trial's residuals.
 
     The correlation follows from the autoregression of each channel. Rows after the samples of a trial belong
@@ -607,12 +607,12 @@ def sandwich(
         squares[at] += np.sum(part**2, axis=0)
     null = squares == 0
     size = np.sqrt(np.where(null, 1.0, squares))
-    bases, factors = blocks.factored(1.0 / size)
+    bases, factors = blocks.factorise(1.0 / size)
     u, singular, vt = np.linalg.svd(np.concatenate(factors), full_matrices=False)
     good = (singular > 1e-8 * singular[0]) & (singular[0] > 0)
     # A parameter that takes part in an undetermined direction is not identifiable.
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
-    coloured = _correlated(problem, bases, autoregressions)
+    coloured = _correlate_rows(problem, bases, autoregressions)
     cores = [basis.T @ part for basis, part in zip(bases, coloured, strict=True)]
     projected = [basis.T @ r for basis, r in zip(bases, residuals, strict=True)]
     directions = np.split(u, np.cumsum([len(f) for f in factors])[:-1])
@@ -648,7 +648,7 @@ UNSEEN = 1e-7
 #: Minimum standard error of a parameter in a group of confounded parameters, as a fraction of its magnitude.
 VAGUE = 0.5 * UNIDENTIFIABLE
 #: Maximum number of parameters in a group for which the report states their known weighted sum.
-MAX_NAMED = 6
+MAX_GROUP_NAMES = 6
 #: Minimum weight of a parameter in a known weighted sum of parameters, as a fraction of the largest weight.
 #: Parameters with smaller weights are left out.
 NEGLIGIBLE = 0.01
@@ -681,7 +681,7 @@ class Combination:
             factor = f"{abs(weight):.2g} ".removeprefix("1 ")
             terms += f"{' - ' if weight < 0 else ' + '}{factor}{label}"
         terms = f"{terms[1]}{terms[3:]}".removeprefix("+")
-        return f"{terms} = {numbers.measured(self.value, self.stderr, self.unit)}"
+        return f"{terms} = {numbers.format_estimate(self.value, self.stderr, self.unit)}"
 
 
 def unidentifiable(result: FitResult) -> list[str]:
@@ -689,7 +689,7 @@ def unidentifiable(result: FitResult) -> list[str]:
     return [label for label in result.labels if result.status[label] == "unidentifiable"]
 
 
-def confounded(result: FitResult) -> list[tuple[str, ...]]:
+def find_confounded(result: FitResult) -> list[tuple[str, ...]]:
     """Return groups of parameters whose separate effects the trials do not determine.
 
     At least one parameter of a group is not identifiable, and at least one is shared by all trials. The
@@ -725,7 +725,7 @@ def combinations(result: FitResult) -> list[Combination]:
     the group. All other parameters are free, and all parameters are divided by their magnitudes.
     """
     found = []
-    for group in confounded(result):
+    for group in find_confounded(result):
         index = [result.labels.index(label) for label in group]
         size = _sizes(result)[index]
         _, singular, vt = np.linalg.svd(_marginal(result, index), full_matrices=False)
@@ -763,21 +763,24 @@ def sentences(result: FitResult) -> list[str]:
     """Return sentences for the report on parameters that are not identifiable and on their known sums."""
     known = {c.members: f"; known is {c.text}" for c in combinations(result)}
     said, grouped = [], set()
-    for group in confounded(result):
+    for group in find_confounded(result):
         grouped |= set(group)
         named, rest = list(group), known.get(group, ", and no sum of them is known")
-        if len(group) > MAX_NAMED:
+        if len(group) > MAX_GROUP_NAMES:
             # A sum of many terms is not readable. The parameter file has their correlations.
             named, rest = [label for label in group if "[" not in label], ""
             if len(named) < len(group):
                 named.append(f"{len(group) - len(named)} parameters of single trials")
-        said.append(f"{numbers.listed(named)} cannot be separated by these trials{rest}")
-    alone = [label for label in unidentifiable(result) if label not in grouped]
-    own = [label.partition("[") for label in alone if "[" in label]
-    for name in dict.fromkeys(name for name, _, _ in own):
-        trials = [trial.rstrip("]") for other, _, trial in own if other == name]
-        said.append(f"{name} is not identifiable in {', '.join(trials)}")
-    return said + [f"{label} is not identifiable from these trials" for label in alone if "[" not in label]
+        said.append(f"{numbers.join_names(named)} cannot be separated by these trials{rest}")
+    trials: dict[str, list[str]] = {}
+    for label in (label for label in unidentifiable(result) if label not in grouped):
+        name, _, trial = label.partition("[")
+        trials.setdefault(name, []).append(trial.rstrip("]"))
+    # Sentences on parameters of single trials come first.
+    for name, places in sorted(trials.items(), key=lambda item: item[1] == [""]):
+        where = "from these trials" if places == [""] else f"in {', '.join(places)}"
+        said.append(f"{name} is not identifiable {where}")
+    return said
 
 
 def _sizes(result: FitResult) -> Array:

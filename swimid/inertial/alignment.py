@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
+from swimid.imports.clocks import MIN_EXPLAINED, MIN_SAMPLES_OFFSET, Offset, clock_offset, remove_drift
 from swimid.inertial import record as recording
-from swimid.inertial.record import Array, Poses, Record, Source, integral, resampled, turns_of
-from swimid.logs.clocks import MIN_EXPLAINED, MIN_SAMPLES, Offset, clock_offset, without_slow
-from swimid.logs.kinematics import angles
+from swimid.inertial.record import Array, AttitudeSource, ImuRecord, Poses, integral, resampled, turns_of
+from swimid.kinematics.attitude import angles
 
 #: Minimum period of a motion that counts as drift, s: in integrated turn rates, and in accelerations
 #: integrated twice.
@@ -30,7 +30,9 @@ GRAVITY_S, MIN_GRAVITY_S = 1.0, 0.5
 MIN_SINGULAR = 0.02
 
 
-def align(record: Record, source: Source, poses: Poses, stated_s: float | None = None) -> list[Offset]:
+def align(
+    record: ImuRecord, source: AttitudeSource, poses: Poses, stated_s: float | None = None
+) -> list[Offset]:
     """Return up to two estimates of the clock offset: from the rotations and from the paths in the two logs.
 
     The estimates are in order of increasing standard error.
@@ -59,21 +61,21 @@ def align(record: Record, source: Source, poses: Poses, stated_s: float | None =
     return sorted(good, key=lambda one: one.stderr_s)
 
 
-def _with_mount(record: Record, poses: Poses, offset: Offset) -> Offset:
-    if not poses.measured.all():
+def _with_mount(record: ImuRecord, poses: Poses, offset: Offset) -> Offset:
+    if not poses.has_angle.all():
         return offset
     mount, handed = _find_mount(record, replace(poses, time_s=poses.time_s + offset.value_s))
     return replace(offset, mount=mount, handed=handed)
 
 
-def _by_turns(record: Record, source: Source, poses: Poses) -> Offset | None:
-    rows = np.flatnonzero(poses.turned)
-    if len(rows) < MIN_SAMPLES:
+def _by_turns(record: ImuRecord, source: AttitudeSource, poses: Poses) -> Offset | None:
+    rows = np.flatnonzero(poses.has_attitude)
+    if len(rows) < MIN_SAMPLES_OFFSET:
         return None
-    seen, rate = poses.angles[rows][:, poses.measured], record.rate
-    by_yaw = seen.shape[1] == 1 and bool(poses.measured[2])
-    if poses.measured.all():
-        seen = _summed_turns(poses.rotation[rows])
+    seen, rate = poses.angles[rows][:, poses.has_angle], record.rate
+    by_yaw = seen.shape[1] == 1 and bool(poses.has_angle[2])
+    if poses.has_angle.all():
+        seen = _sum_turns(poses.rotation[rows])
     elif by_yaw:
         rate = source.rotation.apply(record.rate)[:, 2:]
     turned = integral(record.time_s, rate - rate.mean(axis=0))
@@ -83,7 +85,7 @@ def _by_turns(record: Record, source: Source, poses: Poses) -> Offset | None:
     return offset and _with_mount(record, poses, offset)
 
 
-def _by_path(record: Record, source: Source, poses: Poses) -> Offset | None:
+def _by_path(record: ImuRecord, source: AttitudeSource, poses: Poses) -> Offset | None:
     axes = np.isfinite(poses.position).mean(axis=0) > MIN_MEASURED
     if not axes.any():
         return None
@@ -91,7 +93,7 @@ def _by_path(record: Record, source: Source, poses: Poses) -> Offset | None:
     return clock_offset(record.time_s, path, poses.time_s, seen, slow_s=SLOW_PATH_S)
 
 
-def _summed_turns(rotation: Rotation) -> Array:
+def _sum_turns(rotation: Rotation) -> Array:
     """Return the sum of the rotation vectors from the first attitude up to each one, rad, shape (m, 3).
 
     The rotation vectors are those between successive attitudes, about body axes.
@@ -99,7 +101,7 @@ def _summed_turns(rotation: Rotation) -> Array:
     return np.vstack([np.zeros((1, 3)), np.cumsum(turns_of(rotation), axis=0)])
 
 
-def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
+def _find_mount(record: ImuRecord, poses: Poses) -> tuple[Rotation, float]:
     """Return the mounting of the sensor (rotation from body to sensor axes) from another log with attitudes.
 
     The second returned value is the handedness: the sign of the determinant of the correlation between the
@@ -110,11 +112,11 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     together, so that the mounting is also determined for a body that rotates about one axis only.
     """
     t = record.time_s
-    rows = np.flatnonzero(poses.turned & (poses.time_s > t[0]) & (poses.time_s < t[-1]))
+    rows = np.flatnonzero(poses.has_attitude & (poses.time_s > t[0]) & (poses.time_s < t[-1]))
     rotation, when = poses.rotation[rows], poses.time_s[rows]
-    body = without_slow(when, _summed_turns(rotation), SLOW_TURN_S)
+    body = remove_drift(when, _sum_turns(rotation), SLOW_TURN_S)
     turned = integral(t, record.rate - record.rate.mean(axis=0))
-    sensor = without_slow(when, resampled(when, t, turned), SLOW_TURN_S)
+    sensor = remove_drift(when, resampled(when, t, turned), SLOW_TURN_S)
     # Average the direction of gravity over a window from each pose: in sensor axes from the integral of the
     # specific force, in body axes from the sum over poses.
     last = np.clip(np.searchsorted(when, when + GRAVITY_S), 0, len(when) - 1)
@@ -133,7 +135,7 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     return Rotation.from_matrix(u @ proper @ vt), handed
 
 
-def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) -> Rotation:
+def find_world_turn(record: ImuRecord, source: AttitudeSource, poses: Poses, mount: Rotation) -> Rotation:
     """Return the rotation from the world axes of the attitude source to those of the other log.
 
     If the other log has a yaw, the rotation follows from its angles. Otherwise it is the rotation about the
@@ -147,30 +149,30 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
         Mounting from body to sensor.
     """
     inside = (poses.time_s >= record.time_s[0]) & (poses.time_s <= record.time_s[-1])
-    if poses.measured[2]:
-        rows = np.flatnonzero(poses.turned & inside)
+    if poses.has_angle[2]:
+        rows = np.flatnonzero(poses.has_attitude & inside)
         if not len(rows):
             return Rotation.identity()
         near = np.clip(np.searchsorted(record.time_s, poses.time_s[rows]), 0, len(record) - 1)
         body = source.rotation[near] * mount
-        if poses.measured.all():
+        if poses.has_angle.all():
             return (poses.rotation[rows] * body.inv()).mean()
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
         # Do not rotate if the other log lacks a horizontal coordinate, which is then constant.
-        if len(rows) < MIN_SAMPLES or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
+        if len(rows) < MIN_SAMPLES_OFFSET or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
             return Rotation.identity()
         t = poses.time_s[rows]
         path = resampled(t, record.time_s, _fast_path(record, source)[:, :2])
-        both = without_slow(t, np.hstack([path, poses.position[rows, :2]]), SLOW_PATH_S)
+        both = remove_drift(t, np.hstack([path, poses.position[rows, :2]]), SLOW_PATH_S)
         cross = both[:, :2].T @ both[:, 2:]
         turn = float(np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))
     return Rotation.from_rotvec([0.0, 0.0, turn])
 
 
-def _fast_path(record: Record, source: Source) -> Array:
+def _fast_path(record: ImuRecord, source: AttitudeSource) -> Array:
     """Return the path from accelerations along world axes (m), without drift slower than ``SLOW_PATH_S``."""
     force = source.rotation.apply(record.acceleration)
     path = integral(record.time_s, integral(record.time_s, force - force.mean(axis=0)))
-    return without_slow(record.time_s, path, SLOW_PATH_S)
+    return remove_drift(record.time_s, path, SLOW_PATH_S)

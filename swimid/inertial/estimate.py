@@ -19,9 +19,16 @@ from swimid.errors import InputError, NoTrustworthyResult
 from swimid.inertial import alignment, smoother
 from swimid.inertial import record as recording
 from swimid.inertial.alignment import Offset
-from swimid.inertial.record import BAND, DEG, Array, Finding, Flags, Poses, Sensor, Setup, resampled
-from swimid.inertial.smoother import Nominal, Observation, Smoothed, State, cross_matrix, jacobian
-from swimid.logs.kinematics import angles
+from swimid.inertial.record import BAND, DEG, Array, Finding, Flags, ImuSetup, Poses, Sensor, resampled
+from swimid.inertial.smoother import (
+    MotionState,
+    Nominal,
+    Observation,
+    SmoothedMotion,
+    jacobian,
+    skew_matrices,
+)
+from swimid.kinematics.attitude import angles
 from swimid.logs.sampling import white_noise_sd
 
 #: Standard deviation of position (m) and yaw (rad) at the first sample, before any observation. It is small
@@ -66,7 +73,7 @@ MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
 #: and for the chosen one; and convergence tolerance of the logarithm of its standard deviations.
 NOISE_STEPS, FINAL_NOISE_STEPS, NOISE_TOL = 3, 12, 0.1
 #: Minimum fraction of the noise of the fixes that counts as left in their residuals.
-MIN_FREE = 0.1
+MIN_NOISE_LEFT = 0.1
 #: Maximum fraction of outliers among the fixes. With more outliers, a warning is given, and a second path is
 #: estimated for which no fix counts as an outlier.
 MAX_STRAY = 0.05
@@ -123,19 +130,19 @@ class Fixes(Poses):
 
 
 @dataclass(frozen=True)
-class Estimate:
+class MotionEstimate:
     """Estimated motion of a recording, with the rests that it assumes and its relation to another log."""
 
     #: Setup of the recording, with the rests that were used. While two logs are smoothed together, its
     #: attitude refers to the world axes of the other log.
-    setup: Setup
+    setup: ImuSetup
     #: State at the first sample before any observation, and standard deviations of its quantities.
-    start: State
+    start: MotionState
     sd: dict[str, Any]
     #: Poses in the other log, with their estimated noise and weights; None without another log.
     fixes: Fixes = None  # type: ignore[assignment]
     #: Result of the last application of the smoother; None before the first.
-    smoothed: Smoothed = None  # type: ignore[assignment]
+    smoothed: SmoothedMotion = None  # type: ignore[assignment]
     findings: Sequence[Finding] = ()
     #: Reasons why the estimated motion is impossible; empty if it is possible.
     impossible: Sequence[str] = ()
@@ -161,7 +168,7 @@ class Estimate:
         return int(np.sum(self.fixes.stray.any(axis=1)))
 
 
-def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
+def estimate_motion(setup: ImuSetup, poses: Poses | None = None) -> MotionEstimate:
     """Estimate the motion of a recording, the error class of the sensor, and the rests that count.
 
     Rests that contradict the motion are excluded. With another log, synchronised clocks are compared with
@@ -176,11 +183,11 @@ def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
         The axes of one log are mirrored.
     """
     if poses is not None:
-        return _fused(setup, poses)
+        return _fuse(setup, poses)
     return _with_rests(setup, smooth_alone)
 
 
-def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
+def _with_rests(setup: ImuSetup, attempt: Callable[[ImuSetup], MotionEstimate]) -> MotionEstimate:
     """Estimate the motion with only those rests that it does not contradict.
 
     The result also holds findings, and the contradictions that remain. ``attempt`` estimates the motion from
@@ -196,12 +203,12 @@ def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
     reasons: list[str] = []
     while doubts and used.rests:
         dropped, reason = used.rests, "no rest is used"
-        doubted = _doubted_rests(found)
+        doubted = _find_doubtful_rests(found)
         if doubted and len(reasons) < MAX_SINGLE:
             _, reason, rest = max(doubted, key=lambda doubt: doubt[0])
             dropped = [rest]
         reasons.append(reason)
-        used = used.without(dropped)
+        used = used.drop_rests(dropped)
         found = attempt(used)
         doubts = find_contradictions(found)
     if doubts:
@@ -216,7 +223,9 @@ def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
     return replace(found, setup=used, findings=findings)
 
 
-def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> Estimate:
+def _smooth(
+    found: MotionEstimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf
+) -> MotionEstimate:
     """Apply the smoother with the noise of the estimate, and return the estimate with the new result.
 
     The iteration starts from the last result of the smoother, if there is one. By default the error class of
@@ -233,12 +242,12 @@ def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate
         return [*_rests(setup, path), *_attitudes(setup, path), *more]
 
     given = setup, found.start, found.sd, sensor or last.sensor
-    smoothed = smoother.smooth(*given, observe, states=states, after=last, passes=passes)
+    smoothed = smoother.smooth_motion(*given, observe, states=states, after=last, passes=passes)
     setup.advance()
     return replace(found, smoothed=smoothed)
 
 
-def _most_likely_class(found: Estimate) -> Estimate:
+def _most_likely_class(found: MotionEstimate) -> MotionEstimate:
     """Estimate the motion with each error class of the sensor, and return the most likely estimate.
 
     The class changes only if the log-likelihood increases by more than ``MIN_GAIN``.
@@ -249,7 +258,7 @@ def _most_likely_class(found: Estimate) -> Estimate:
     return best if best.likelihood > found.likelihood + MIN_GAIN else found
 
 
-def smooth_alone(setup: Setup) -> Estimate:
+def smooth_alone(setup: ImuSetup) -> MotionEstimate:
     """Estimate the most likely motion of a recording without another log.
 
     The path starts at the origin of the world.
@@ -264,7 +273,7 @@ def smooth_alone(setup: Setup) -> Estimate:
 # ---------------------------------------------------------------- observations
 
 
-def _rests(setup: Setup, path: Nominal) -> list[Observation]:
+def _rests(setup: ImuSetup, path: Nominal) -> list[Observation]:
     """Return observations of zero velocity in rests, and of the gyroscope bias in still periods.
 
     The method is that of Skog et al. (2010).
@@ -278,7 +287,7 @@ def _rests(setup: Setup, path: Nominal) -> list[Observation]:
         if not len(nodes):
             continue
         if rest in setup.rests:
-            for node in _spaced(path, nodes, REST_STEP_S):
+            for node in _space_nodes(path, nodes, REST_STEP_S):
                 off, sd = -path.velocity[path.nodes[node]], np.full(3, REST_SPEED_SD)
                 observations.append(Observation(int(node), "rest", off, by_velocity, sd))
         duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
@@ -290,7 +299,7 @@ def _rests(setup: Setup, path: Nominal) -> list[Observation]:
     return observations
 
 
-def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
+def _attitudes(setup: ImuSetup, path: Nominal) -> list[Observation]:
     """Return observations for the smoother of the attitude that was estimated before smoothing.
 
     The standard deviations account for errors of this attitude that are correlated in time.
@@ -300,7 +309,7 @@ def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
     measurement.
     """
     source = setup.source
-    nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
+    nodes = _space_nodes(path, np.arange(len(path.nodes)), STEP_S)
     axes = slice(0, 3 if source.heading else 2)
     at = path.nodes[nodes]
     off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()[:, axes]
@@ -318,7 +327,7 @@ def _speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
     Each observation is a velocity of 0 with half of the top speed as standard deviation. All observations of
     a log together have the weight of a single one, so that they do not reduce the speed of a steady cruise.
     """
-    nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
+    nodes = _space_nodes(path, np.arange(len(path.nodes)), STEP_S)
     h = jacobian(path.states, 3, velocity=np.eye(3))
     sd = np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
     velocity = path.velocity[path.nodes]
@@ -330,7 +339,7 @@ def rest_nodes(rest: recording.Rest, path: Nominal) -> np.ndarray:
     return np.flatnonzero((path.nodes >= rest.first) & (path.nodes < rest.last))
 
 
-def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
+def _space_nodes(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
     """Return a subset of the nodes of a path, with at least ``step_s`` between successive nodes."""
     times = path.node_s[nodes]
     marks = np.arange(times[0], times[-1] + 1e-9, step_s)
@@ -379,13 +388,13 @@ def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Ar
     rotation = path.rotation[row] * turn
     lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
     matrices, turns = rotation.as_matrix(), np.isfinite(seen.angles[index])
-    turned, by_turn = _turned(seen.rotation[index], turns, rotation * path.mount)
+    turned, by_turn = _compare_attitudes(seen.rotation[index], turns, rotation * path.mount)
     by_place = jacobian(
         path.states,
         *place.shape,
         position=np.eye(3),
         velocity=np.eye(3) * (when - path.node_s[nodes])[:, None, None],
-        rotation=-cross_matrix(lever),
+        rotation=-skew_matrices(lever),
         lever=matrices,
         clock_s=(velocity + np.cross(spin, lever))[:, :, None],
     )
@@ -406,7 +415,7 @@ def _nearest(times: Array, when: Array) -> np.ndarray:
     return index - ((when - times[index - 1]) < (times[index] - when))
 
 
-def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Array]:
+def _compare_attitudes(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Array]:
     """Return measured minus estimated attitude (rad), and its derivative by a small rotation of the body.
 
     The difference has shape (k, 3), its derivative shape (k, 3, 3). If all three angles are measured, the
@@ -427,15 +436,15 @@ def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Ar
 # ---------------------------------------------------------------- contradictions
 
 
-def find_contradictions(found: Estimate) -> list[str]:
+def find_contradictions(found: MotionEstimate) -> list[str]:
     """Return one sentence for each contradiction of the motion with rests, attitude or most of the fixes."""
     setup, smoothed, fixes = found.setup, found.smoothed, found.fixes
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing has no finite result"]
-    sentences = [text for _, text, _ in _doubted_rests(found)]
+    sentences = [text for _, text, _ in _find_doubtful_rests(found)]
     up, other = (r.inv().apply([0.0, 0.0, 1.0]) for r in (smoothed.path.rotation, setup.source.rotation))
     away = np.arctan2(np.linalg.norm(np.cross(up, other), axis=1), np.sum(up * other, axis=1))
-    tilt = slice(smoother.PARTS["rotation"].start, smoother.PARTS["rotation"].start + 2)
+    tilt = slice(smoother.ERROR_SLICES["rotation"].start, smoother.ERROR_SLICES["rotation"].start + 2)
     own = float(np.mean(np.trace(smoothed.errors.covariance[:, tilt, tilt], axis1=1, axis2=2)))
     off = float(np.sqrt(np.mean(away**2)))
     limit = GATE * float(np.sqrt(2 * setup.attitude_sd**2 + own))
@@ -452,7 +461,7 @@ def find_contradictions(found: Estimate) -> list[str]:
     return sentences
 
 
-def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
+def _find_doubtful_rests(found: MotionEstimate) -> list[tuple[float, str, recording.Rest]]:
     """Return the rests that the motion contradicts by more than ``GATE`` standard deviations.
 
     Each entry holds the contradiction in standard deviations, a sentence about it, and the rest.
@@ -467,7 +476,7 @@ def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
     return doubted
 
 
-def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
+def _departure(setup: ImuSetup, smoothed: SmoothedMotion, rest: recording.Rest) -> float:
     """Return the deviation of the estimated motion from standstill in a rest, in standard deviations.
 
     The result is the largest deviation of velocity, turn rate and acceleration.
@@ -483,15 +492,19 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
     def mean(values: Array) -> Array:
         return np.asarray(values[rest.rows].mean(axis=0))
 
-    moving = np.abs(mean(path.velocity)) / np.sqrt(variance[smoother.PARTS["velocity"]] + REST_SPEED_SD**2)
-    turning = np.abs(mean(path.rate)) / np.sqrt(variance[smoother.PARTS["rate_bias"]] + REST_RATE_SD**2)
+    moving = np.abs(mean(path.velocity)) / np.sqrt(
+        variance[smoother.ERROR_SLICES["velocity"]] + REST_SPEED_SD**2
+    )
+    turning = np.abs(mean(path.rate)) / np.sqrt(
+        variance[smoother.ERROR_SLICES["rate_bias"]] + REST_RATE_SD**2
+    )
     duration = max(float(path.time_s[rest.last - 1] - path.time_s[rest.first]), record.step_s)
     force = path.rotation[rest.rows].apply(path.force[rest.rows]).mean(axis=0)
     turn = path.rotation[int(path.nodes[middle])].as_matrix()
     h = jacobian(
         path.states,
         3,
-        rotation=-cross_matrix(force),
+        rotation=-skew_matrices(force),
         acceleration_bias=-turn,
         acceleration_scale=-np.kron(turn, mean(record.acceleration)),
     )
@@ -502,7 +515,7 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
 # ---------------------------------------------------------------- another log
 
 
-def _fused(setup: Setup, poses: Poses) -> Estimate:
+def _fuse(setup: ImuSetup, poses: Poses) -> MotionEstimate:
     """Align the recording with another log, and estimate the motion from the two logs together."""
     refusal = None
     try:
@@ -535,7 +548,7 @@ def _fused(setup: Setup, poses: Poses) -> Estimate:
     )
 
 
-def _start_mount(setup: Setup, found: Offset) -> tuple[Setup, list[Finding]]:
+def _start_mount(setup: ImuSetup, found: Offset) -> tuple[ImuSetup, list[Finding]]:
     """Return the setup with an initial mounting of the sensor, and findings about the mounting.
 
     The mounting is the one that the user states. Otherwise it follows from the three angles of the other log
@@ -551,7 +564,7 @@ def _start_mount(setup: Setup, found: Offset) -> tuple[Setup, list[Finding]]:
     return replace(setup, mount=replace(setup.mount, rotation=found.mount, sd=TURNS_MOUNT_SD)), findings
 
 
-def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
+def _first_fixes(setup: ImuSetup, poses: Poses, candidates: list[Offset]) -> Fixes:
     """Return the poses of another log as fixes, with a first estimate of their noise.
 
     Only poses within the record for every candidate clock offset contribute to the log-likelihood. Thus the
@@ -566,7 +579,7 @@ def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
         if not np.isfinite(position[:, axis]).any():
             position[np.isfinite(position).any(axis=1), axis] = 0.0
             sd[axis] = PLANE_SD
-    noises = [white_noise_sd(angle, MIN_SD_RAD) for angle in poses.angles.T[poses.measured]]
+    noises = [white_noise_sd(angle, MIN_SD_RAD) for angle in poses.angles.T[poses.has_angle]]
     noise = np.append(sd, [min(max(noises, default=MIN_SD_RAD), MAX_START_RAD)] * 3)
     t, margin = setup.record.time_s, BAND * CLOCK_SD
     offsets = [0.0, *(found.value_s for found in candidates)]
@@ -577,7 +590,7 @@ def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
 # ---------------------------------------------------------------- clocks and noise
 
 
-def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimate:
+def _set_clocks(setup: ImuSetup, fixes: Fixes, candidates: list[Offset]) -> MotionEstimate:
     """Estimate the motion with the most likely clock offset, or with synchronised clocks."""
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
@@ -609,8 +622,8 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
 
 
 def _at_offset(
-    setup: Setup, fixes: Fixes, offset_s: float, *, held: bool, after: Estimate | None = None
-) -> Estimate:
+    setup: ImuSetup, fixes: Fixes, offset_s: float, *, held: bool, after: MotionEstimate | None = None
+) -> MotionEstimate:
     """Estimate the motion from two logs, with the given clock offset as initial or fixed value.
 
     Noise and weights of the fixes, and the error class of the sensor, are estimated from the residuals.
@@ -642,7 +655,9 @@ def _at_offset(
     return max(attempts, key=lambda found: found.likelihood)
 
 
-def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> Estimate:
+def _start(
+    setup: ImuSetup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True
+) -> MotionEstimate:
     """Return the estimate before smoothing: initial state, its standard deviations, and fixes.
 
     The setup is in the world axes of the other log. Without another log, the path starts at the origin of the
@@ -664,13 +679,13 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
         if len(fixed):
             place = np.nan_to_num(fixed[0])
             place_sd += float(np.max(np.nan_to_num(np.ptp(fixed, axis=0))))
-        if fixes.measured[2]:
+        if fixes.has_angle[2]:
             yaw_sd = YAW_SD
     lever_sd = np.full(3, STATED_LEVER_SD)
     if setup.options.lever_m is None:
         # Convert the variances along body axes to those along sensor axes.
         lever_sd = np.sqrt(setup.mount.rotation.as_matrix() ** 2 @ np.square(LEVER_SD))
-    state = State(
+    state = MotionState(
         rotation=source.rotation[0],
         position=place,
         rate_bias=setup.still_rate,
@@ -687,10 +702,12 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
         "tilt": TILT_SD,
         "clock_s": HELD_CLOCK_SD if held else CLOCK_SD,
     }
-    return Estimate(replace(setup, source=source), state, sd, fixes)  # type: ignore[arg-type]
+    return MotionEstimate(replace(setup, source=source), state, sd, fixes)  # type: ignore[arg-type]
 
 
-def _with_noise(found: Estimate, steps: int = NOISE_STEPS, *, noise_known: bool = False) -> Estimate:
+def _with_noise(
+    found: MotionEstimate, steps: int = NOISE_STEPS, *, noise_known: bool = False
+) -> MotionEstimate:
     """Iterate noise and weights of the fixes, error class of the sensor and motion until convergence."""
     for step in range(steps):
         fixes = last = found.fixes
@@ -704,7 +721,7 @@ def _with_noise(found: Estimate, steps: int = NOISE_STEPS, *, noise_known: bool 
     return found
 
 
-def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
+def _residuals(fixes: Fixes, smoothed: SmoothedMotion) -> tuple[Array, Array]:
     """Return the residuals of the fixes, and the part of their variances that results from the motion.
 
     Both arrays have one column for each coordinate and angle, shape (m, 6).
@@ -728,7 +745,7 @@ def _is_measured(fixes: Fixes, residual: Array) -> Flags:
     return np.asarray(np.isfinite(residual) & ~plane)
 
 
-def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
+def _estimate_noise(smoothed: SmoothedMotion, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
     """Return a copy of the fixes with noise and weights estimated from their residuals.
 
     The fixes that are not outliers give the noise: the sum of their squared residuals, divided by the number
@@ -759,10 +776,10 @@ def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Arra
     weight = np.minimum(1.0, (GATE / np.fmax(np.fmax.reduce(far, axis=1), 1e-12)) ** 2)
     used = np.where(weight[:, None] == 1, [residual**2, variance / sd**2], np.nan)
     squares, absorbed = np.ma.masked_invalid(used).mean(axis=1).filled(np.nan)
-    return np.sqrt(squares / np.maximum(1.0 - absorbed, MIN_FREE)), weight
+    return np.sqrt(squares / np.maximum(1.0 - absorbed, MIN_NOISE_LEFT)), weight
 
 
-def _final_offset(smoothed: Smoothed) -> Offset:
+def _final_offset(smoothed: SmoothedMotion) -> Offset:
     """Return the clock offset that the smoother estimated, with its 95 % interval.
 
     The interval is widened if the innovations exceed their standard deviations.
@@ -772,7 +789,7 @@ def _final_offset(smoothed: Smoothed) -> Offset:
     widening = 1.0
     if seen:
         widening = max(float(np.sqrt(np.mean(np.concatenate(seen) ** 2))), 1.0)
-    value, place = float(smoothed.path.clock_s), smoother.PARTS["clock_s"].start
+    value, place = float(smoothed.path.clock_s), smoother.ERROR_SLICES["clock_s"].start
     sd = widening * float(np.sqrt(smoothed.errors.covariance[-1, place, place]))
     return Offset(value, sd, value - BAND * sd, value + BAND * sd)
 
@@ -780,7 +797,7 @@ def _final_offset(smoothed: Smoothed) -> Offset:
 # ---------------------------------------------------------------- tests of the result
 
 
-def _hold_out(found: Estimate) -> dict[str, float] | None:
+def _hold_out(found: MotionEstimate) -> dict[str, float] | None:
     """Predict every fourth block of fixes from the other blocks, and return the errors of the prediction.
 
     Return None for too few fixes.
@@ -792,7 +809,7 @@ def _hold_out(found: Estimate) -> dict[str, float] | None:
     if len(block) > 1 and np.median(np.diff(fixes.time_s)) > BLOCK_S:
         block = np.arange(len(block))
     out = block % 4 == 2
-    count = int(np.sum(out & (np.isfinite(fixes.position).any(axis=1) | fixes.turned)))
+    count = int(np.sum(out & (np.isfinite(fixes.position).any(axis=1) | fixes.has_attitude)))
     if count < MIN_HELD_OUT:
         return None
     held = found.setup.options.clock_offset_s is not None or found.agree
@@ -816,11 +833,11 @@ def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
     rows = np.isfinite(place).all(axis=1)
-    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_PATH_S)
+    fast = alignment.remove_drift(poses.time_s[rows], place[rows], alignment.SLOW_PATH_S)
     return held_out["rms_m"] ** 2 < (1 - alignment.MIN_EXPLAINED) * float(np.mean(fast**2))
 
 
-def _lasting_factor(found: Estimate) -> float:
+def _lasting_factor(found: MotionEstimate) -> float:
     """Return the factor by which correlated errors of the fixes enlarge the standard error of their mean.
 
     The factor is the square root of the integrated autocorrelation of the residuals. The sum ends before the

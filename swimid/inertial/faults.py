@@ -16,19 +16,19 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
+from swimid.imports.mapping import in_order
 from swimid.inertial import record as recording
-from swimid.inertial.record import CHANNELS, DEG, GRAVITY_M_S2, Array, Finding, Flags, Record, turns_of
+from swimid.inertial.record import CHANNELS, DEG, GRAVITY_M_S2, Array, Finding, Flags, ImuRecord, turns_of
+from swimid.kinematics.attitude import reorder_quaternion
 from swimid.logs import sampling
-from swimid.logs.kinematics import rearranged
 from swimid.logs.log import runs
-from swimid.logs.mapping import in_order
 
 #: Type of a test for a fault. A test returns the record, repaired if the fault was found, and a finding on
 #: the fault, or None without the fault. It raises an InputError for a fault that cannot be repaired.
-Test = Callable[[Record], tuple[Record, Finding | None]]
+Test = Callable[[ImuRecord], tuple[ImuRecord, Finding | None]]
 
 
-def repair(record: Record) -> tuple[Record, list[Finding]]:
+def repair(record: ImuRecord) -> tuple[ImuRecord, list[Finding]]:
     """Repair every fault of a record that can be repaired; return the record and findings on the faults.
 
     Raises
@@ -47,7 +47,7 @@ def repair(record: Record) -> tuple[Record, list[Finding]]:
 # ---------------------------------------------------------------- samples
 
 #: Maximum fraction of samples without a time stamp, and of missing values in a channel.
-MAX_MISSING = 0.5
+MAX_MISSING_SHARE = 0.5
 #: Maximum magnitude of a sensor reading, in any unit. Larger values are not measurements.
 MAX_READING = 1e5
 #: Maximum distance of a reading from the median of the other readings, divided by the range of the other
@@ -83,7 +83,7 @@ MAX_JERK = 3.0
 JUMP_S, JUMP_SAMPLES, JUMP_SD, MAX_JUMPS = 2.0, 101, 6.0, 0.1
 
 
-def find_stamps(record: Record) -> tuple[Record, Finding | None]:
+def find_stamps(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find time stamps that repeat or are out of order, and repair them; refuse a clock that was reset.
 
     A clock counts as reset if the time jumps back and continues from there. The repaired record is in order
@@ -96,7 +96,7 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
         text = f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there"
         hint = "was the clock reset or wrapped? cut the log there, one file for each piece"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
-    if gone > MAX_MISSING * len(record):
+    if gone > MAX_MISSING_SHARE * len(record):
         text = f"{gone} of {len(record)} samples have no time of their own"
         hint = "the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
@@ -107,7 +107,11 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
 
 
 def find_samples(
-    name: str, is_bad: Callable[[Record, Array], Flags], max_share: float, text: str, hint: str | None = None
+    name: str,
+    is_bad: Callable[[ImuRecord, Array], Flags],
+    max_share: float,
+    text: str,
+    hint: str | None = None,
 ) -> Test:
     """Return a test that interpolates the bad samples of each channel and flags them as interpolated.
 
@@ -127,19 +131,21 @@ def find_samples(
         Hint of the error for a refused channel.
     """
 
-    def test(record: Record) -> tuple[Record, Finding | None]:
+    def test(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         bad = np.column_stack([is_bad(record, values) for values in record.channels.T])
         share, sizes = bad.mean(axis=0), np.abs(np.nan_to_num(record.channels)) * bad
         worst = int(np.argmax(share))
         if share[worst] > max_share:
             said = f"{100 * share[worst]:.1f} % of the samples {text.format(largest=sizes[:, worst].max())}"
             raise InputError(said, file=record.name, column=CHANNELS[worst], hint=hint)
-        return interpolated(record, bad, name, text.format(largest=sizes.max()))
+        return interpolate_samples(record, bad, name, text.format(largest=sizes.max()))
 
     return test
 
 
-def interpolated(record: Record, bad: Flags, name: str, text: str) -> tuple[Record, Finding | None]:
+def interpolate_samples(
+    record: ImuRecord, bad: Flags, name: str, text: str
+) -> tuple[ImuRecord, Finding | None]:
     """Return a record whose bad samples, flags of shape (n, 6), are interpolated, and a finding on them."""
     if not bad.any():
         return record, None
@@ -153,12 +159,12 @@ def interpolated(record: Record, bad: Flags, name: str, text: str) -> tuple[Reco
     return fixed, Finding(name, "handled", said, count)
 
 
-def is_empty(record: Record, _: Array) -> Flags:
+def is_empty(record: ImuRecord, _: Array) -> Flags:
     """Return flags of samples that hold one value in every channel."""
     return np.asarray(np.ptp(record.channels, axis=1) == 0)
 
 
-def is_wild(_: Record, values: Array) -> Flags:
+def is_wild(_: ImuRecord, values: Array) -> Flags:
     """Return flags of readings that no motion can cause: glitches, and codes for a missing sample."""
     flags = np.abs(np.nan_to_num(values)) > MAX_READING
     known = np.flatnonzero(np.isfinite(values) & ~flags)
@@ -178,7 +184,7 @@ def is_wild(_: Record, values: Array) -> Flags:
     return flags
 
 
-def is_stuck(record: Record, values: Array) -> Flags:
+def is_stuck(record: ImuRecord, values: Array) -> Flags:
     """Return flags of samples in which a channel is stuck, that is, holds one value for a long time.
 
     A value that also occurs often in other samples results from coarse rounding and is not flagged.
@@ -197,13 +203,13 @@ def is_stuck(record: Record, values: Array) -> Flags:
     return flags
 
 
-def is_repeated(record: Record, _: Array) -> Flags:
+def is_repeated(record: ImuRecord, _: Array) -> Flags:
     """Return flags of samples that repeat the previous one, because the logger is faster than the sensor."""
     same = np.concatenate(([False], np.all(np.diff(record.channels, axis=0) == 0, axis=1)))
     return same & (MIN_REPEATED <= np.mean(same) <= MAX_REPEATED)
 
 
-def is_clipped(_: Record, values: Array) -> Flags:
+def is_clipped(_: ImuRecord, values: Array) -> Flags:
     """Return flags of samples that are clipped at the maximum or minimum of a channel.
 
     Without clipping, values become rare towards the maximum. A channel counts as clipped under two
@@ -222,7 +228,7 @@ def is_clipped(_: Record, values: Array) -> Flags:
     return flags
 
 
-def is_glitch(record: Record, values: Array) -> Flags:
+def is_glitch(record: ImuRecord, values: Array) -> Flags:
     """Return flags of single readings that differ from their neighbours far more than others do."""
     off = np.abs(values - median_filter(values, size=WINDOW, mode="nearest"))
     size = max(round(1.0 / record.step_s), 4 * WINDOW)
@@ -233,7 +239,7 @@ def is_glitch(record: Record, values: Array) -> Flags:
     return np.asarray(off > GLITCH * np.maximum(beside, np.min(off[off > 0], initial=np.inf)))
 
 
-def find_glitches(record: Record) -> tuple[Record, Finding | None]:
+def find_glitches(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find single corrupt readings, and interpolate them if the sensor has some of them in its rests.
 
     A moving sensor alone does not prove that a single high reading is corrupt, because it may be a jerk. No
@@ -242,12 +248,12 @@ def find_glitches(record: Record) -> tuple[Record, Finding | None]:
     """
     name, text = "corrupt readings", "differ from the readings around them"
     bad = np.column_stack([is_glitch(record, values) for values in record.channels.T])
-    fixed, found = interpolated(record, bad, name, text)
+    fixed, found = interpolate_samples(record, bad, name, text)
     if found is None or any(bad[rest.rows].any() for rest in recording.find_rests(fixed)):
         return fixed, found
     ranges = np.ptp(median_filter(record.rate, size=(WINDOW, 1), mode="nearest"), axis=0)
     far = np.abs(fixed.rate - record.rate) > MAX_JERK * ranges
-    return interpolated(record, np.hstack([np.zeros_like(far), far]), name, text)
+    return interpolate_samples(record, np.hstack([np.zeros_like(far), far]), name, text)
 
 
 def find_dead(column: str, fault: str, combine: Callable[[Flags], Any], text: str) -> Test:
@@ -265,7 +271,7 @@ def find_dead(column: str, fault: str, combine: Callable[[Flags], Any], text: st
         Returns whether the column is dead, from the flags of its k constant components.
     """
 
-    def test(record: Record) -> tuple[Record, Finding | None]:
+    def test(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         values, t = getattr(record, column), record.time_s
         if values is None:
             return record, None
@@ -282,14 +288,14 @@ def find_dead(column: str, fault: str, combine: Callable[[Flags], Any], text: st
             return replace(record, **{column: None}), Finding(fault, "handled", text)  # type: ignore[arg-type]
         known = values[rows]
         if column == "quaternion":
-            known = _signed(known)
+            known = _align_signs(known)
         known = recording.resampled(t, t[rows], known)
         return replace(record, **{column: known}), finding  # type: ignore[arg-type]
 
     return test
 
 
-def _signed(quaternion: Array) -> Array:
+def _align_signs(quaternion: Array) -> Array:
     """Return quaternions with signs for which the interpolation between successive ones is short.
 
     The quaternions q and -q are the same attitude.
@@ -302,26 +308,26 @@ def _corrupt_quaternions(count: int, text: str) -> Finding:
     return Finding("corrupt quaternions", "handled", f"{count} quaternions {text}, interpolated", count)
 
 
-def find_quaternion_jumps(record: Record) -> tuple[Record, Finding | None]:
+def find_quaternion_jumps(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find quaternions that jump to another attitude though the gyroscope does not turn; interpolate them."""
     if record.quaternion is None:
         return record, None
-    sensed = recording.integrated_attitude(record.time_s, record.rate, Rotation.identity())
+    sensed = recording.integrate_attitude(record.time_s, record.rate, Rotation.identity())
     apart = (recording.rotations(record.quaternion) * sensed.inv()).as_quat()
     size = min(round(JUMP_S / record.step_s), JUMP_SAMPLES) | 1
     # Align all signs with the first median, because a jump would reverse those after it.
-    apart *= np.sign(apart @ np.median(_signed(apart[:size]), axis=0))[:, None]
+    apart *= np.sign(apart @ np.median(_align_signs(apart[:size]), axis=0))[:, None]
     usual = median_filter(apart, size=(size, 1), mode="nearest")
     away = (Rotation.from_quat(apart) * Rotation.from_quat(usual).inv()).magnitude()
     bad = away > JUMP_SD * recording.QUATERNION_SD
     if not bad.any() or bad.mean() > MAX_JUMPS:
         return record, None
-    known = recording.resampled(record.time_s, record.time_s[~bad], _signed(record.quaternion[~bad]))
+    known = recording.resampled(record.time_s, record.time_s[~bad], _align_signs(record.quaternion[~bad]))
     text = f"jump by up to {np.max(away) / DEG:.0f} deg against the gyroscope"
     return replace(record, quaternion=known), _corrupt_quaternions(int(bad.sum()), text)
 
 
-def find_dropped(record: Record) -> tuple[Record, Finding | None]:
+def find_dropped(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find gaps in the time stamps of a record and report them; refuse a gap that is too long.
 
     Later integrals span the shorter gaps, and the noise model of the smoother accounts for them.
@@ -339,7 +345,7 @@ def find_dropped(record: Record) -> tuple[Record, Finding | None]:
     return record, Finding("dropped samples", "handled", text, count)
 
 
-def find_jitter(record: Record) -> tuple[Record, Finding | None]:
+def find_jitter(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find uneven time steps in a record and report them.
 
     No repair is needed, because all integrals use the time stamps of the samples.
@@ -394,7 +400,7 @@ ARRANGEMENTS = [
 ]
 
 
-def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
+def find_acceleration_unit(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find accelerations that are not in m/s^2; convert them from a known unit, or refuse the recording.
 
     The unit follows from the magnitude of the specific force at rest, which is that of gravity. This
@@ -429,7 +435,7 @@ def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
     return fixed, Finding("acceleration unit", "handled", text)
 
 
-def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
+def find_rate_unit(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find turn rates in degrees per second, by comparison with gravity or quaternions, and convert them.
 
     The rotation of gravity in sensor axes, or of the quaternions, must agree with the integrated turn rates.
@@ -452,7 +458,7 @@ def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
     return record, Finding("unconfirmed turn rates", "handled", text)
 
 
-def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
+def _gravity_residuals(record: ImuRecord, unit: float = 1.0) -> dict[int, float]:
     """Return the change of specific force along world axes for each order and sign of the gyroscope axes.
 
     The keys are indices in :data:`ARRANGEMENTS`. The specific force is averaged over blocks. If unit and axes
@@ -492,7 +498,7 @@ def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
     return found
 
 
-def _quaternion_residuals(record: Record, unit: float = 1.0) -> dict[tuple[str, str], float]:
+def _quaternion_residuals(record: ImuRecord, unit: float = 1.0) -> dict[tuple[str, str], float]:
     """Return the difference between rotations by quaternions and by gyroscope, for each convention.
 
     A convention is the order of the elements of a quaternion and the direction of its rotation. The sum of
@@ -507,16 +513,16 @@ def _quaternion_residuals(record: Record, unit: float = 1.0) -> dict[tuple[str, 
     if record.quaternion is None or len(record) <= MIN_ROTATIONS * size:
         return {}
     sensed = turns_of(
-        recording.integrated_attitude(record.time_s, unit * record.rate, Rotation.identity())[::size]
+        recording.integrate_attitude(record.time_s, unit * record.rate, Rotation.identity())[::size]
     )
     found = {}
     for convention in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
-        turned = turns_of(recording.rotations(rearranged(record.quaternion[::size], *convention)))
+        turned = turns_of(recording.rotations(reorder_quaternion(record.quaternion[::size], *convention)))
         found[convention] = float(np.sum((turned - sensed) ** 2) / max(np.sum(sensed**2), 1e-300))
     return found
 
 
-def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
+def find_swapped_axes(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find swapped or mirrored axes of the gyroscope, by comparison with the rotation of gravity.
 
     Out of 48 arrangements of the axes, the gyroscope gets the one that clearly explains the rotation of
@@ -550,7 +556,7 @@ def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
     return replace(record, rate=record.rate @ axes.T), Finding(name, "handled", text)
 
 
-def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
+def find_wrong_quaternions(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find quaternions that contradict the gyroscope in the stated convention, and remove them.
 
     They are removed only if they clearly agree with the gyroscope in another convention.
@@ -578,9 +584,11 @@ CLIPPED_HINT = "use a sensor, or a setting, with a larger range"
 #: Tests for faults of an inertial recording, in the order in which they run.
 TESTS: tuple[Test, ...] = (
     find_stamps,
-    find_samples("empty samples", is_empty, MAX_MISSING, "hold one value in every channel, {largest:.4g}"),
-    find_samples("wild readings", is_wild, MAX_MISSING, "exceed any motion (up to {largest:.4g})"),
-    find_samples("missing cells", lambda _, values: ~np.isfinite(values), MAX_MISSING, "are missing"),
+    find_samples(
+        "empty samples", is_empty, MAX_MISSING_SHARE, "hold one value in every channel, {largest:.4g}"
+    ),
+    find_samples("wild readings", is_wild, MAX_MISSING_SHARE, "exceed any motion (up to {largest:.4g})"),
+    find_samples("missing cells", lambda _, values: ~np.isfinite(values), MAX_MISSING_SHARE, "are missing"),
     find_samples("dead channel", is_stuck, MAX_STUCK, "are stuck at one value", WIRING_HINT),
     find_dead("magnetic", "dead magnetometer", np.any, "the magnetometer is constant or has gaps, not used"),
     find_dead("quaternion", "dead quaternions", np.all, NO_QUATERNIONS),

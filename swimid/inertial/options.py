@@ -8,13 +8,7 @@ from swimid.options import Options, Source, option
 
 
 class TrackImuOptions(
-    Options,
-    command="track imu",
-    section="Make logs",
-    argument="IMU",
-    output="The log, CSV or Parquet by its ending.",
-    required=True,
-    makes="log",
+    Options, argument="IMU", output="The log, CSV or Parquet by its ending.", required=True, makes="log"
 ):
     """Compute velocity, position and attitude from an inertial recording, each with its uncertainty band.
 

@@ -20,12 +20,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from swimid.errors import InputError, UsageError, extra_needed
 from swimid.files.provenance import path_of
-from swimid.files.tabular import missing_column
+from swimid.files.tabular import column_error
+from swimid.imports import mapping
+from swimid.imports.clocks import BAND as BAND
+from swimid.imports.clocks import resample as resampled
 from swimid.inertial.options import TrackImuOptions
-from swimid.logs import log, mapping, tracks
-from swimid.logs.clocks import BAND as BAND
-from swimid.logs.clocks import resampled as resampled
-from swimid.logs.kinematics import angles, from_angles, with_angles
+from swimid.kinematics.attitude import angles, from_angles, with_angles
+from swimid.kinematics.jumps import clean_track
+from swimid.logs import log
 from swimid.logs.log import Log, runs
 from swimid.logs.sampling import usual_step
 from swimid.notices import Progress, warn
@@ -43,7 +45,7 @@ MAGNETIC = ("mx", "my", "mz")
 #: Standard gravity, m/s^2 (CGPM 1901).
 GRAVITY_M_S2 = 9.80665
 #: Minimum number of samples of a recording.
-MIN_SAMPLES = 64
+MIN_RECORD_SAMPLES = 64
 #: Maximum magnitude of a coordinate in the other log, m. Larger values are codes for a missing sample.
 MAX_POSITION_M = 1e4
 #: Minimum number of samples, and maximum sample time (s), of a track that is searched for jumps and repeated
@@ -52,7 +54,7 @@ MIN_TRACK_SAMPLES, MAX_TRACK_STEP_S = 40, 0.25
 
 
 @dataclass(frozen=True)
-class Record:
+class ImuRecord:
     """Recording of n samples of an inertial unit, in the axes of the sensor."""
 
     time_s: Array
@@ -87,7 +89,7 @@ class Record:
         """Accelerations and turn rates as columns in the order of :data:`CHANNELS`, shape (n, 6)."""
         return np.hstack([self.acceleration, self.rate])
 
-    def take(self, rows: Any) -> Record:
+    def take(self, rows: Any) -> ImuRecord:
         """Return a copy of the record with only the rows selected by indices or flags."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)
@@ -139,13 +141,13 @@ class Poses:
     time_s: Array
     #: Positions along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
-    #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.kinematics.angles`, shape (m, 3); NaN
-    #: where not measured. A log has all three angles, or only yaw, or only pitch, or none. A row has all
+    #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.kinematics.attitude.angles`, shape (m, 3);
+    #: NaN where not measured. A log has all three angles, or only yaw, or only pitch, or none. A row has all
     #: angles of its log or none.
     angles: Array
 
     @property
-    def measured(self) -> Flags:
+    def has_angle(self) -> Flags:
         """Flags of roll, pitch and yaw: whether the other log measures the angle at any time, shape (3,)."""
         return np.asarray(np.isfinite(self.angles).any(axis=0))
 
@@ -155,7 +157,7 @@ class Poses:
         return from_angles(*np.nan_to_num(self.angles).T)
 
     @property
-    def turned(self) -> Flags:
+    def has_attitude(self) -> Flags:
         """Flags of the poses in which all measured angles are known, shape (m,)."""
         return np.asarray(np.isfinite(self.angles).any(axis=1))
 
@@ -165,7 +167,7 @@ class Poses:
 
 def read_record(
     given: Path | Log, rules: mapping.Mapping | None, named: Path, progress: Progress
-) -> tuple[Record, list[str]]:
+) -> tuple[ImuRecord, list[str]]:
     """Read a recording without repairing its faults; also return notes on the reading.
 
     Parameters
@@ -189,16 +191,16 @@ def read_record(
         lacking = [name for name in names if name not in columns]
         if lacking and (names != MAGNETIC or len(lacking) < len(names)):
             text = f"an inertial log needs all of {', '.join(names)}"
-            raise missing_column(lacking[0], list(columns), named, None, text)
-    if len(mapped) < MIN_SAMPLES:
-        text = f"has {len(mapped)} samples; at least {MIN_SAMPLES} are needed"
+            raise column_error(lacking[0], list(columns), named, None, text)
+    if len(mapped) < MIN_RECORD_SAMPLES:
+        text = f"has {len(mapped)} samples; at least {MIN_RECORD_SAMPLES} are needed"
         raise InputError(text, file=path)
 
     parts = [
         np.column_stack([columns[name] for name in names]) if set(names) <= set(columns) else None
         for names in (ACCELERATION, RATE, QUATERNION, MAGNETIC)
     ]
-    record = Record(columns[log.TIME], *parts, metadata=mapped.metadata, name=path.name)  # type: ignore[arg-type,misc]
+    record = ImuRecord(columns[log.TIME], *parts, metadata=mapped.metadata, name=path.name)  # type: ignore[arg-type,misc]
     return record, mapped.notes
 
 
@@ -252,7 +254,7 @@ def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
     repeated = np.zeros_like(wrong)
     seen = np.flatnonzero(np.isfinite(position).any(axis=0))
     if len(read) >= MIN_TRACK_SAMPLES and usual_step(read.time_s) <= MAX_TRACK_STEP_S and len(seen) > 1:
-        cleaning = tracks.clean(read.time_s, [position[:, k] for k in seen], list(turn.T))
+        cleaning = clean_track(read.time_s, [position[:, k] for k in seen], list(turn.T))
         repeated, wrong = cleaning.repeated, wrong | cleaning.jumped
     out = repeated | wrong
     if out.any():
@@ -264,7 +266,7 @@ def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
 # ---------------------------------------------------------------- dead reckoning
 
 
-def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation:
+def integrate_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation:
     """Return the attitude at every sample, computed by integration of the turn rates.
 
     Parameters
@@ -352,7 +354,7 @@ DRIFT_TIME_S = 100.0
 WINDOW_S, MIN_REST_S = 0.5, 1.4
 #: Fraction of the windows of a recording that are assumed to be still. The largest standard deviation of the
 #: readings in these windows is taken for the noise.
-NOISE_SHARE = 0.05
+STILL_SHARE = 0.05
 #: Maximum standard deviation of the readings in a still window, divided by that of the noise.
 NOISE_RATIO = 2.0
 #: Minimum values of the limits below which a window is still: standard deviation of specific force (m/s^2)
@@ -385,7 +387,7 @@ class Rest:
         return slice(self.first, self.last)
 
 
-def find_rests(record: Record) -> list[Rest]:
+def find_rests(record: ImuRecord) -> list[Rest]:
     """Return the periods of a record in which the sensor does not move.
 
     A window is still if the standard deviations of specific force and turn rate are at most ``NOISE_RATIO``
@@ -401,12 +403,12 @@ def find_rests(record: Record) -> list[Rest]:
     if len(record) < 3 * size:
         return []
     deviations = [_deviation(values, size) for values in (record.acceleration, record.rate)]
-    noises = [max(float(np.quantile(d, NOISE_SHARE)), 1e-9) for d in deviations]
+    noises = [max(float(np.quantile(d, STILL_SHARE)), 1e-9) for d in deviations]
     limits = np.maximum(np.multiply(NOISE_RATIO, noises), (MIN_MOTION_ACCELERATION, MIN_MOTION_RATE))
     steady = (deviations[0] <= limits[0]) & (deviations[1] <= limits[1])
     if not steady.any() or noises[0] > MAX_REST_ACCELERATION or noises[1] > MAX_REST_RATE:
         return []
-    mean_rate = _moving_mean(record.rate, size)
+    mean_rate = _average_windows(record.rate, size)
     off = np.linalg.norm(mean_rate - np.median(mean_rate[steady], axis=0), axis=1)
     rests = []
     for first, last in runs(steady & (off <= limits[1])).tolist():
@@ -420,7 +422,7 @@ def find_rests(record: Record) -> list[Rest]:
     return rests
 
 
-def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
+def mean_accelerations(record: ImuRecord, rests: list[Rest]) -> Array:
     """Return the mean specific force in each still period, m/s^2, shape (periods, 3).
 
     Without still periods the result is the mean over the whole record.
@@ -429,7 +431,7 @@ def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
     return np.array([part.mean(axis=0) for part in parts])
 
 
-def mean_rate(record: Record, rests: list[Rest]) -> Array:
+def mean_rate(record: ImuRecord, rests: list[Rest]) -> Array:
     """Return the mean turn rate of each still period, and of these the median, rad/s, shape (3,).
 
     Without still periods the result is 0.
@@ -439,7 +441,7 @@ def mean_rate(record: Record, rests: list[Rest]) -> Array:
     return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))
 
 
-def _declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Rest]:
+def _make_stated_rests(record: ImuRecord, windows: Sequence[tuple[float, float]]) -> list[Rest]:
     """Return the rests of the robot that the user states by start and end times, s.
 
     Raises
@@ -452,7 +454,7 @@ def _declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Re
     rests = []
     for start, end in windows:
         if not start < end:
-            raise UsageError(f"--still {start:g} {end:g}: the rest must end after it begins")
+            raise UsageError(f"--still {start:g} {end:g}: the rest ends before it begins")
         first, last = (int(row) for row in np.searchsorted(record.time_s, [start, end]))
         if last - first < 4:
             continue
@@ -465,7 +467,7 @@ def _declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Re
     return rests
 
 
-def _rest(record: Record, first: int, last: int) -> Rest:
+def _rest(record: ImuRecord, first: int, last: int) -> Rest:
     edge = EDGE_SHARE * len(record)
     if first <= edge:
         return Rest(first, last, "start")
@@ -473,7 +475,7 @@ def _rest(record: Record, first: int, last: int) -> Rest:
 
 
 @dataclass(frozen=True)
-class Noise:
+class SensorNoise:
     """Densities of the white noise of accelerometer and gyroscope, per square root of 1 Hz."""
 
     acceleration_m_s2_per_rt_hz: float
@@ -484,10 +486,10 @@ class Noise:
 
 #: Noise that is assumed for a record without still periods (MicroStrain 3DM-GX1 data sheet; Shang et al.
 #: 2012, Table I).
-DATA_SHEET = Noise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
+DATA_SHEET = SensorNoise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
 
 
-def measure_noise(record: Record, rests: list[Rest]) -> Noise:
+def measure_noise(record: ImuRecord, rests: list[Rest]) -> SensorNoise:
     """Return the noise densities of the sensor, measured in its still periods and averaged over the axes.
 
     Without still periods the result is the noise of the data sheet.
@@ -499,10 +501,10 @@ def measure_noise(record: Record, rests: list[Rest]) -> Noise:
         steps = np.vstack([np.diff(values[r.rows], axis=0) for r in rests])
         densities.append(np.sqrt(record.step_s / 2) * float(np.sqrt(np.mean(steps**2))))
     acceleration, rate = densities
-    return Noise(acceleration, rate, "still periods")
+    return SensorNoise(acceleration, rate, "still periods")
 
 
-def _moving_mean(values: Array, size: int) -> Array:
+def _average_windows(values: Array, size: int) -> Array:
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="nearest"))
 
 
@@ -512,7 +514,7 @@ def _deviation(values: Array, size: int) -> Array:
     The result has the shape (n,). It is the square root of the sum of the variances of all axes.
     """
     centred = values - values.mean(axis=0)
-    spread = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
+    spread = _average_windows(centred**2, size) - _average_windows(centred, size) ** 2
     return np.sqrt(np.maximum(spread.sum(axis=1), 0.0))
 
 
@@ -534,7 +536,7 @@ REST_PLACES = {"ends": ("start", "end"), "all": ("start", "between", "end"), "no
 
 
 @dataclass(frozen=True)
-class Source:
+class AttitudeSource:
     """Attitude of the sensor at every sample before smoothing, and its source."""
 
     #: Rotation from sensor to world axes at each of n samples.
@@ -561,18 +563,18 @@ class Mount:
 
 
 @dataclass(frozen=True)
-class Setup:
+class ImuSetup:
     """Inertial record, with rests, noise, mounting and attitude, as known before the motion is estimated."""
 
-    record: Record
+    record: ImuRecord
     options: TrackImuOptions
     #: Still periods of the sensor, those among them that count as rests of the robot, and noise of the
     #: sensor.
     still: list[Rest]
     rests: list[Rest]
-    noise: Noise
+    noise: SensorNoise
     mount: Mount
-    source: Source
+    source: AttitudeSource
     #: Standard deviations of the errors of the sensor.
     sensor: Sensor = Sensor()
     #: Function that shows the progress and is called after each application of the smoother.
@@ -589,7 +591,7 @@ class Setup:
         return mean_rate(self.record, self.still)
 
     @property
-    def body(self) -> Record:
+    def body(self) -> ImuRecord:
         """Record converted to body axes by the mounting, which follows from gravity or from the user."""
         turn, record = self.mount.rotation.inv(), self.record
         return replace(record, acceleration=turn.apply(record.acceleration), rate=turn.apply(record.rate))
@@ -604,7 +606,7 @@ class Setup:
         """Vector from the sensor to the body's reference point (lever), in sensor axes, m, shape (3,)."""
         return np.asarray(self.mount.rotation.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
 
-    def without(self, rests: list[Rest]) -> Setup:
+    def drop_rests(self, rests: list[Rest]) -> ImuSetup:
         """Return a copy of the setup without the given rests of the robot.
 
         An attitude from a filter is estimated again without these rests.
@@ -613,18 +615,18 @@ class Setup:
         return replace(self, still=still, rests=used, source=_attitude(self.record, still))
 
 
-def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Finding]]:
+def prepare_setup(record: ImuRecord, options: TrackImuOptions) -> tuple[ImuSetup, list[Finding]]:
     """Find rests, noise, mounting and attitude of a record; return its setup and findings on the mounting."""
-    stated, places = _declared(record, options.still), REST_PLACES[options.rests]
+    stated, places = _make_stated_rests(record, options.still), REST_PLACES[options.rests]
     free = [r for r in find_rests(record) if not any(r.first < d.last and d.first < r.last for d in stated)]
     still = sorted([*stated, *free], key=lambda rest: rest.first)
     rests = [rest for rest in still if rest in stated or rest.at in places]
     mount, findings = find_mount(record, still, options)
     noise, source = measure_noise(record, still), _attitude(record, still)
-    return Setup(record, options, still, rests, noise, mount, source), findings
+    return ImuSetup(record, options, still, rests, noise, mount, source), findings
 
 
-def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> tuple[Mount, list[Finding]]:
+def find_mount(record: ImuRecord, rests: list[Rest], options: TrackImuOptions) -> tuple[Mount, list[Finding]]:
     """Find the mounting of the sensor on the body without another log.
 
     A log with quaternion columns is taken to be in body axes, since the quaternions convert from body to
@@ -672,7 +674,7 @@ def _level(up: Array) -> Rotation:
     return Rotation.align_vectors(up[None], [[0.0, 0.0, 1.0]])[0]
 
 
-def _attitude(record: Record, rests: list[Rest]) -> Source:
+def _attitude(record: ImuRecord, rests: list[Rest]) -> AttitudeSource:
     """Return the attitude of the sensor before smoothing, and its source.
 
     The attitude is that of the quaternion columns. If there are none, it is estimated from turn rates,
@@ -681,7 +683,7 @@ def _attitude(record: Record, rests: list[Rest]) -> Source:
     0.
     """
     if record.quaternion is not None:
-        return Source(rotations(record.quaternion), True, QUATERNIONS)
+        return AttitudeSource(rotations(record.quaternion), True, QUATERNIONS)
     with extra_needed("an attitude from turn rates and accelerations", "imu"):
         import vqf
 
@@ -696,7 +698,9 @@ def _attitude(record: Record, rests: list[Rest]) -> Source:
         rotation = Slerp(grid, rotation)(np.clip(t, grid[0], grid[-1]))
     if field is None:
         yaw = rotation[0].as_euler("ZYX")[0]
-        return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
+        return AttitudeSource(
+            Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer"
+        )
     # Use the world axes of VQF, which are east, north and up, as they are. Yaw is counted from x, which is
     # east.
-    return Source(rotation, True, "gyroscope, accelerometer and magnetometer")
+    return AttitudeSource(rotation, True, "gyroscope, accelerometer and magnetometer")

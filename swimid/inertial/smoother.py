@@ -26,13 +26,13 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from swimid.inertial import record as recording
-from swimid.inertial.record import Array, Noise, Record, Sensor, Setup, integral, resampled
-from swimid.logs.kinematics import angles
+from swimid.inertial.record import Array, ImuRecord, ImuSetup, Sensor, SensorNoise, integral, resampled
+from swimid.kinematics.attitude import angles
 from swimid.logs.log import runs
 
 #: Slice of each quantity in the vector of errors that the smoother estimates. Errors of scale are 3 x 3
 #: matrices, stored by rows.
-PARTS = {
+ERROR_SLICES = {
     "position": slice(0, 3),
     "velocity": slice(3, 6),
     "rotation": slice(6, 9),
@@ -49,7 +49,7 @@ PARTS = {
 ALONE, FUSED = 33, 42
 #: Number of elements of the vector of errors that follow the equations of motion (position, velocity and
 #: attitude). The other errors are constant or drift.
-MOVING = 9
+N_MOTION_ERRORS = 9
 
 
 #: Names of the quantities whose errors change from sample to sample.
@@ -65,7 +65,7 @@ HIDDEN_S, RHYTHM_S = 0.1, 0.5
 #: For long records the time between them is longer.
 NODE_S, MAX_NODES = 0.02, 20_000
 #: Value added to the diagonal of a predicted correlation matrix, so that the matrix can be inverted.
-RIDGE = 1e-12
+NODE_RIDGE = 1e-12
 
 
 def jacobian(states: int, *shape: int, **by: Array) -> Array:
@@ -77,12 +77,12 @@ def jacobian(states: int, *shape: int, **by: Array) -> Array:
         Number of elements of the vector of errors. Quantities beyond this number, which need another log, are
         omitted.
     **by : ndarray
-        Derivatives with respect to a quantity, by its name in :data:`PARTS`. Other derivatives are 0.
+        Derivatives with respect to a quantity, by its name in :data:`ERROR_SLICES`. Other derivatives are 0.
     """
     out = np.zeros((*shape, states))
     for name, values in by.items():
-        if PARTS[name].stop <= states:
-            out[..., PARTS[name]] = values
+        if ERROR_SLICES[name].stop <= states:
+            out[..., ERROR_SLICES[name]] = values
     return out
 
 
@@ -201,7 +201,7 @@ def smooth_errors(
     for k in range(nodes):
         if k:
             mean = transition[k - 1] @ mean
-            mean[:MOVING] += defect[k - 1]
+            mean[:N_MOTION_ERRORS] += defect[k - 1]
             cov = transition[k - 1] @ cov @ transition[k - 1].T + noise[k - 1]
         predicted[k], predicted_cov[k] = mean, cov
         for seen in at.get(k, ()):
@@ -216,7 +216,7 @@ def smooth_errors(
     for k in range(nodes - 2, -1, -1):
         # Divide the errors by their standard deviations, because these differ by many powers of ten.
         size = np.sqrt(np.maximum(np.diag(predicted_cov[k + 1]), 1e-300))[:, None]
-        scaled = predicted_cov[k + 1] / size / size.T + RIDGE * np.eye(states)
+        scaled = predicted_cov[k + 1] / size / size.T + NODE_RIDGE * np.eye(states)
         gain = (np.linalg.solve(scaled, transition[k] @ covs[k] / size) / size).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
         # Joseph's form: a difference of nearly equal covariances would be rounding error.
@@ -249,7 +249,7 @@ def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, A
     return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely
 
 
-def cross_matrix(vectors: Array) -> Array:
+def skew_matrices(vectors: Array) -> Array:
     """Return the matrices M with ``M u = v x u`` for vectors v, shape (..., 3, 3)."""
     return np.swapaxes(np.cross(vectors[..., None, :], np.eye(3)), -1, -2)
 
@@ -258,8 +258,8 @@ def cross_matrix(vectors: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class State:
-    """State of the motion and of the sensor: the quantities whose errors are in :data:`PARTS`.
+class MotionState:
+    """State of the motion and of the sensor: the quantities whose errors are in :data:`ERROR_SLICES`.
 
     A state holds these quantities at one time or, for a path, at n samples.
     """
@@ -285,10 +285,10 @@ class State:
     #: Clock offset: time that is added to the time stamps of the other log, s.
     clock_s: float = 0.0
 
-    def corrected(self, error: Array) -> Self:
+    def correct(self, error: Array) -> Self:
         """Return the state corrected by an error, shape (states,), or (n, states) for a path."""
         parts: dict[str, Any] = {}
-        for name, part in PARTS.items():
+        for name, part in ERROR_SLICES.items():
             off, value = error[..., part], getattr(self, name)
             if not off.size:
                 break  # without another log the vector of errors is shorter
@@ -300,10 +300,10 @@ class State:
                 parts[name] = value + off.reshape(np.shape(value))
         return replace(self, **parts)
 
-    def minus(self, other: State) -> Array:
+    def minus(self, other: MotionState) -> Array:
         """Return the difference between this state and another one as a vector of errors, shape (FUSED,)."""
         parts = []
-        for name in PARTS:
+        for name in ERROR_SLICES:
             here, there = getattr(self, name), getattr(other, name)
             if isinstance(here, Rotation):
                 parts.append((here * there.inv()).as_rotvec())
@@ -313,7 +313,7 @@ class State:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nominal(State):
+class Nominal(MotionState):
     """Path at n samples, about which the smoother linearises and estimates the errors."""
 
     time_s: Array
@@ -338,7 +338,7 @@ class Nominal(State):
 
 
 @dataclass(frozen=True)
-class Smoothed:
+class SmoothedMotion:
     """Result of the smoother: path after correction of its errors, and covariance of the remaining errors."""
 
     path: Nominal
@@ -348,7 +348,7 @@ class Smoothed:
     #: Errors of the path that were estimated in the last iteration of the smoother.
     errors: Errors
     #: State at the first sample, from which a further iteration of the smoother would start.
-    origin: State
+    origin: MotionState
     #: Error class of the sensor that was assumed.
     sensor: Sensor
 
@@ -364,17 +364,17 @@ def gravity(tilt: Array) -> Array:
     return -recording.GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
-def smooth(
-    setup: Setup,
-    start: State,
+def smooth_motion(
+    setup: ImuSetup,
+    start: MotionState,
     sd: Mapping[str, Any],
     sensor: Sensor,
     observe: Callable[[Nominal], list[Observation]],
     *,
     states: int = ALONE,
-    after: Smoothed | None = None,
+    after: SmoothedMotion | None = None,
     passes: int = PASSES,
-) -> Smoothed:
+) -> SmoothedMotion:
     """Estimate the most likely motion of the sensor, with the covariance of its errors.
 
     Parameters
@@ -398,10 +398,10 @@ def smooth(
     """
     record = setup.record
     if after is None:
-        now, path = start, _integrated(setup, start, states)
+        now, path = start, _integrate(setup, start, states)
     else:
         now, path = after.origin, _about(record, after.origin, after.path)
-    driving = _driving_noise(record, sensor, setup.noise, path)
+    driving = _compute_process_noise(record, sensor, setup.noise, path)
     covariance = _start_covariance(sd, sensor, states)
     for turn in range(passes):
         if turn:
@@ -411,14 +411,14 @@ def smooth(
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
         # Take constant biases for the next linearisation, equal to the means over the record.
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
-        begin[MOVING:ALONE] = mean[MOVING:ALONE]
-        now, about = now.corrected(begin), path
-        path = path.corrected(resampled(path.time_s, path.node_s, errors.mean))
+        begin[N_MOTION_ERRORS:ALONE] = mean[N_MOTION_ERRORS:ALONE]
+        now, about = now.correct(begin), path
+        path = path.correct(resampled(path.time_s, path.node_s, errors.mean))
         path = _with_readings(record, path)
-    return Smoothed(path, about, errors, now, sensor)
+    return SmoothedMotion(path, about, errors, now, sensor)
 
 
-def _integrated(setup: Setup, start: State, states: int) -> Nominal:
+def _integrate(setup: ImuSetup, start: MotionState, states: int) -> Nominal:
     """Return the path by integration of the accelerations along the attitude before smoothing."""
     record, t = setup.record, setup.record.time_s
     nodes = np.arange(len(record))
@@ -431,15 +431,15 @@ def _integrated(setup: Setup, start: State, states: int) -> Nominal:
     return replace(path, velocity=velocity, position=integral(t, velocity, start.position))
 
 
-def _about(record: Record, origin: State, path: Nominal) -> Nominal:
+def _about(record: ImuRecord, origin: MotionState, path: Nominal) -> Nominal:
     """Return a copy of the path with biases, scales and other constants from the state ``origin``."""
-    constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
+    constant = {name: getattr(origin, name) for name in ERROR_SLICES if name not in CHANGING}
     for name in ("acceleration_bias", "rate_bias"):
         constant[name] = np.broadcast_to(getattr(origin, name), path.rate.shape)
     return _with_readings(record, replace(path, **constant))
 
 
-def _with_readings(record: Record, path: Nominal) -> Nominal:
+def _with_readings(record: ImuRecord, path: Nominal) -> Nominal:
     """Return a copy of the path with readings corrected by the biases and scales of the path."""
     force = record.acceleration - path.acceleration_bias - record.acceleration @ path.acceleration_scale.T
     rate = record.rate - path.rate_bias - record.rate @ path.rate_scale.T
@@ -455,11 +455,13 @@ def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Arr
         "acceleration_scale": sensor.scale_sd,
         "rate_scale": sensor.scale_sd,
     }
-    parts = [np.broadcast_to(sds.get(name, 0.0), part.stop - part.start) for name, part in PARTS.items()]
+    parts = [
+        np.broadcast_to(sds.get(name, 0.0), part.stop - part.start) for name, part in ERROR_SLICES.items()
+    ]
     return np.diag(np.concatenate(parts)[:states] ** 2)
 
 
-def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
+def _transitions(record: ImuRecord, path: Nominal) -> tuple[Array, Array]:
     """Return transition matrices of the errors between successive nodes, and the defects of the path.
 
     The matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of
@@ -484,7 +486,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
         parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
         return np.stack(parts, axis=-1).reshape(-1, 3, 9)
 
-    by_force, by_bias = -cross_matrix(mean(path.rotation.apply(path.force))), -mean(turn)
+    by_force, by_bias = -skew_matrices(mean(path.rotation.apply(path.force))), -mean(turn)
     by_scale_a, by_scale_w = -turn_by(record.acceleration), -turn_by(record.rate)
     by_tilt = -recording.GRAVITY_M_S2 * np.eye(3)[:, :2]
     place = jacobian(states, len(dt), 3, velocity=np.eye(3))
@@ -494,13 +496,13 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
     )  # fmt: skip
     angle = jacobian(states, len(dt), 3, rate_bias=by_bias, rate_scale=by_scale_w)
     f = np.concatenate([place, speed, angle], axis=1) * dt[:, :, None]
-    square = f[:, :, :MOVING] @ f
+    square = f[:, :, :N_MOTION_ERRORS] @ f
     transition = np.tile(np.eye(states), (len(dt), 1, 1))
-    transition[:, :MOVING] += f + square / 2 + f[:, :, :MOVING] @ square / 6
+    transition[:, :N_MOTION_ERRORS] += f + square / 2 + f[:, :, :N_MOTION_ERRORS] @ square / 6
     velocity = integral(t, path.acceleration)
     position = integral(t, velocity)
     first, last = rows[:-1], rows[1:]
-    sensed = recording.integrated_attitude(t, path.rate, path.rotation[0])
+    sensed = recording.integrate_attitude(t, path.rate, path.rotation[0])
     step = sensed[first].inv() * sensed[last]
     defect = np.hstack(
         [
@@ -513,7 +515,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
     return transition, defect
 
 
-def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) -> Array:
+def _compute_process_noise(record: ImuRecord, sensor: Sensor, noise: SensorNoise, path: Nominal) -> Array:
     """Return the noise covariance of the errors in each step, shape (steps, states, states).
 
     A step leads from one node to the next. The covariance contains the noise of the sensor, its nonlinearity,
@@ -566,7 +568,7 @@ EMPTIED = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd"
 Motion = dict[str, Array]
 
 
-def _carried(smoothed: Smoothed) -> tuple[Array, Array, Array, Array]:
+def _transfer_velocity(smoothed: SmoothedMotion) -> tuple[Array, Array, Array, Array]:
     """Return the velocity of the reference point, and derivatives of the motion of this point by the errors.
 
     The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
@@ -578,24 +580,24 @@ def _carried(smoothed: Smoothed) -> tuple[Array, Array, Array, Array]:
     matrix = rotation.as_matrix()
     shape = (path.states, len(rows), 3)
     arm, swing = rotation.apply(lever), rotation.apply(np.cross(rate, lever))
-    by_place = jacobian(*shape, position=np.eye(3), rotation=-cross_matrix(arm), lever=matrix)
+    by_place = jacobian(*shape, position=np.eye(3), rotation=-skew_matrices(arm), lever=matrix)
     by_speed = jacobian(
         *shape,
         velocity=np.eye(3),
-        rotation=-cross_matrix(swing),
-        rate_bias=matrix @ cross_matrix(lever),
-        lever=matrix @ cross_matrix(rate),
+        rotation=-skew_matrices(swing),
+        rate_bias=matrix @ skew_matrices(lever),
+        lever=matrix @ skew_matrices(rate),
     )
     by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
     velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
     return velocity, by_place, by_speed, by_turn
 
 
-def at_reference(smoothed: Smoothed) -> Motion:
+def at_reference(smoothed: SmoothedMotion) -> Motion:
     """Return the smoothed motion of the reference point of the body, with standard deviations."""
     path, covariance = smoothed.path, smoothed.errors.covariance
     body, rows = path.rotation * path.mount, path.nodes
-    velocity, by_place, by_speed, by_turn = _carried(smoothed)
+    velocity, by_place, by_speed, by_turn = _transfer_velocity(smoothed)
     by_body_speed = _in_body(body[rows], velocity[rows], by_speed, by_turn)
 
     def sd(jacobian: Array) -> Array:
@@ -637,10 +639,10 @@ def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Ar
     of derivatives.
     """
     to_body = np.swapaxes(body.as_matrix(), 1, 2)
-    return np.asarray(to_body @ (speed_error + cross_matrix(velocity) @ turn_error))
+    return np.asarray(to_body @ (speed_error + skew_matrices(velocity) @ turn_error))
 
 
-def surge_within_stroke(smoothed: Smoothed, cutoff_hz: float) -> Motion:
+def surge_within_stroke(smoothed: SmoothedMotion, cutoff_hz: float) -> Motion:
     """Return the high-pass filtered surge velocity (oscillation within a stroke), and its standard deviation.
 
     The result has the entry ``surge``, m/s, shape (n, 1). The velocity is high-pass filtered along world axes
@@ -654,7 +656,7 @@ def surge_within_stroke(smoothed: Smoothed, cutoff_hz: float) -> Motion:
     gravity and motion, and errors of the attitude times gravity.
     """
     path, nodes = smoothed.path, len(smoothed.path.nodes)
-    velocity, _, by_speed, by_turn = _carried(smoothed)
+    velocity, _, by_speed, by_turn = _transfer_velocity(smoothed)
     body, fast = path.rotation * path.mount, _high_pass(path.time_s, velocity, cutoff_hz)
     drawn = smoothed.errors.draw(np.concatenate([by_speed, by_turn], axis=1), N_DRAWS)
     speed = _high_pass(path.node_s, drawn[:, :3].reshape(nodes, -1), cutoff_hz).reshape(nodes, 3, N_DRAWS)

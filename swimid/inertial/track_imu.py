@@ -12,30 +12,38 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
+from swimid.imports import mapping
 from swimid.inertial import estimate as estimation
 from swimid.inertial import faults, smoother
 from swimid.inertial import record as recording
-from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Estimate
+from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, MotionEstimate
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import BAND, DEG, GRAVITY_M_S2, Array, Finding, Record, Setup
-from swimid.inertial.smoother import Motion, Smoothed
-from swimid.logs import beat, log, mapping
-from swimid.logs.beat import Rhythm
+from swimid.inertial.record import BAND, DEG, GRAVITY_M_S2, Array, Finding, ImuRecord, ImuSetup
+from swimid.inertial.smoother import Motion, SmoothedMotion
+from swimid.kinematics import frequency
+from swimid.kinematics.frequency import read_frequency
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.stroke import Rhythm, find_stroke
+from swimid.logs import log
 from swimid.logs.log import Log, LogLike
-from swimid.logs.tracks import Logged
-from swimid.notices import Notice, Progress, recorded, silent, warn
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
-from swimid.results.evidence import Check, Evidence, Figure, Panel, Table, Trace, check, judged, leaf_table
+from swimid.results.evidence import (
+    Check,
+    Evidence,
+    Figure,
+    Panel,
+    Table,
+    Trace,
+    leaf_table,
+    make_check,
+    make_verdict,
+)
 
 
 class Integrated(Logged):
     """Result of ``track_imu``: log with velocity, position and attitude."""
-
-    keys = {
-        "method": str, "attitude_from": str, "still_periods": list[dict[str, Any]],
-        "faults": list[dict[str, Any]], "stroke": dict[str, Any] | None,
-    }  # fmt: skip
 
 
 @takes(TrackImuOptions)
@@ -44,8 +52,7 @@ def track_imu(
 ) -> Integrated:
     """Compute velocity, position and attitude from an inertial recording, with 95 % bands.
 
-    The other log (``other``) can be a table with positions (m), angles (rad), or both. The mapping
-    (``map_path``) can be a dict of names and units of foreign columns.
+    The other log (``other``) has positions (m), angles (rad), or both. ``map_path`` can be a dict.
 
     Parameters
     ----------
@@ -54,38 +61,31 @@ def track_imu(
         and ``wx_rad_s`` to ``wz_rad_s`` (turn rate), in the sensor's axes. Optional columns are ``qw`` to
         ``qz`` (quaternion) and ``mx`` to ``mz`` (magnetic field). Logs with other columns need a mapping.
     output : path, optional
-        Log to write, CSV or Parquet by its ending. ``<stem>.evidence.json`` is written to the same folder.
-        Without ``output`` nothing is written; :meth:`~swimid.results.result.Result.save` writes the files
-        later.
+        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` in the same folder.
+        :meth:`~swimid.results.result.Result.save` writes the files later.
     progress : Progress
         Shows the progress of reading and smoothing.
 
     Returns
     -------
     Integrated
-        ``.frame`` has one row for each sample: position (m), attitude (rad), velocity along body axes and
-        along world axes (m/s), all with standard deviations, and turn rates (rad/s) and accelerations
-        (m/s^2).
+        ``.frame`` has one row for each sample: position (m), attitude (rad), velocity along body and world
+        axes (m/s), all with standard deviations, turn rates (rad/s) and accelerations (m/s^2).
 
     Raises
     ------
-    InputError
-        When an input cannot be used, or a fault of the recording cannot be repaired.
+    InputError, UsageError
+        An input cannot be used, a fault cannot be repaired, or the options contradict each other.
     NoTrustworthyResult
-        When the two logs do not move together.
-    UsageError
-        When the options contradict each other.
+        The two logs do not move together.
 
     Notes
     -----
-    The method is an error-state Kalman filter and Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
-    1965, doi:10.2514/3.3166; Groves, 2013, ch. 14). ``method="paper"`` follows Shang et al. (2012),
-    doi:10.1017/S0263574711001159.
+    The method is an error-state Kalman filter and the smoother of Rauch, Tung and Striebel (Groves, 2013,
+    ch. 14). ``method="paper"`` follows Shang et al. (2012), doi:10.1017/S0263574711001159.
 
     Examples
     --------
-    A sensor at rest on a table:
-
     >>> import numpy as np, pandas as pd
     >>> t, rng = np.arange(0.0, 8.0, 0.02), np.random.default_rng(1)
     >>> table = pd.DataFrame({"t_s": t})
@@ -96,32 +96,50 @@ def track_imu(
     >>> bool(made.frame[["vx_m_s", "vy_m_s", "vz_m_s"]].abs().to_numpy().max() < 0.01)
     True
     """
-    map_path, other = options.map_path, options.other
     unread = log.unread(imu, name="imu")
-    rules = None if map_path is None else mapping.of(map_path)
-    given: list[provenance.Input] = [unread]
-    if rules is not None:
-        given.append(map_path if isinstance(map_path, str | Path) else rules)
-    if other is not None:
-        given.append(log.unread(other, name="other"))
+    rules = None if options.map_path is None else mapping.read_mapping(options.map_path)
+    given = _inputs(unread, rules, options)
     if output is not None:
         output = atomic.check_writable(output, inputs=given)
-    if options.method == "paper" and other is not None:
-        hint = "leave out --with, or take --method smoother"
-        raise UsageError("--method paper fuses with nothing", hint=hint)
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         named = given[0 if rules is None else 1]
-        record, notes = recording.read_record(unread, rules, provenance.path_of(named), progress)
-        record, findings = faults.repair(record)
-        poses = None if other is None else recording.read_poses(log.of(other, name="other"))
-        setup, more = recording.prepare(record, options)
-        with progress("smoothing", total=None) as step:
-            made = estimate(replace(setup, advance=step), [*findings, *more], poses)
-        for note in notes:
-            warn("SWM004", f"{record.name}: {note}")
-        origin = provenance.collect(given, settings=options.settings())
-        result = _result(made, notices, origin)
-    return result.saved(output)
+        run = _estimate(unread, rules, provenance.path_of(named), options, progress)
+        result = _result(run, notices, provenance.collect(given, settings=options.settings()))
+    return result.write_output(output)
+
+
+def _inputs(
+    unread: Path | Log, rules: mapping.Mapping | None, options: TrackImuOptions
+) -> list[provenance.Input]:
+    """Return all inputs: the recording, the mapping and the other log."""
+    inputs: list[provenance.Input] = [unread]
+    if rules is not None:
+        inputs.append(options.map_path if isinstance(options.map_path, str | Path) else rules)
+    if options.other is not None:
+        inputs.append(log.unread(options.other, name="other"))
+    return inputs
+
+
+def _estimate(
+    unread: Path | Log,
+    rules: mapping.Mapping | None,
+    named: Path,
+    options: TrackImuOptions,
+    progress: Progress,
+) -> ImuRun:
+    """Read and repair a recording, and estimate its motion; ``named`` is the file in messages on columns."""
+    if options.method == "paper" and options.other is not None:
+        hint = "leave out --with, or take --method smoother"
+        raise UsageError("--method paper cannot use another log", hint=hint)
+    record, notes = recording.read_record(unread, rules, named, progress)
+    record, findings = faults.repair(record)
+    poses = None if options.other is None else recording.read_poses(log.as_log(options.other, name="other"))
+    setup, more = recording.prepare_setup(record, options)
+    with progress("smoothing", total=None) as step:
+        run = estimate_by_method(replace(setup, advance=step), [*findings, *more], poses)
+    for note in notes:
+        warn("SWM004", f"{record.name}: {note}")
+    return run
 
 
 # ---------------------------------------------------------------- motion
@@ -134,15 +152,15 @@ TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
 #: frequency, and in Hz if the stroke frequency is unknown.
 STROKE_SHARE, LOWEST_HZ = 0.5, 0.3
 #: Names of the three angles of an attitude.
-ANGLES = ("roll", "pitch", "yaw")
+ANGLE_NAMES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
-class Run:
+class ImuRun:
     """Estimated motion of one recording, with its setup and all values for the log and the evidence."""
 
     #: Setup of the recording, with the error class of the sensor and the rests that were used.
-    setup: Setup
+    setup: ImuSetup
     findings: list[Finding]
     stroke: Rhythm | None
     #: Stroke frequency that the metadata state, Hz; None if absent.
@@ -152,7 +170,7 @@ class Run:
     motion: Motion
     poses: recording.Poses | None = None
     #: Estimate by the smoother; None for the method of Shang et al. (2012).
-    found: Estimate | None = None
+    found: MotionEstimate | None = None
     #: Time after which the position cannot be used, s; None if it can be used throughout.
     trusted_until_s: float | None = None
     #: Biases of accelerometer (m/s^2) and gyroscope (rad/s) at the last sample, shape (6,).
@@ -170,10 +188,10 @@ class Run:
     @property
     def alone(self) -> bool:
         """Whether the motion was estimated from the inertial unit without another log."""
-        return self.fused is None and not self.by_paper
+        return self.fusion is None and not self.by_paper
 
     @property
-    def fused(self) -> Estimate | None:
+    def fusion(self) -> MotionEstimate | None:
         """Estimate from the recording and another log together; None without another log."""
         if self.found is None or self.found.fixes is None:
             return None
@@ -182,19 +200,19 @@ class Run:
     @property
     def tilt(self) -> tuple[float, float]:
         """Roll and pitch of the body at rest, from the direction of gravity, rad."""
-        mount = self.setup.mount.rotation if self.fused is None else self.fused.smoothed.path.mount
+        mount = self.setup.mount.rotation if self.fusion is None else self.fusion.smoothed.path.mount
         up = mount.inv().apply(self.setup.mount.up)
         return float(np.arctan2(up[1], up[2])), float(np.arctan2(up[0], np.hypot(up[1], up[2])))
 
     @property
-    def against(self) -> str | None:
+    def contradiction(self) -> str | None:
         """Message on the contradiction between stroke frequency and metadata; None if the two agree."""
         stroke, stated_hz = self.stroke, self.stated_hz
         if stroke is None or stated_hz is None:
             return None
-        if stroke.maybe_double and beat.contradiction(stroke.beat, 2 * stated_hz) is None:
+        if stroke.maybe_double and frequency.contradiction(stroke.beat, 2 * stated_hz) is None:
             return None
-        return beat.contradiction(stroke.beat, stated_hz)
+        return frequency.contradiction(stroke.beat, stated_hz)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the motion log by name, in the order of the log."""
@@ -210,10 +228,10 @@ class Run:
 #: Names of the columns for each quantity of a motion, in their order in a log.
 COLUMNS = {
     "position": ("{}{}_m", "xyz"),
-    "angle": ("{}{}_rad", ANGLES),
+    "angle": ("{}{}_rad", ANGLE_NAMES),
     "body_velocity": ("{}{}_m_s", "uvw"),
     "velocity": ("v{}{}_m_s", "xyz"),
-    "rate": ("{}{}_rate_rad_s", ANGLES),
+    "rate": ("{}{}_rate_rad_s", ANGLE_NAMES),
     "acceleration": ("a{}{}_world_m_s2", "xyz"),
     "quaternion": ("q{}{}", "xyzw"),
 }
@@ -234,7 +252,7 @@ def _columns(motion: Motion, ending: str) -> dict[str, Array]:
     return columns
 
 
-def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | None) -> Run:
+def estimate_by_method(setup: ImuSetup, findings: list[Finding], poses: recording.Poses | None) -> ImuRun:
     """Estimate the motion of a recording by the method chosen in the options.
 
     Parameters
@@ -248,15 +266,15 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
     readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
-    stated_hz = beat.stated_frequency(record.metadata)
-    stroke, cutoff = beat.find_stroke(t, readings), LOWEST_HZ
+    stated_hz = read_frequency(record.metadata)
+    stroke, cutoff = find_stroke(t, readings), LOWEST_HZ
     if stroke is not None:
         cutoff = STROKE_SHARE * stroke.beat.frequency_hz
-    run = Run(setup, findings, stroke, stated_hz, cutoff, {}, poses)
+    run = ImuRun(setup, findings, stroke, stated_hz, cutoff, {}, poses)
     if options.method == "paper":
         moved, constant = compute_by_paper(body, setup.attitude, options)
         return replace(run, motion=moved, bias=constant)
-    found = estimation.estimate(setup, poses)
+    found = estimation.estimate_motion(setup, poses)
     setup, smoothed = replace(found.setup, sensor=found.smoothed.sensor), found.smoothed
     run = replace(run, setup=setup, findings=[*findings, *found.findings], found=found)
     if found.impossible:
@@ -269,10 +287,10 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
         moved = smoother.at_reference(smoothed) | smoother.surge_within_stroke(smoothed, cutoff)
         bias = np.concatenate([smoothed.path.acceleration_bias[-1], smoothed.path.rate_bias[-1]])
         run = replace(run, motion=moved, rest_score=smoothed.score("rest"), bias=bias)
-    return _checked(run) if run.alone else run
+    return _drop_impossible(run) if run.alone else run
 
 
-def _checked(run: Run) -> Run:
+def _drop_impossible(run: ImuRun) -> ImuRun:
     """Return the result without impossibly fast samples, and with the time until which it can be used.
 
     A sample is too fast if its speed exceeds the top speed by more than the 95 % band. It is also too fast if
@@ -292,7 +310,7 @@ def _checked(run: Run) -> Run:
     return replace(run, motion=moved, impossible=impossible, trusted_until_s=until_s)
 
 
-def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOptions) -> tuple[Motion, Array]:
+def compute_by_paper(record: ImuRecord, rotation: Rotation, options: TrackImuOptions) -> tuple[Motion, Array]:
     """Compute the motion from an inertial recording by the method of Shang et al. (2012).
 
     Parameters
@@ -383,7 +401,7 @@ FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
 Test = tuple[str, str, str, str, bool, str]
 
 
-def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Integrated:
+def _result(run: ImuRun, notices: Sequence[Notice], provenance: dict[str, Any]) -> Integrated:
     """Return the motion log with its evidence. Warn of the checks that do not pass.
 
     Parameters
@@ -400,7 +418,7 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
         "method": options.method,
         "attitude_from": run.setup.source.kind,
         "path_trusted_until_s": run.trusted_until_s,
-        "clock_offset_s": run.fused and run.fused.offset.value_s,
+        "clock_offset_s": run.fusion and run.fusion.offset.value_s,
         "stroke_hz": run.stroke and run.stroke.beat.frequency_hz,
     }
     metadata = {k: v for k, v in head.items() if v is not None}
@@ -410,12 +428,12 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
     evidence = Evidence(
         command="track imu",
         title=f"Motion of {record.name}",
-        verdict=judged(_answer(run), checks),
+        verdict=make_verdict(_answer(run), checks),
         facts={"Attitude": run.setup.source.kind, "Mounting": run.setup.mount.by},
         checks=checks,
         tables=_tables(run),
         figures=_figures(run),
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(run),
         references=references,
         provenance=provenance,
@@ -425,7 +443,7 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
     return Integrated("track imu", "", data, evidence=evidence, document=document, table=columns)
 
 
-def _still_periods(run: Run) -> list[dict[str, Any]]:
+def _still_periods(run: ImuRun) -> list[dict[str, Any]]:
     """Return start, end and place of each still period, and whether it counts as a rest."""
     t, setup = run.setup.record.time_s.tolist(), run.setup
     return [
@@ -447,8 +465,8 @@ def _largest(values: Any) -> float | None:
 # ---------------------------------------------------------------- document
 
 
-def _data(run: Run) -> dict[str, Any]:
-    setup, stroke, fused, moved = run.setup, run.stroke, run.fused, run.motion
+def _data(run: ImuRun) -> dict[str, Any]:
+    setup, stroke, fused, moved = run.setup, run.stroke, run.fusion, run.motion
     roll, pitch = run.tilt
     out: dict[str, Any] = {
         "method": setup.options.method,
@@ -463,7 +481,7 @@ def _data(run: Run) -> dict[str, Any]:
             "frequency_hz": stroke.beat.frequency_hz,
             "stderr_hz": stroke.beat.stderr_hz,
             "stated_hz": run.stated_hz,
-            "contradicts": run.against is not None,
+            "contradicts": run.contradiction is not None,
         },
     }
     if run.bias is not None:
@@ -502,7 +520,7 @@ def _data(run: Run) -> dict[str, Any]:
 # ---------------------------------------------------------------- checks
 
 
-def _checks(run: Run) -> list[Check]:
+def _checks(run: ImuRun) -> list[Check]:
     """Return the checks of a recording; warn of each check that does not pass and has a code."""
     checks, name = [], run.setup.record.name
     for f in run.findings:
@@ -512,17 +530,17 @@ def _checks(run: Run) -> list[Check]:
         reason = f"the recording has a fault ({f.fault})"
         checks.append(Check(name=f.fault.capitalize(), value="", verdict=grade, text=f.text, reason=reason))
     tests = list(_motion_tests(run))
-    if run.fused is not None:
-        tests += _fusion_tests(run.fused, run.setup.options)
+    if run.fusion is not None:
+        tests += _fusion_tests(run.fusion, run.setup.options)
     for code, title, value, limit, passed, reason in tests:
         if code and not passed:
             warn(code, f"{name}: {reason}")
         otherwise: Literal["warn", "fail"] = "fail" if title in FAIL else "warn"
-        checks.append(check(title, value, passed, limit, otherwise=otherwise, reason=reason))
+        checks.append(make_check(title, value, passed, limit, otherwise=otherwise, reason=reason))
     return checks
 
 
-def _motion_tests(run: Run) -> Iterator[Test]:
+def _motion_tests(run: ImuRun) -> Iterator[Test]:
     setup = run.setup
     count = len(setup.still)
     reason = "no still period found; the biases are known to data-sheet accuracy only"
@@ -548,19 +566,19 @@ def _motion_tests(run: Run) -> Iterator[Test]:
         yield "SWM084", "Innovations at rests", value, f"below {MAX_REST_SCORE:g}", passed, reason
     stroke = run.stroke
     if stroke is not None and run.stated_hz is not None:
-        against, limit = run.against, f"metadata: {run.stated_hz:g} Hz"
+        against, limit = run.contradiction, f"metadata: {run.stated_hz:g} Hz"
         reason = f"{stroke.channel} {against}; the metadata say {run.stated_hz:g} Hz"
         yield "SWM032", "Stroke", f"{stroke.beat.frequency_hz:.4g} Hz", limit, against is None, reason
     elif stroke is not None and stroke.doubt:
         yield "SWM033", "Stroke", "in doubt", "one frequency", False, stroke.doubt
 
 
-def _gyroscope_scale(fused: Estimate) -> tuple[str, float, float]:
+def _gyroscope_scale(fused: MotionEstimate) -> tuple[str, float, float]:
     """Return the gyroscope axis whose scale the other log determines best, its factor, and the factor's sd.
 
     The factor is the reading of this axis divided by the true turn rate.
     """
-    part = smoother.PARTS["rate_scale"]
+    part = smoother.ERROR_SLICES["rate_scale"]
     variances = np.diag(fused.smoothed.errors.covariance[-1])[part].reshape(3, 3).diagonal()
     axis = int(np.argmin(variances))
     # Take the prior out of the estimate, which it pulls towards 1.
@@ -569,14 +587,14 @@ def _gyroscope_scale(fused: Estimate) -> tuple[str, float, float]:
     return "xyz"[axis], factor, factor**2 * float(np.sqrt(variances[axis] / left))
 
 
-def _lever(found: Smoothed) -> tuple[Array, Array]:
+def _lever(found: SmoothedMotion) -> tuple[Array, Array]:
     """Return the place of the sensor from the reference point in body axes, and its standard deviation, m."""
-    turn, part = found.path.mount.inv().as_matrix(), smoother.PARTS["lever"]
+    turn, part = found.path.mount.inv().as_matrix(), smoother.ERROR_SLICES["lever"]
     covariance = turn @ found.errors.covariance[-1][part, part] @ turn.T
     return -turn @ found.path.lever, np.sqrt(np.diag(covariance))
 
 
-def _fusion_tests(fused: Estimate, options: TrackImuOptions) -> Iterator[Test]:
+def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[Test]:
     axis, factor, sd = _gyroscope_scale(fused)
     value, prior = f"{factor:.4f} ± {BAND * sd:.4f} (w{axis})", fused.smoothed.sensor.scale_sd
     reason = (
@@ -622,7 +640,7 @@ def _fusion_tests(fused: Estimate, options: TrackImuOptions) -> Iterator[Test]:
 # ---------------------------------------------------------------- evidence
 
 
-def _answer(run: Run) -> str:
+def _answer(run: ImuRun) -> str:
     if run.by_paper:
         return f"Velocity and position follow Shang et al. (2012), {run.setup.options.motion_mode} mode."
     if not np.isfinite(run.motion["position"]).any():
@@ -635,15 +653,15 @@ def _answer(run: Run) -> str:
     return "Surge within a stroke (u_osc_m_s) and attitude can be used throughout."
 
 
-def _tables(run: Run) -> list[Table]:
+def _tables(run: ImuRun) -> list[Table]:
     moved = run.motion
     rows: list[list[ev.Cell]] = []
-    if run.fused is not None:
-        offset = run.fused.offset
+    if run.fusion is not None:
+        offset = run.fusion.offset
         rows.append(["clock offset (ms)", 1e3 * offset.value_s, 1e3 * BAND * offset.stderr_s])
-        axis, factor, sd = _gyroscope_scale(run.fused)
+        axis, factor, sd = _gyroscope_scale(run.fusion)
         rows.append([f"gyroscope w{axis}, reading over true rate", factor, BAND * sd])
-        lever, sds = _lever(run.fused.smoothed)
+        lever, sds = _lever(run.fusion.smoothed)
         rows += [
             [f"sensor from reference point, {name} (m)", at, BAND * sd]
             for name, at, sd in zip("xyz", lever.tolist(), sds.tolist(), strict=True)
@@ -669,7 +687,7 @@ def _tables(run: Run) -> list[Table]:
     return [motion, leaf_table("details", "Details", details, caption)]
 
 
-def _methods(run: Run) -> list[str]:
+def _methods(run: ImuRun) -> list[str]:
     options = run.setup.options
     if run.by_paper:
         return [
@@ -681,25 +699,25 @@ def _methods(run: Run) -> list[str]:
     more = ", mounting, lever arm and clock offset against a second log of the trial"
     return [
         "Motion was estimated from an inertial unit by an error-state Kalman filter and Rauch-Tung-Striebel "
-        f"smoother over position, velocity, attitude and sensor biases{more * (run.fused is not None)}; "
+        f"smoother over position, velocity, attitude and sensor biases{more * (run.fusion is not None)}; "
         f"attitude from {run.setup.source.kind}."
     ]
 
 
-def _figures(run: Run) -> list[Figure]:
+def _figures(run: ImuRun) -> list[Figure]:
     velocity = _panels(run, ["surge", "sway", "heave"], "m/s", "body_velocity")
     if not run.by_paper:
         velocity = [*_panels(run, ["surge within a stroke"], "m/s", "surge"), *velocity]
     parts = {
         "Body velocity": velocity,
         "Position": _panels(run, "xyz", "m", "position"),
-        "Attitude": _panels(run, ANGLES, "deg", "angle", 1 / DEG),
+        "Attitude": _panels(run, ANGLE_NAMES, "deg", "angle", 1 / DEG),
     }
     caption = "The estimate with its 95 % band, rests shaded; points are those of the other log."
     return [ev.panels(title.split()[-1].lower(), title, caption, panels) for title, panels in parts.items()]
 
 
-def _panels(run: Run, names: Sequence[str], unit: str, quantity: str, factor: float = 1.0) -> list[Panel]:
+def _panels(run: ImuRun, names: Sequence[str], unit: str, quantity: str, factor: float = 1.0) -> list[Panel]:
     """Return one panel of a figure for each component of a quantity over time, with its 95 % band.
 
     The positions in the other log are shown with those of the motion. ``factor`` converts the quantity to
@@ -713,9 +731,9 @@ def _panels(run: Run, names: Sequence[str], unit: str, quantity: str, factor: fl
     for k, name in enumerate(names):
         x, y, half = t[every], factor * values[every, k], BAND * factor * sds[every, k]
         traces = [ev.band(x, y, half, label="estimate", group=0)]
-        if quantity == "position" and run.poses is not None and run.fused is not None:
+        if quantity == "position" and run.poses is not None and run.fusion is not None:
             seen = slice(None, None, max(len(run.poses.time_s) // N_DRAWN, 1))
-            x, y = run.poses.time_s[seen] + run.fused.offset.value_s, run.poses.position[seen, k]
+            x, y = run.poses.time_s[seen] + run.fusion.offset.value_s, run.poses.position[seen, k]
             traces.append(Trace(x=x, y=y, label="other log", style="points", group=1))
         panels.append(ev.panel("time (s)", f"{name} ({unit})", traces, spans=spans))
     return panels

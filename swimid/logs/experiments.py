@@ -29,7 +29,7 @@ from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 
 if TYPE_CHECKING:
-    from swimid.fitting.fit_common import Experiment, Run
+    from swimid.fitting.fit_common import Experiment, SimulationRun
 
 FORMAT = "swimid-trials/1"
 #: Type of a parameter file: its path, for messages, and its content.
@@ -44,10 +44,13 @@ FOLDER = Path(__file__).parents[1] / "experiments"
 class Drive(yamlio.Document):
     """Drive of a free-swimming trial: the commanded tail beat."""
 
+    #: Sine, or the oscillators of the tendon fish paper: Hopf, and asymmetric CPG.
     waveform: Literal["sine", "hopf", "a-cpg"] = "sine"
     frequency_hz: PositiveFloat
     amplitude_deg: Annotated[float, Field(ge=0)]
+    #: Mean angle about which the joint beats, degrees.
     bias_deg: float = 0.0
+    #: Difference between the durations of the two half strokes, for the waveform a-cpg.
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
     #: Phase of the tail beat at time zero, degrees.
@@ -86,8 +89,11 @@ class TrialEntry(yamlio.Document):
     #: its name.
     _held: Log | None = PrivateAttr(default=None)
 
+    #: Name of the trial; by default the name of the log file.
     id: str = ""
+    #: Path of the log, relative to the trials file.
     log: str
+    #: Whether the trial is fitted, or held out to validate the fit.
     role: Literal["fit", "validate"] = "fit"
     #: Start and end of the part of the log that is used, s; by default the start and the end of the log.
     start_s: float | None = None
@@ -224,7 +230,7 @@ class Trials(yamlio.Document):
         """
 
     @classmethod
-    def prepare_run(cls, options: Any, params: Params, time_s: Any) -> Run:
+    def prepare_run(cls, options: Any, params: Params, time_s: Any) -> SimulationRun:
         """Return a simulation without a recording.
 
         Parameters
@@ -247,7 +253,7 @@ class Trials(yamlio.Document):
 
 
 @functools.cache
-def built_in() -> list[str]:
+def list_experiments() -> list[str]:
     """Return the names of the experiments of swimid."""
     return [module.name.replace("_", "-") for module in pkgutil.iter_modules([str(FOLDER)])]
 
@@ -264,7 +270,7 @@ def find_experiment(name: str, own: Sequence[type[Trials]] = ()) -> type[Trials]
     for kind in own:
         if kind.title == name:
             return kind
-    if name not in built_in():
+    if name not in list_experiments():
         return None
     module = importlib.import_module(f"swimid.experiments.{name.replace('-', '_')}")
     found: type[Trials] = find_classes(module, Trials)[0]
@@ -273,7 +279,7 @@ def find_experiment(name: str, own: Sequence[type[Trials]] = ()) -> type[Trials]
 
 def find_experiments(own: Sequence[type[Trials]] = (), command: str = "") -> dict[str, type[Trials]]:
     """Return all experiments by name, or those that a command fits."""
-    names = dict.fromkeys([*built_in(), *(kind.title for kind in own)])
+    names = dict.fromkeys([*list_experiments(), *(kind.title for kind in own)])
     found = {name: kind for name in names if (kind := find_experiment(name, own)) is not None}
     return {name: kind for name, kind in found.items() if not command or command in kind.commands}
 
@@ -304,7 +310,8 @@ def read_experiments(*paths: str | Path) -> list[type[Trials]]:
             faults = {
                 "needs a field 'experiment' with its name as a Literal": not kind.title,
                 f"lacks {', '.join(lacking)}": lacking,
-                f"has a name that is used already: '{kind.title}'": kind.title in {*built_in(), *found},
+                f"has a name that is used already: '{kind.title}'": kind.title
+                in {*list_experiments(), *found},
             }
             for problem in (problem for problem, fault in faults.items() if fault):
                 line = inspect.getsourcelines(kind)[1]
@@ -328,7 +335,7 @@ EVERYWHERE = frozenset(
 )
 
 
-def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def list_given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted path and the value of each key of a document whose value is not the default."""
     for name in type(document).model_fields:
         value = getattr(document, name)
@@ -338,7 +345,7 @@ def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, An
         parts = value if isinstance(value, list) else [value]
         for part in parts:
             if isinstance(part, yamlio.Document):
-                yield from given(part, f"{prefix}{name}.")
+                yield from list_given(part, f"{prefix}{name}.")
 
 
 def check_used(trials: Trials, path: Path, uses: Collection[str]) -> None:
@@ -354,12 +361,12 @@ def check_used(trials: Trials, path: Path, uses: Collection[str]) -> None:
     InputError
     """
     data = trials._data
-    unused = [key for key, _ in given(trials) if key not in uses]
+    unused = [key for key, _ in list_given(trials) if key not in uses]
     if not unused:
         return
     key = unused[0].removeprefix("trials.")
     for index, trial in enumerate(getattr(trials, "trials", [])):
-        if key in dict(given(trial)):
+        if key in dict(list_given(trial)):
             where, line = f"the trial '{trial.id}' sets", yamlio.line_of(data, ["trials", index])
             break
     else:

@@ -22,7 +22,7 @@ from pydantic_core import to_json
 
 from swimid.errors import InputError, Named, extra_needed, file_errors, first_line
 from swimid.files import atomic, isolated, memory, tabular, yamlio
-from swimid.files.tabular import column_names, head, missing_column, number, number_hint
+from swimid.files.tabular import column_error, column_names, head, number_hint, parse_number
 from swimid.notices import warn
 from swimid.options import LARGEST, SMALLEST
 from swimid.results import numbers as texts
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-    from swimid.logs.plot import Drawn
+    from swimid.kinematics.plot import Drawn
 
 Array = NDArray[np.float64]
 TIME = "t_s"
@@ -121,7 +121,7 @@ class Log:
         path, given = Path(name), arrays(frame, name)
         for column in (TIME, *required):
             if column not in given:
-                raise missing_column(column, list(given), path, None)
+                raise column_error(column, list(given), path, None)
         columns = _columns({TIME: given[TIME]} | given, {TIME, *required}, lambda row: {"row": row}, path)
         log = cls(path, dict(metadata or {}), columns, None)
         _check(log, required)
@@ -132,9 +132,9 @@ class Log:
         """Log as named in the provenance of a result: path of its file, or the log itself if in memory."""
         return self if self.first_line is None else self.path
 
-    def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
+    def select_columns(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
         """Return a copy of the log with only the requested columns, checked as by :func:`read`."""
-        wanted = _wanted(list(self.columns), required, optional, self.path, None)
+        wanted = _columns_to_read(list(self.columns), required, optional, self.path, None)
         log = replace(self, columns={name: self.columns[name] for name in wanted})
         _check(log, required)
         return log
@@ -209,7 +209,7 @@ class Log:
         return {"row": row} if self.first_line is None else {"line": self.line(row)}
 
 
-def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
+def as_log(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
     """Return the log for an argument that is a path, a table or a log.
 
     A path is read, a table is checked, and a log is returned unchanged.
@@ -223,7 +223,7 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
         return read(given, required=required)
     if not isinstance(given, Log):
         return Log.from_frame(given, name=name, required=required)
-    _wanted(list(given.columns), required, None, given.path, None)
+    _columns_to_read(list(given.columns), required, None, given.path, None)
     return given
 
 
@@ -309,7 +309,7 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def written_by(metadata: Mapping[str, Any], program: str) -> bool:
+def is_written_by(metadata: Mapping[str, Any], program: str) -> bool:
     """Return whether the metadata of a log say that ``program`` (such as ``swimid track``) wrote it."""
     return str(metadata.get("made_by", "")).startswith(program)
 
@@ -331,14 +331,14 @@ def read(path: str | Path, *, required: Sequence[str] = (), optional: Sequence[s
         not increase, or a required column has no sample. The error names file, line and column.
     """
     path = Path(path)
-    reader = _read_parquet if path.suffix.lower() in tabular.PARQUET else _read_csv
+    reader = _read_parquet if path.suffix.lower() in tabular.PARQUET_ENDINGS else _read_csv
     with file_errors(path):
         log = reader(path, required, optional)
     _check(log, required)
     return log
 
 
-def _wanted(
+def _columns_to_read(
     names: list[str], required: Sequence[str], optional: Sequence[str] | None, path: Path, line: int | None
 ) -> list[str]:
     """Return the names of the columns to read from a log.
@@ -350,7 +350,7 @@ def _wanted(
     """
     for column in (TIME, *required):
         if column not in names:
-            raise missing_column(column, names, path, line)
+            raise column_error(column, names, path, line)
     if names[0] != TIME:
         raise InputError(f"the first column must be {TIME}", file=path, line=line, column=names[0])
     return [name for name in names if optional is None or name in {TIME, *required, *optional}]
@@ -368,9 +368,9 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     comments, header, header_line = head(path)
     metadata = metadata_of(comments, path)
     names = column_names(header, path, header_line)
-    if all(number(name) is not None for name in names):
+    if all(parse_number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
-    wanted = _wanted(names, required, optional, path, header_line)
+    wanted = _columns_to_read(names, required, optional, path, header_line)
     size = path.stat().st_size
     memory.check_fits(path, f"{size} bytes of text", N_COPIES * size, _too_long(path))
     text = path.read_bytes().split(b"\n", header_line)[-1]
@@ -488,7 +488,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
     try:
         file = pyarrow.parquet.ParquetFile(path)
         isolated.check_parquet(path, file)
-        wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
+        wanted = _columns_to_read(list(file.schema_arrow.names), required, optional, path, None)
         rows = file.metadata.num_rows
         what = f"{rows} rows of {len(wanted)} columns"
         memory.check_fits(path, what, 8.0 * N_COPIES * rows * len(wanted), _too_long(path))
@@ -585,7 +585,7 @@ def unwrap(angle: Array) -> Array:
     return values
 
 
-def unwrapped(name: str, values: Array) -> Array:
+def unwrap_angle(name: str, values: Array) -> Array:
     """Return a column without steps of full turns if it is an angle, and otherwise unchanged.
 
     An angle with a range above :data:`MAX_WRAPPED_RAD` is not wrapped, and is returned unchanged.
@@ -630,8 +630,8 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
     path, frame = Path(path), pd.DataFrame(dict(columns))
     lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
     pieces = [frame.iloc[start : start + ROWS] for start in range(0, len(frame), ROWS)]
-    with atomic.replacing(path) as temporary, temporary.open("wb") as stream:
-        if path.suffix.lower() in tabular.PARQUET:
+    with atomic.replace_file(path) as temporary, temporary.open("wb") as stream:
+        if path.suffix.lower() in tabular.PARQUET_ENDINGS:
             pyarrow = tabular.pyarrow()
             schema = pyarrow.Schema.from_pandas(frame, preserve_index=False)
             schema = schema.with_metadata({**(schema.metadata or {}), b"swimid": "\n".join(lines).encode()})
@@ -648,13 +648,13 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
         numeric = {kind.name for kind in frame.dtypes} == {"float64"}
         for piece in pieces:
             if numeric:
-                stream.write(_printed(piece.to_numpy()))
+                stream.write(_print_samples(piece.to_numpy()))
             else:
                 piece = piece.map(tabular.plain_text)
                 stream.write(piece.to_csv(index=False, header=False, lineterminator="\n").encode())
 
 
-def _printed(samples: NDArray[np.float64]) -> bytes:
+def _print_samples(samples: NDArray[np.float64]) -> bytes:
     """Return samples, shape (n, k), as lines of CSV with all significant digits."""
     # Format the numbers as a JSON list with pydantic, which is ten times as fast as writing CSV with pandas.
     text = np.frombuffer(bytearray(to_json(samples.ravel().tolist(), inf_nan_mode="constants")), np.uint8)
@@ -734,7 +734,7 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
         bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
         if tilted or wrapped or bent:
             return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
-        rate = _usual_rate(time_s, unwrapped(name, values))
+        rate = _usual_rate(time_s, unwrap_angle(name, values))
         if rate > MAX_RATE_RAD_S:
             return f"turns at {rate:.3g} rad/s: state the unit if it is degrees (a factor of 57.3)"
     elif name.endswith("_rad_s") and largest > MAX_RATE_RAD_S:

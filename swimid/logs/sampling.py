@@ -507,7 +507,7 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
 #: samples with jitter. Each of these values is tried. The value 0 finds exact repeats only.
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
 #: Probability that repeated samples are found in a log that has none.
-FALSE_ALARM = 1e-3
+FALSE_ALARM_REPEATS = 1e-3
 #: Minimum time for which a signal must keep one value to count as a rest of the robot or a frozen sensor, in
 #: measurement intervals; and maximum step of the signal after a rest, in median steps. The step after a
 #: frozen sensor value is larger.
@@ -608,10 +608,10 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     changes = np.flatnonzero(sizes > 0.0)
     inner = np.zeros(len(sizes), dtype=bool)
     inner[changes[0] : changes[-1]] = True
-    best, chosen = np.log(FALSE_ALARM / len(RATIOS)), None
+    best, chosen = np.log(FALSE_ALARM_REPEATS / len(RATIOS)), None
     for ratio in RATIOS:
         small = _small(sizes, ratio)
-        small = _without_rests(time_s[rows], sizes, small)
+        small = _remove_rests(time_s[rows], sizes, small)
         counted = small & ~turning & inner
         if ratio > 0.0:
             counted &= sizes < ratio * np.append(sizes[1:], 0.0)
@@ -625,7 +625,7 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
         return none
     repeated = none.repeated.copy()
     repeated[rows[1:]] = chosen
-    return _timed(time_s, rows, repeated)
+    return _time_repeats(time_s, rows, repeated)
 
 
 def may_freeze(name: str, values: Array) -> bool:
@@ -723,7 +723,7 @@ def _small(sizes: Array, ratio: float) -> Flags:
     return sizes <= np.sqrt(max(low, ratio**2 * high) * high)
 
 
-def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
+def _remove_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
     """Return the flags of small steps without the steps during a rest of the robot.
 
     A rest is a long sequence of small steps that no large step follows.
@@ -741,7 +741,7 @@ def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
     return kept
 
 
-def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
+def _time_repeats(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     """Return the repeated samples of a log, with an estimate of the time at which each was measured."""
     fresh = rows[~repeated[rows]]
     stamps, step = time_s[fresh], usual_step(time_s)
@@ -752,7 +752,7 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     line = late_grid(stamps[1:], period, step)
     # Unevenly spaced stamps may agree with an evenly sampling sensor by chance, each with the probability
     # step / period. Accept an evenly sampling sensor only if this is improbable for all stamps together.
-    if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
+    if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM_REPEATS):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
     period, measured, slack = line
     measured = np.append(measured[0] - period, measured)
@@ -818,7 +818,7 @@ def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
 #: Default duration of a simulation, s.
 DURATION_S = 15.0
 #: Maximum number of samples or integration steps of a simulation.
-MAX_SAMPLES = 20_000_000
+MAX_SIMULATED_SAMPLES = 20_000_000
 
 
 def even_times(duration_s: float, rate_hz: float, step_s: float = math.inf) -> Array:
@@ -832,7 +832,8 @@ def even_times(duration_s: float, rate_hz: float, step_s: float = math.inf) -> A
     if duration_s * rate_hz < 1.0:
         text = f"{duration_s:g} s at {rate_hz:g} samples a second are less than one sampling interval"
         raise UsageError(text, hint=f"take --sample-rate-hz {1.0 / duration_s:.3g} or more")
-    if (count := duration_s * max(rate_hz, 1.0 / step_s)) > MAX_SAMPLES:
-        text = f"{duration_s:g} s at this rate and step are {count:.3g} samples; {MAX_SAMPLES:,} are allowed"
+    if (count := duration_s * max(rate_hz, 1.0 / step_s)) > MAX_SIMULATED_SAMPLES:
+        text = f"{duration_s:g} s at this rate and step are {count:.3g} samples; "
+        text += f"{MAX_SIMULATED_SAMPLES:,} are allowed"
         raise UsageError(text, hint="shorten --duration-s, lower --sample-rate-hz, or raise --dt")
     return np.arange(math.floor(duration_s * rate_hz + 1e-9) + 1) / rate_hz

@@ -14,7 +14,7 @@ from typing import Any
 
 from swimid.errors import InputError, UsageError, nearest, suggestion
 from swimid.files import provenance, yamlio
-from swimid.files.tabular import missing_column, repeated
+from swimid.files.tabular import column_error, find_repeated
 from swimid.logs.experiments import (
     FORMAT,
     TrialEntry,
@@ -119,7 +119,7 @@ class TrialSet:
                 for group in kind.needs:
                     if not any(fnmatch.filter(held.signals, pattern) for pattern in group):
                         column = " or ".join(name for name in group if "*" not in name)
-                        raise missing_column(column, list(held.columns), held.path, None)
+                        raise column_error(column, list(held.columns), held.path, None)
             logs.append(held)
             plain.append(entry)
         given = {"format": FORMAT, "experiment": kind.title, **keys}
@@ -213,7 +213,7 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
         check_used(trials, path, kind.uses)
     listed: list[TrialEntry] = getattr(trials, "trials", [])
     ids = [trial.id for trial in listed]
-    twice = repeated(ids)
+    twice = find_repeated(ids)
     if twice is not None:
         index = ids.index(twice, ids.index(twice) + 1)
         text = f"two trials have the id '{twice}'"

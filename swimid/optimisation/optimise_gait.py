@@ -15,18 +15,18 @@ from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import UNSTEADY
-from swimid.notices import Notice, Progress, recorded, silent
+from swimid.kinematics.cycles import UNSTEADY
+from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.problem import MAX_STEPS, Limit, Problem, interval95, merit
-from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
+from swimid.optimisation.problem import MAX_STEPS, GaitProblem, Limit, interval95, merit
+from swimid.optimisation.study import BEAT, STROKE, OptimisationStudy, Performance, StudyFile, study_of
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
-from swimid.simulation.cases import value_text
-from swimid.simulation.draws import drawn
+from swimid.simulation.cases import format_quantity
+from swimid.simulation.draws import draw_parameters
 
 #: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range; and relative
 #: tolerance within which the limit of a quantity counts as reached.
@@ -152,7 +152,7 @@ def optimise_gait(
     >>> 0.3 < found.at["K_s"] < 0.9
     True
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         performance = Performance.of_options(options)
         study = study_of(performance, options, output)
         problem = _problem(performance, options, study.checkpoint)
@@ -163,15 +163,15 @@ def optimise_gait(
         if known:
             performance.applied.warn_without_error("the intervals")
             _set_intervals(problem, file, options, progress)
-    return study.saved(BestGait, file, evidence_of(file, notices, study.origin))
+    return study.save(BestGait, file, make_gait_evidence(file, notices, study.origin))
 
 
 # ------------------------------------------------------------ the problem
 
 
-def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> Problem:
+def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> GaitProblem:
     if not options.vary:
-        raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
+        raise UsageError("nothing is varied", hint="give the ranges: --vary NAME=LOW,HIGH")
     performance.check_gaits(options.vary, "--vary")
     turn = "yaw" if performance.model.in_space else performance.turn
     quantity, sign = {
@@ -191,7 +191,7 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
             raise UsageError(f"--limit {name} is not for this robot")
     if options.goal == "power" and options.reach_speed_m_s is None:
         raise UsageError("the least power is that of no motion", hint="give the speed: --reach-speed-m-s")
-    return Problem(performance, options.vary, [(quantity, sign)], limits, checkpoint=keep)
+    return GaitProblem(performance, options.vary, [(quantity, sign)], limits, checkpoint=keep)
 
 
 def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str, Limit]:
@@ -221,7 +221,7 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 # ------------------------------------------------------------ searches
 
 
-def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
+def _choose_starts(problem: GaitProblem, options: OptimiseGaitOptions) -> Array:
     """Return the best points of a Sobol sequence as starting points of the search, in the unit cube.
 
     Also set the typical scale of the goal in ``problem``, which the penalties need.
@@ -232,13 +232,15 @@ def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
     points = qmc.Sobol(len(problem.vary), seed=options.seed).random_base2(exponent)
     table = problem.table(points)
     problem.performance.insist(table)
-    wanted = problem.wanted(table)[:, 0]
+    wanted = problem.compute_objectives(table)[:, 0]
     if np.isfinite(wanted).any():
         problem.scale = float(np.nanmedian(np.abs(wanted)))
     return points[np.argsort(merit(problem.parts(table)), kind="stable")[: options.starts]]
 
 
-def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
+def _find(
+    problem: GaitProblem, options: OptimiseGaitOptions, study: OptimisationStudy, progress: Progress
+) -> GaitFile:
     """Search for the best gait from several starting points; return it with its simulated quantities."""
     starts = _choose_starts(problem, options)
     with progress("search", total=MAX_STEPS) as step:
@@ -270,10 +272,10 @@ def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress
 
 
 def _set_intervals(
-    problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
+    problem: GaitProblem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
 ) -> None:
     """Set the 95 % intervals of the varied parameters and of the goal in ``file``, from random samples."""
-    vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
+    vectors, file.inside = draw_parameters(problem.performance.applied, options.draws, options.seed)
     file.draws = len(vectors)
     nominal = np.tile(problem.place(file.at), (len(vectors), 1))
     with progress("gaits of draws", total=DRAW_STEPS) as step:
@@ -292,10 +294,10 @@ def _set_intervals(
 # ------------------------------------------------------------ evidence
 
 
-def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+def make_gait_evidence(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the checks, tables and figures of the best gait that a search has found."""
     limits = [
-        f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
+        f"{name} {numbers.format_number(limit.at_most or limit.at_least, 4, limit.unit)}"
         for name, limit in file.limits.items()
     ]
     facts = {
@@ -307,7 +309,7 @@ def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any
     figures = []
     if file.drawn:
         figures.append(_draws_figure(file))
-    return studies.evidence(
+    return studies.make_evidence(
         file, "optimise gait", answer(file), _checks(file), facts, notices, origin,
         tables=[_gait_table(file), _quantity_table(file)], figures=figures, methods=_methods(file),
     )  # fmt: skip
@@ -318,10 +320,12 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     text = "a better gait may be elsewhere: look for more with --starts" * (agree <= 1)
     value = f"{agree} of {len(file.ends)}"
     name, reason = "starts that end at the best gait", f"{value} starts end at it"
-    checks = [ev.check(name, value, agree > 1, "two or more", text, reason=reason)]
+    checks = [ev.make_check(name, value, agree > 1, "two or more", text, reason=reason)]
     bound = ", ".join(file.at_bound)
     text = f"a better gait may lie beyond the range of {bound}" * bool(bound)
-    checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text, reason=text))
+    checks.append(
+        ev.make_check("gait within its ranges", bound or "yes", not bound, "inside", text, reason=text)
+    )
     checks += studies.forwards_check([file.quantities.get("mean_surge_from_start_m_s")])
     change, speed = (file.quantities.get(n) for n in ("speed_change_per_beat_m_s", "mean_speed_m_s"))
     if change is not None and speed:
@@ -329,21 +333,21 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
     checks.append(studies.region_check(file.identified, [{**drive, **file.at}]))
     if file.inside is None:
-        return [*checks, studies.unknown_check("uncertainty of the gait")]
+        return [*checks, studies.make_undefined_check("uncertainty of the gait")]
     checks.append(studies.draws_check(file.inside))
     if file.kept_in_draws is not None:
         passed, value = file.kept_in_draws >= MIN_KEPT, numbers.percent(file.kept_in_draws, 2)
         text = "leave more room to the limits, or fit better" * (not passed)
         name, limit = "draws in which the limits are kept", f"≥ {numbers.percent(MIN_KEPT)}"
-        checks.append(ev.check(name, value, passed, limit, text))
+        checks.append(ev.make_check(name, value, passed, limit, text))
     return checks
 
 
 def answer(file: GaitFile) -> str:
     """Return a sentence with the best gait, the value of its goal, and the limits that it reaches."""
-    place = ", ".join(f"{n} {numbers.number(v, 4, file.vary[n].unit)}" for n, v in file.at.items())
+    place = ", ".join(f"{n} {numbers.format_number(v, 4, file.vary[n].unit)}" for n, v in file.at.items())
     held = f", limited by {', '.join(file.held_by)}" * bool(file.held_by)
-    return f"Best gait: {place}; {file.goal} {value_text(file.best, file.unit, digits=4)}{held}."
+    return f"Best gait: {place}; {file.goal} {format_quantity(file.best, file.unit, digits=4)}{held}."
 
 
 def _gait_table(file: GaitFile) -> ev.Table:
@@ -354,10 +358,10 @@ def _gait_table(file: GaitFile) -> ev.Table:
     for name, value in {**file.at, file.goal: file.best}.items():
         factor, shown = numbers.in_degrees(units[name])
         low, high = factor * np.array(known.get(name, (None, None)), dtype=float)
-        row: dict[str, ev.Cell] = {"": name, "best gait": value_text(value, units[name], digits=4)}
+        row: dict[str, ev.Cell] = {"": name, "best gait": format_quantity(value, units[name], digits=4)}
         rows.append({**row, "95 %": numbers.interval(low, high, None, shown)})
     caption = "Intervals are over draws of the coefficients."
-    return ev.table("gait", "Gait", rows, caption * bool(file.draws))
+    return ev.make_table("gait", "Gait", rows, caption * bool(file.draws))
 
 
 def _quantity_table(file: GaitFile) -> ev.Table:
@@ -365,8 +369,8 @@ def _quantity_table(file: GaitFile) -> ev.Table:
     for name, value in file.quantities.items():
         if value is not None:
             bare, unit = numbers.split_unit(name)
-            rows.append({"quantity": bare.replace("_", " "), "value": value_text(value, unit, digits=4)})
-    return ev.table("quantities", "Quantities of the best gait", rows)
+            rows.append({"quantity": bare.replace("_", " "), "value": format_quantity(value, unit, digits=4)})
+    return ev.make_table("quantities", "Quantities of the best gait", rows)
 
 
 def _draws_figure(file: GaitFile) -> ev.Figure:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -18,11 +19,19 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Rows
 from swimid.fitting.model import Array
-from swimid.notices import Notice, Progress, recorded, silent
+from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.problem import Problem
-from swimid.optimisation.study import BEAT, Performance, StudyFile, in_parallel, points_of, study_of
+from swimid.optimisation.problem import GaitProblem
+from swimid.optimisation.study import (
+    BEAT,
+    OptimisationStudy,
+    Performance,
+    StudyFile,
+    in_parallel,
+    points_of,
+    study_of,
+)
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -30,7 +39,7 @@ from swimid.results.result import FileResult
 
 #: Degree of the polynomial of the frequency that gives the stiffness at one amplitude (Algorithm 1 of
 #: "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin").
-DEGREE = 2
+CURVE_DEGREE = 2
 #: Radius of the finite differences in the first step and at the end of the final search, as a fraction of the
 #: stiffness range. The final search starts at the best point of a Pareto front.
 SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
@@ -131,13 +140,13 @@ class RuleFile(StudyFile):
             if len(amplitudes) > 1:
                 raise UsageError("this rule depends on the amplitude: give amplitude_deg")
             amplitude_deg = amplitudes[0]
-        f = _within(frequency_hz, self.frequency_hz, "frequency_hz", outside)
-        a = _within(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)
+        f = _limit_to_range(frequency_hz, self.frequency_hz, "frequency_hz", outside)
+        a = _limit_to_range(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)
         values = [np.polyval(curve.coefficients[::-1], f) for curve in self.curves]
         return float(np.interp(a, amplitudes, np.clip(values, *self.between)))
 
 
-def _within(value: float, ends: tuple[float, float], name: str, outside: Outside) -> float:
+def _limit_to_range(value: float, ends: tuple[float, float], name: str, outside: Outside) -> float:
     low, high = ends
     slack = 1e-9 * max(abs(low), abs(high))
     if not math.isfinite(value) or (outside == "refuse" and not low - slack <= value <= high + slack):
@@ -152,7 +161,7 @@ def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Cu
     >>> bool(np.allclose(made.coefficients, [1.0, 0.0, 2.0]))
     True
     """
-    found = np.polynomial.polynomial.polyfit(frequency_hz, stiffness, DEGREE)
+    found = np.polynomial.polynomial.polyfit(frequency_hz, stiffness, CURVE_DEGREE)
     residuals = stiffness - np.polynomial.polynomial.polyval(frequency_hz, found)
     rms = float(np.sqrt(np.mean(residuals**2)))
     return Curve(amplitude_deg=amplitude_deg, coefficients=tuple(found.tolist()), rms=rms)
@@ -221,53 +230,71 @@ def optimise_stiffness(
     >>> rule.stiffness_for(2.5) < rule.stiffness_for(3.5)
     True
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         performance = Performance.of_options(options)
         problem = _problem(performance, options)
-        (coefficient,), (between,) = problem.vary, problem.vary.values()
-        axes = {"amplitude_deg": [performance.drive.get("amplitude_deg", math.nan)]}
+        amplitude_deg = [performance.drive.get("amplitude_deg", math.nan)]
+        axes = {"amplitude_deg": amplitude_deg, "frequency_hz": []}
         axes |= {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
-        frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
-        points = points_of({"amplitude_deg": amplitudes, "frequency_hz": frequencies})
         study = study_of(performance, options, output)
-        keep = study.checkpoint
         performance.model.prepare(progress)
         ends = {name: (axis[0], axis[-1]) for name, axis in axes.items()}
-        problem.performance = performance = performance.at_step({**ends, **problem.vary})
-        problems = [replace(problem, fixed=point) for point in points]
-        reference = float(performance.values[performance.model.index(coefficient)])
-
-        def front(k: int) -> Array:
-            return keep.kept(f"front {k}", lambda: _front_at(problems[k], k, reference, options).ravel())
-
-        fronts = in_parallel(front, len(points), options.jobs, "fronts", progress)
-        optima = [_optimum(one, found.reshape(-1, 3)) for one, found in zip(problems, fronts, strict=True)]
-        file = RuleFile(
-            **study.head,
-            coefficient=coefficient,
-            unit=performance.axes[coefficient],
-            between=between,
-            objective=options.objective,
-            objectives=tuple(quantity for quantity, _ in problem.goals),  # type: ignore[arg-type]
-            reference=reference,
-            frequency_hz=(frequencies[0], frequencies[-1]),
-            amplitude_deg=(amplitudes[0], amplitudes[-1]),
-            curves=[_curve(optima, amplitude) for amplitude in amplitudes],
-            optima=optima,
-            uncertain=bool(performance.applied.uncertain()[0]),
-        )
-        _assess(performance, file)
-    return study.saved(StiffnessRule, file, evidence_of(file, notices, study.origin))
+        problem.performance = performance.at_step({**ends, **problem.vary})
+        file = _fit_rule(problem, axes, study, options, progress)
+        _assess(problem.performance, file)
+    return study.save(StiffnessRule, file, make_rule_evidence(file, notices, study.origin))
 
 
-def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
+def _fit_rule(
+    problem: GaitProblem,
+    axes: dict[str, list[float]],
+    study: OptimisationStudy,
+    options: OptimiseStiffnessOptions,
+    progress: Progress,
+) -> RuleFile:
+    """Search for the Pareto front at each grid point, and fit a curve for each amplitude."""
+    performance, ((coefficient, between),) = problem.performance, problem.vary.items()
+    points = points_of(axes)
+    problems = [replace(problem, fixed=point) for point in points]
+    reference = float(performance.values[performance.model.index(coefficient)])
+
+    def front(k: int) -> Array:
+        compute = partial(_front_at, problems[k], k, reference, options)
+        return study.checkpoint.get_or_compute(f"front {k}", lambda: compute().ravel())
+
+    fronts = in_parallel(front, len(points), options.jobs, "fronts", progress)
+    optima = [_optimum(one, values.reshape(-1, 3)) for one, values in zip(problems, fronts, strict=True)]
+    frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
+    return RuleFile(
+        **study.head,
+        coefficient=coefficient,
+        unit=performance.axes[coefficient],
+        between=between,
+        objective=options.objective,
+        objectives=tuple(quantity for quantity, _ in problem.goals),  # type: ignore[arg-type]
+        reference=reference,
+        frequency_hz=(frequencies[0], frequencies[-1]),
+        amplitude_deg=(amplitudes[0], amplitudes[-1]),
+        curves=[_curve(optima, amplitude) for amplitude in amplitudes],
+        optima=optima,
+        uncertain=bool(performance.applied.uncertain()[0]),
+    )
+
+
+def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> GaitProblem:
     """Return the optimisation problem that is solved at every grid point; raise an error for bad options."""
     if options.stroke is not None or performance.model.in_space:
-        raise UsageError("a stiffness rule is for a tail beat in a plane")
+        given = (
+            "--stroke" if options.stroke is not None else f"'{performance.model.robot.name}' moves in space"
+        )
+        raise UsageError(f"{given}: a stiffness rule is for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
-        raise UsageError("--over takes frequency_hz, and amplitude_deg where the rule depends on it")
+        raise UsageError(
+            f"--over has {', '.join(options.over)}: it takes frequency_hz, and amplitude_deg if the rule "
+            "depends on it"
+        )
     performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
-    if options.over["frequency_hz"][2] <= DEGREE or options.over.get("amplitude_deg", (0, 0, 2))[2] < 2:
+    if options.over["frequency_hz"][2] <= CURVE_DEGREE or options.over.get("amplitude_deg", (0, 0, 2))[2] < 2:
         raise UsageError(
             "--over: a quadratic rule needs three frequencies or more, and two amplitudes or none"
         )
@@ -280,12 +307,12 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
     goals = [(COST, 1.0), (SPEED, -1.0)]
     if options.objective == "speed":
         goals = [("mean_surge_from_start_m_s", -1.0), (f"{performance.turn}_rate_range_rad_s", 1.0)]
-    return Problem(performance, {name: (low, high)}, goals, {})
+    return GaitProblem(performance, {name: (low, high)}, goals, {})
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
     """Return the name of the stiffness of the passive joint; raise an error if it is not unique."""
-    found = performance.model.yielding()
+    found = performance.model.list_joint_coefficients()
     name = options.coefficient or "".join(found[: len(found) == 1])
     if name not in found:
         text = f"{name} stands in no passive joint's law; " * bool(name)
@@ -299,7 +326,9 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
 # ------------------------------------------------------------ search
 
 
-def _front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
+def _front_at(
+    problem: GaitProblem, number: int, reference: float, options: OptimiseStiffnessOptions
+) -> Array:
     """Search for the Pareto front over the stiffness at one grid point, and refine its best point.
 
     The best point has the minimum of the first objective. It is refined by a search with finite differences.
@@ -316,7 +345,7 @@ def _front_at(problem: Problem, number: int, reference: float, options: Optimise
         front = front[np.argsort(front[:, 1], kind="stable")]
         problem.scale = float(abs(front[0, 1]))
         refined = problem.minimise(front[:1, :1], first=SEARCH_RADIUS, last=MIN_RADIUS).points
-        found = np.hstack([refined, problem.wanted(problem.table(refined))])
+        found = np.hstack([refined, problem.compute_objectives(problem.table(refined))])
         if found[0, 1] < front[0, 1]:
             # Remove the points that are worse than the refined point in both objectives.
             front = np.vstack([found, front[front[:, 2] < found[0, 2]]])
@@ -324,7 +353,7 @@ def _front_at(problem: Problem, number: int, reference: float, options: Optimise
     return front
 
 
-def _optimum(problem: Problem, front: Array) -> Optimum:
+def _optimum(problem: GaitProblem, front: Array) -> Optimum:
     if not len(front):
         raise NoTrustworthyResult(
             f"every simulation breaks down at {problem.fixed}",
@@ -373,7 +402,7 @@ def _loss(file: RuleFile) -> Array:
         return np.asarray(_column(file, "ruled", COST) / _column(file, "best", COST) - 1.0)
 
 
-def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+def make_rule_evidence(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a stiffness rule, with checks, tables and figures."""
     first, second = (name.replace("_", " ") for name in file.objectives)
     facts = {
@@ -388,7 +417,7 @@ def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any
         f"{file.duration_s:g} s began at rest. A quadratic function of the frequency for each amplitude was "
         "fitted to the best values of the first objective."
     ]
-    return studies.evidence(
+    return studies.make_evidence(
         file, "optimise stiffness", answer(file), _checks(file), facts, notices, origin,
         tables=[_curve_table(file), _optima_table(file)],
         figures=[_rule_figure(file)],
@@ -404,10 +433,10 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     text = "the optima do not follow a quadratic function there" * (worst > MAX_LOSS)
     value, limit = f"at most {numbers.percent(worst, 2)}", f"≤ {numbers.percent(MAX_LOSS)}"
     name = "loss of the rule against its own optima"
-    checks.append(ev.check(name, value, worst <= MAX_LOSS, limit, text))
+    checks.append(ev.make_check(name, value, worst <= MAX_LOSS, limit, text))
     if file.objective == "speed":
         ruled, fixed = _column(file, "ruled"), _column(file, "reference")
-        name = f"the rule is as fast as {numbers.number(file.reference, 3, file.unit)}"
+        name = f"the rule is as fast as {numbers.format_number(file.reference, 3, file.unit)}"
         as_fast = int((ruled >= (1.0 - MAX_LOSS) * fixed).sum())
         checks.append(studies.count_check(name, as_fast, count, "use the fixed stiffness at the others"))
         checks += studies.forwards_check([one.best["mean_surge_from_start_m_s"] for one in file.optima])
@@ -418,55 +447,58 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     grid = [{**drive, "frequency_hz": o.frequency_hz, "amplitude_deg": o.amplitude_deg} for o in file.optima]
     checks.append(studies.region_check(file.identified, grid))
     if not file.uncertain:
-        return [*checks, studies.unknown_check("uncertainty of the rule")]
+        return [*checks, studies.make_undefined_check("uncertainty of the rule")]
     name, text = "uncertainty of the rule", "optimise gait gives the interval of the stiffness at one gait"
     reason = "the standard errors of the coefficients are not in the rule"
-    return [*checks, ev.check(name, "not computed", False, text=text, reason=reason)]
+    return [*checks, ev.make_check(name, "not computed", False, text=text, reason=reason)]
 
 
 def answer(file: RuleFile) -> str:
     """Return a sentence with the range of the optimal stiffnesses and, if it is the goal, the speed."""
     stiffness = [one.stiffness for one in file.optima]
-    ends = f"{numbers.number(min(stiffness), 3)} to {numbers.number(max(stiffness), 3, file.unit)}"
+    ends = (
+        f"{numbers.format_number(min(stiffness), 3)} to {numbers.format_number(max(stiffness), 3, file.unit)}"
+    )
     text = f"{file.coefficient} {ends} over frequency"
     if file.objective == "speed":
         speeds = [float(np.nanmax(_column(file, way))) for way in ("ruled", "reference")]
-        ruled, fixed = (numbers.number(speed, 3, "m/s") for speed in speeds)
-        text += f"; highest speed {ruled} against {fixed} with {numbers.number(file.reference, 3, file.unit)}"
+        ruled, fixed = (numbers.format_number(speed, 3, "m/s") for speed in speeds)
+        reference = numbers.format_number(file.reference, 3, file.unit)
+        text += f"; highest speed {ruled} against {fixed} with {reference}"
     return f"{text}."
 
 
 def _curve_table(file: RuleFile) -> ev.Table:
     rows = []
     for c in file.curves:
-        row: dict[str, ev.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
-        row |= {f"c{k}": numbers.number(value, 6) for k, value in enumerate(c.coefficients)}
-        rows.append({**row, "RMS of residuals": numbers.number(c.rms, 2, file.unit)})
+        row: dict[str, ev.Cell] = {"amplitude": numbers.format_number(c.amplitude_deg, 3, "deg")}
+        row |= {f"c{k}": numbers.format_number(value, 6) for k, value in enumerate(c.coefficients)}
+        rows.append({**row, "RMS of residuals": numbers.format_number(c.rms, 2, file.unit)})
     caption = (
         f"{file.coefficient} = c0 + c1 f + c2 f², f in Hz, held within {numbers.interval(*file.between)}; "
         "linear interpolation between amplitudes."
     )
-    return ev.table("rule", "The rule", rows, caption)
+    return ev.make_table("rule", "The rule", rows, caption)
 
 
 def _optima_table(file: RuleFile) -> ev.Table:
     rows: list[dict[str, ev.Cell]] = [
         {
-            "frequency": numbers.number(o.frequency_hz, 3, "Hz"),
-            "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
-            file.coefficient: numbers.number(o.stiffness, 3, file.unit),
-            "speed": numbers.number(o.best[SPEED], 3, "m/s"),
-            "with the rule": numbers.number(o.ruled[SPEED], 3, "m/s"),
-            "with the reference": numbers.number(o.reference[SPEED], 3, "m/s"),
+            "frequency": numbers.format_number(o.frequency_hz, 3, "Hz"),
+            "amplitude": numbers.format_number(o.amplitude_deg, 3, "deg"),
+            file.coefficient: numbers.format_number(o.stiffness, 3, file.unit),
+            "speed": numbers.format_number(o.best[SPEED], 3, "m/s"),
+            "with the rule": numbers.format_number(o.ruled[SPEED], 3, "m/s"),
+            "with the reference": numbers.format_number(o.reference[SPEED], 3, "m/s"),
             "loss of the rule": numbers.percent(float(lost), 2),
-            "cost": numbers.number(o.best[COST], 3, "J/m"),
-            "settles in": numbers.number(o.best["settling_time_s"], 3, "s"),
+            "cost": numbers.format_number(o.best[COST], 3, "J/m"),
+            "settles in": numbers.format_number(o.best["settling_time_s"], 3, "s"),
         }
         for o, lost in zip(file.optima, _loss(file), strict=True)
     ]
-    reference = numbers.number(file.reference, 3, file.unit)
+    reference = numbers.format_number(file.reference, 3, file.unit)
     caption = f"The reference is {reference}. A run without a settling time still gains speed at its end."
-    return ev.table("optima", "Optima over the grid", rows, caption)
+    return ev.make_table("optima", "Optima over the grid", rows, caption)
 
 
 def _rule_figure(file: RuleFile) -> ev.Figure:
@@ -474,12 +506,14 @@ def _rule_figure(file: RuleFile) -> ev.Figure:
     x = np.linspace(*file.frequency_hz, 60)
     for group, c in enumerate(file.curves):
         optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
-        label = f"{numbers.number(c.amplitude_deg, 3)} deg"
+        label = f"{numbers.format_number(c.amplitude_deg, 3)} deg"
         y = [file.stiffness_for(float(f), c.amplitude_deg, outside="hold") for f in x]
         traces += [
-            ev.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
+            ev.make_point_trace(
+                optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group
+            ),
             ev.Trace(x=x, y=y, group=group),
         ]
     caption = "Points are the optima, curves the rule."
     y_label = f"{file.coefficient} ({numbers.unit_text(file.unit) or '1'})"
-    return ev.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
+    return ev.make_figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)

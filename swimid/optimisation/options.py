@@ -17,9 +17,7 @@ class GaitOptions(simulations.DriveOptions):
     jobs: int | None = fits.jobs()
 
 
-class MapOptions(
-    GaitOptions, command="map", section="Put to work", function="performance_map", argument="", makes="map"
-):
+class MapOptions(GaitOptions, argument="", makes="map"):
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
     Speed, cost of transport, Strouhal number, turning, power and torque are computed over one or two of
@@ -39,12 +37,9 @@ class MapOptions(
         help="Axis: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale of a stroke, or a "
         "coefficient (K_s). One or two.",
     )
-    cluster: str | None = fits.cluster()
 
 
-class OptimiseStiffnessOptions(
-    GaitOptions, command="optimise stiffness", section="Put to work", argument="", makes="rule"
-):
+class OptimiseStiffnessOptions(GaitOptions, argument="", makes="rule"):
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
     NSGA-II searches the stiffness at every point of the grid. The rule is a quadratic function of the
@@ -81,9 +76,7 @@ class OptimiseStiffnessOptions(
 Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]
 
 
-class OptimiseGaitOptions(
-    GaitOptions, command="optimise gait", section="Put to work", argument="", makes="gait"
-):
+class OptimiseGaitOptions(GaitOptions, argument="", makes="gait"):
     r"""Find the best gait within limits.
 
     Frequency, amplitude, bias, asymmetry, phase lag and coefficients may be varied. The goal is speed,

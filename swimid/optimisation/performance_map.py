@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -14,30 +13,29 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
-from swimid import executors
 from swimid.errors import UsageError
 from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import UNSTEADY
+from swimid.kinematics.cycles import UNSTEADY
 from swimid.logs.log import to_xarray
-from swimid.notices import Notice, Progress, recorded, silent
+from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.study import BATCH, BEAT, STROKE, Performance, Point, StudyFile, points_of
+from swimid.optimisation.study import BATCH_GAITS, BEAT, STROKE, Performance, Point, StudyFile, points_of
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
-from swimid.simulation.cases import value_text
+from swimid.simulation.cases import format_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
 #: Maximum number of grid points of a map.
-MAX_POINTS = 100_000
+MAX_GRID_POINTS = 100_000
 #: Quantities that the evidence of a map plots and tabulates, in this order, if the robot has them.
 DRAWN = (
     "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
@@ -51,7 +49,7 @@ N_LEVELS = 6
 BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
 
 
-class Axis(yamlio.Document):
+class MapAxis(yamlio.Document):
     """Axis of a map: name, unit and values of a varied parameter."""
 
     name: str
@@ -78,7 +76,7 @@ class MapFile(StudyFile):
 
     kind: ClassVar[str] = "map file"
     format: Literal["swimid-map/1"] = "swimid-map/1"
-    axes: list[Axis]
+    axes: list[MapAxis]
     quantities: dict[str, Mapped]
     #: Number of simulations that broke down, and number of simulations in which the speed still changes at
     #: the end.
@@ -159,49 +157,69 @@ def performance_map(
     >>> float(found.frame.loc[found.frame["mean_speed_m_s"].idxmax(), "frequency_hz"])
     4.0
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         performance = Performance.of_options(options)
-        if len(options.over) > 2:
-            raise UsageError("a map has one axis or two")
-        performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
-        if any(axis[2] < 2 for axis in options.over.values()):
-            raise UsageError("--over: an axis has two points or more")
-        if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:
-            raise UsageError(f"a map has at most {MAX_POINTS} points")
-        axes = {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
+        axes = _axes_of(performance, options)
         study = studies.study_of(performance, options, output)
-        keep = study.checkpoint
-        points = points_of(axes)
-        uncertain = performance.applied.uncertain()[0]
+        uncertain = bool(performance.applied.uncertain()[0])
         performance.model.prepare(progress)
         performance = performance.at_step({name: (axis[0], axis[-1]) for name, axis in axes.items()})
-        cells = Cells(performance, bool(uncertain))
-        found = _simulate(cells, points, options, keep, progress)
-        values, stderr = found[..., 0], found[..., 1]
-        performance.insist(values)
+        table = _simulate(Cells(performance, uncertain), points_of(axes), options, study.checkpoint, progress)
+        performance.insist(table[..., 0])
         if uncertain:
             performance.applied.warn_without_error("the deviations of the map")
-        shape = (len(next(iter(axes.values()))), -1)
-        quantities = {}
-        for k, (name, unit) in enumerate(performance.units.items()):
-            shown = {"values": values[:, k].reshape(shape), "stderr": stderr[:, k].reshape(shape)}
-            if not uncertain:
-                del shown["stderr"]
-            if np.isfinite(values[:, k]).any():
-                quantities[name] = Mapped(unit=unit, **shown)  # type: ignore[arg-type]
-        units = list(performance.units)
-        speed = values[:, units.index("mean_speed_m_s")]
-        change = np.zeros(len(values))
-        if "speed_change_per_beat_m_s" in units:
-            change = values[:, units.index("speed_change_per_beat_m_s")]
-        file = MapFile(
-            **study.head,
-            axes=[Axis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
-            quantities=quantities,
-            broken=int((~np.isfinite(values)).all(axis=1).sum()),
-            unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
-        )
-    return study.saved(PerformanceMap, file, evidence_of(file, notices, study.origin))
+        file = _map_file(study, performance, axes, table, uncertain=uncertain)
+    return study.save(PerformanceMap, file, make_map_evidence(file, notices, study.origin))
+
+
+def _axes_of(performance: Performance, options: MapOptions) -> dict[str, list[float]]:
+    """Return the values of the varied parameters along each axis of a map.
+
+    Raises
+    ------
+    UsageError
+        If the options describe no map of one or two axes, or one with too many points.
+    """
+    over = options.over
+    if len(over) > 2:
+        raise UsageError(f"--over has {len(over)} axes: a map has one axis or two")
+    performance.check_gaits({name: axis[:2] for name, axis in over.items()}, "--over")
+    short = [name for name, axis in over.items() if axis[2] < 2]
+    if short:
+        raise UsageError(f"--over {short[0]} has {over[short[0]][2]} points: an axis has two or more")
+    count = math.prod(axis[2] for axis in over.values())
+    if count > MAX_GRID_POINTS:
+        raise UsageError(f"--over has {count} points: a map has at most {MAX_GRID_POINTS} points")
+    return {name: np.linspace(*axis).tolist() for name, axis in over.items()}
+
+
+def _map_file(
+    study: studies.OptimisationStudy,
+    performance: Performance,
+    axes: dict[str, list[float]],
+    table: Array,
+    *,
+    uncertain: bool,
+) -> MapFile:
+    """Return the content of a map file. ``table`` has values and standard errors, (points, quantities, 2)."""
+    values, stderr = table[..., 0], table[..., 1]
+    shape = (len(next(iter(axes.values()))), -1)
+    quantities, columns = {}, {}
+    for k, (name, unit) in enumerate(performance.units.items()):
+        columns[name] = values[:, k]
+        shown = {"values": values[:, k].reshape(shape)}
+        if uncertain:
+            shown["stderr"] = stderr[:, k].reshape(shape)
+        if np.isfinite(values[:, k]).any():
+            quantities[name] = Mapped(unit=unit, **shown)  # type: ignore[arg-type]
+    change = np.abs(columns.get("speed_change_per_beat_m_s", np.zeros(len(values))))
+    return MapFile(
+        **study.head,
+        axes=[MapAxis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
+        quantities=quantities,
+        broken=int((~np.isfinite(values)).all(axis=1).sum()),
+        unsettled=int((change > UNSTEADY * np.abs(columns["mean_speed_m_s"])).sum()),
+    )
 
 
 @dataclass(frozen=True)
@@ -213,7 +231,7 @@ class Cells:
 
     @classmethod
     def of_options(cls, options: MapOptions) -> Cells:
-        """Build the cells of a map, on a worker of a cluster."""
+        """Build the cells of a map."""
         performance = Performance.of_options(options)
         return cls(performance, bool(performance.applied.uncertain()[0]))
 
@@ -235,41 +253,35 @@ def _simulate(
 
     The result has the shape (n, quantities, 2): values and standard errors. Unknown standard errors are NaN.
     """
-    size = BATCH
+    size = BATCH_GAITS
     if cells.uncertain:
         size = 1
     parts = [points[k : k + size] for k in range(0, len(points), size)]
-    compute, jobs = cells.compute, options.jobs
-    place = "swimid.optimisation.performance_map:Cells.of_options"
-    chosen = options.model_copy(update={"dt": cells.performance.model.max_step})
-    with executors.on_cluster(options.cluster, place, chosen) as rebuilt:
-        if rebuilt is not None:
-            compute, jobs = partial(rebuilt.call, "compute"), executors.WAITING
 
-        def one(k: int) -> Array:
-            return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
+    def one(k: int) -> Array:
+        return checkpoint.get_or_compute(f"points {k}", lambda: cells.compute(parts[k]))
 
-        found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
+    found = studies.in_parallel(one, len(parts), options.jobs, "gaits", progress)
     return np.concatenate([rows.reshape(-1, len(cells.performance.units), 2) for rows in found])
 
 
 # ------------------------------------------------------------ evidence
 
 
-def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+def make_map_evidence(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a map, with checks, tables and figures."""
     axes = " and ".join(f"{axis.name} ({len(axis.values)} values)" for axis in file.axes)
-    grid = [
-        f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} × {len(a.values)}"
-        for a in file.axes
-    ]
+    grid = []
+    for axis in file.axes:
+        first, last = numbers.format_number(axis.values[0]), numbers.format_number(axis.values[-1])
+        grid.append(f"{axis.name} {first} to {last} × {len(axis.values)}")
     methods = [
         f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
         "rest and was judged by its last whole beats. The power of driven joints is that of their "
         "torques, by inverse dynamics of the simulated motion; the cost of transport is mean positive "
         "power over speed. Standard deviations, where known, are those of the delta method."
     ]
-    return studies.evidence(
+    return studies.make_evidence(
         file, "map", answer(file), _checks(file),
         {"Grid": ", ".join(grid)},
         notices, origin, tables=[_best_table(file)], figures=_figures(file), methods=methods,
@@ -283,14 +295,16 @@ def _checks(file: MapFile) -> list[ev.Check]:
     region = {n: ends for n, ends in file.identified.items() if n in axes or n in BEAT | STROKE}
     broken = f"{file.broken} of {len(points)}"
     checks = [
-        ev.check("runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"),
+        ev.make_check(
+            "runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"
+        ),
         studies.steady_check(len(points) - file.unsettled, len(points)),
         studies.region_check(region, points),
     ]
     if (surge := file.quantities.get("mean_surge_from_start_m_s")) is not None:
         checks += studies.forwards_check(np.array(surge.values, dtype=object).ravel().tolist())
     if all(q.stderr is None for q in file.quantities.values()):
-        checks.append(studies.unknown_check("uncertainty of the map"))
+        checks.append(studies.make_undefined_check("uncertainty of the map"))
     return checks
 
 
@@ -303,8 +317,8 @@ def answer(file: MapFile) -> str:
         values = np.array(file.quantities[name].values, dtype=float)
         at = np.unravel_index(int(np.nanargmax(sign * values)), values.shape)[: len(file.axes)]
         on_axes = list(zip(file.axes, at, strict=True))
-        place = ", ".join(f"{axis.name} {numbers.number(axis.values[i], 3)}" for axis, i in on_axes)
-        best = numbers.number(sign * float(np.nanmax(sign * values)), 3, file.quantities[name].unit)
+        place = ", ".join(f"{axis.name} {numbers.format_number(axis.values[i], 3)}" for axis, i in on_axes)
+        best = numbers.format_number(sign * float(np.nanmax(sign * values)), 3, file.quantities[name].unit)
         edge = any(i in (0, len(axis.values) - 1) for axis, i in on_axes)
         parts.append(f"{word} {best} at {place}" + ", on the edge of the map" * edge)
     text = "; ".join(parts) or "mapped"
@@ -319,28 +333,28 @@ def _best_table(file: MapFile) -> ev.Table:
     """
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):
-        row: dict[str, ev.Cell] = {first.name: numbers.number(at)}
+        row: dict[str, ev.Cell] = {first.name: numbers.format_number(at)}
         if len(file.axes) == 1:
-            row |= {name: _cell(file, name, i, 0) for name in _drawn(file)}
+            row |= {name: _cell(file, name, i, 0) for name in _select_plotted(file)}
         for name in BEST if len(file.axes) == 2 else ():
             if name in file.quantities:
                 word, sign = BEST[name]
                 values = sign * np.array(file.quantities[name].values[i], dtype=float)
                 j = int(np.argmax(np.nan_to_num(values, nan=-np.inf)))
-                row[f"{word} at {file.axes[1].name}"] = numbers.number(file.axes[1].values[j])
+                row[f"{word} at {file.axes[1].name}"] = numbers.format_number(file.axes[1].values[j])
                 row[word] = _cell(file, name, i, j)
         rows.append(row)
-    return ev.table("best", f"Best points at each {first.name}", rows)
+    return ev.make_table("best", f"Best points at each {first.name}", rows)
 
 
 def _cell(file: MapFile, name: str, row: int, column: int) -> str:
     q, sd = file.quantities[name], None
     if q.stderr is not None:
         sd = q.stderr[row][column]
-    return value_text(q.values[row][column], q.unit, sd)
+    return format_quantity(q.values[row][column], q.unit, sd)
 
 
-def _drawn(file: MapFile) -> list[str]:
+def _select_plotted(file: MapFile) -> list[str]:
     return [name for name in DRAWN if name in file.quantities]
 
 
@@ -348,10 +362,10 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     drive = ", ".join(f"{name} {value}" for name, value in file.drive.items())
     caption = f"Runs of {file.duration_s:g} s from rest, over their last whole beats; {drive}."
     if len(file.axes) == 1:
-        curves = [_curve(file, name) for name in _drawn(file)]
+        curves = [_curve(file, name) for name in _select_plotted(file)]
         return [ev.panels("map", "Over the gait", caption, curves)]
-    heats = [_heat(file, name) for name in _drawn(file)]
-    contours = [_contours(file, name) for name in _drawn(file)]
+    heats = [_heat(file, name) for name in _select_plotted(file)]
+    contours = [_contours(file, name) for name in _select_plotted(file)]
     lines = "Lines of equal value; outside the frame of the identification trials they are extrapolation."
     return [
         ev.panels("map", "Over the grid of gaits", caption, heats),
@@ -359,7 +373,7 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     ]
 
 
-def _shown(file: MapFile, name: str) -> tuple[Array, str]:
+def _to_plot_unit(file: MapFile, name: str) -> tuple[Array, str]:
     """Return the values of a quantity of a map in the unit of the plot, and the title of the quantity."""
     bare, unit = numbers.split_unit(name)[0].replace("_", " "), file.quantities[name].unit
     factor, shown = numbers.in_degrees(unit)
@@ -371,7 +385,7 @@ def _title(name: str, unit: str) -> str:
     return f"{name} ({printed})" if printed else name
 
 
-def _axis_title(axis: Axis) -> str:
+def _axis_title(axis: MapAxis) -> str:
     """Return the title of an axis of a map.
 
     The title of a drive parameter has the unit from its name. The name of a coefficient is not split into
@@ -383,8 +397,8 @@ def _axis_title(axis: Axis) -> str:
 
 
 def _heat(file: MapFile, name: str) -> ev.Panel:
-    values, title = _shown(file, name)
-    rows, columns = ([numbers.number(v, 3) for v in axis.values] for axis in file.axes)
+    values, title = _to_plot_unit(file, name)
+    rows, columns = ([numbers.format_number(v, 3) for v in axis.values] for axis in file.axes)
     cells = [[float(f"{v:.3g}") for v in row] for row in values]
     heat = ev.Heat(rows=rows, columns=columns, values=cells, scale="linear")  # type: ignore[arg-type]
     down, along = (_axis_title(axis) for axis in file.axes)
@@ -392,7 +406,7 @@ def _heat(file: MapFile, name: str) -> ev.Panel:
 
 
 def _contours(file: MapFile, name: str) -> ev.Panel:
-    values, title = _shown(file, name)
+    values, title = _to_plot_unit(file, name)
     down, along = file.axes
     traces = []
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -403,7 +417,7 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
         found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]
         if found:
             x, y = np.vstack(found).T
-            traces.append(ev.Trace(x=x, y=y, label=numbers.number(float(level), 3), group=k))
+            traces.append(ev.Trace(x=x, y=y, label=numbers.format_number(float(level), 3), group=k))
     if all(axis.name in file.identified for axis in file.axes):
         (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in (along, down))
         frame = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
@@ -412,7 +426,7 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
 
 
 def _curve(file: MapFile, name: str) -> ev.Panel:
-    values, title = _shown(file, name)
+    values, title = _to_plot_unit(file, name)
     axis, q = file.axes[0], file.quantities[name]
     x, y = np.array(axis.values), values[:, 0]
     traces = [ev.Trace(x=x, y=y, label="model")]

@@ -21,7 +21,7 @@ from swimid.optimisation.study import Performance, Point
 #: of a gradient search, as a fraction of the range of a parameter; and maximum number of steps of the search.
 FIRST_RADIUS, LAST_RADIUS, MAX_STEPS = 0.1, 1e-3, 24
 #: Value of the penalised goal where it cannot be computed. It is worse than any computed value.
-BROKEN = 1e9
+FAILED_GOAL = 1e9
 #: Number of points at which the quadratic model of the objective is evaluated in one round of its
 #: minimisation, and number of rounds. Each round has a smaller search region.
 N_MODEL_POINTS, N_ZOOMS = 512, 3
@@ -58,7 +58,7 @@ def merit(parts: Array) -> Array:
     penalty (satisfied limit) counts as 0.
     """
     total = parts[:, 0] + np.maximum(parts[:, 1:], 0.0).sum(axis=1)
-    return np.minimum(np.nan_to_num(total, nan=BROKEN, posinf=BROKEN), BROKEN)
+    return np.minimum(np.nan_to_num(total, nan=FAILED_GOAL, posinf=FAILED_GOAL), FAILED_GOAL)
 
 
 def descend(
@@ -99,19 +99,11 @@ def descend(
         active = np.flatnonzero(radius >= last)
         if not len(active):
             break
-        stencil = np.repeat(points[active][:, None, :], 2 * width, axis=1)
-        for k in range(width):
-            stencil[:, 2 * k, k] -= radius[active]
-            stencil[:, 2 * k + 1, k] += radius[active]
-        stencil = np.clip(stencil, 0.0, 1.0)
+        stencil = _stencil(points[active], radius[active])
         around = evaluate(stencil.reshape(-1, width), np.repeat(active, 2 * width))
         around = around.reshape(len(active), 2 * width, -1)
-        suggested = np.array(
-            [
-                _model_minimum(points[j], parts[j], stencil[n], around[n], radius[j])
-                for n, j in enumerate(active)
-            ]
-        )
+        each = zip(points[active], parts[active], stencil, around, radius[active], strict=True)
+        suggested = np.array([_model_minimum(*rows) for rows in each])
         tried = evaluate(suggested, active)
         tried_values = merit(tried)
         for n, j in enumerate(active):
@@ -128,6 +120,16 @@ def descend(
                 radius[j] *= 0.5
         advance()
     return Minima(points, values)
+
+
+def _stencil(points: Array, radius: Array) -> Array:
+    """Return the points of central differences about n points of the unit cube, shape (n, 2 d, d)."""
+    width = points.shape[1]
+    stencil = np.repeat(points[:, None, :], 2 * width, axis=1)
+    for k in range(width):
+        stencil[:, 2 * k, k] -= radius
+        stencil[:, 2 * k + 1, k] += radius
+    return np.clip(stencil, 0.0, 1.0)
 
 
 @cache
@@ -181,7 +183,7 @@ class Limit(yamlio.Document):
 
 
 @dataclass
-class Problem:
+class GaitProblem:
     """Optimisation problem over gaits, with goals and limits as functions on the unit cube.
 
     The axes of the cube are the varied parameters, scaled to their ranges.
@@ -224,7 +226,7 @@ class Problem:
         """Simulate gaits at points of the unit cube, and return their quantities, shape (n, quantities)."""
         gaits = [{**self.fixed, **self.at(x)} for x in points]
         self.calls += 1
-        found = self.checkpoint.kept(
+        found = self.checkpoint.get_or_compute(
             f"runs {self.calls}", lambda: self.performance.many(gaits, values).ravel()
         )
         return found.reshape(-1, len(self.performance.units))
@@ -255,7 +257,7 @@ class Problem:
             columns.append(column)
         return np.column_stack(columns)
 
-    def wanted(self, table: Array) -> Array:
+    def compute_objectives(self, table: Array) -> Array:
         """Return the goals of each simulation with the signs for minimisation, shape (n, goals)."""
         return self.goal_values(table) * np.array([sign for _, sign in self.goals])
 
@@ -282,7 +284,9 @@ class Problem:
 
         The result has the shape (n, 1 + limits).
         """
-        return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
+        return np.hstack(
+            [self.compute_objectives(table)[:, :1], PENALTY * self.scale * self.violations(table)]
+        )
 
     def minimise(self, starts: Array, vectors: Sequence[Array] | None = None, **how: Any) -> Minima:
         """Minimise the first goal from several starting points (see :func:`descend`).
@@ -308,7 +312,8 @@ class Problem:
         """
         width = len(self.vary)
         found = global_search.nsga2(
-            lambda points: self.wanted(self.table(points)), np.zeros(width), np.ones(width), objectives=2,
+            lambda points: self.compute_objectives(self.table(points)),
+            np.zeros(width), np.ones(width), objectives=2,
             population=population, generations=generations, seed=seed, first=first,
         )  # fmt: skip
         sound = (found.objectives < global_search.BROKEN_OBJECTIVE).all(axis=1)

@@ -33,23 +33,23 @@ from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.robots import file as robot_format
 from swimid.simulation import cases, catalogue
-from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_drive, swim_input
+from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, list_drive_options, swim_input
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.model import Swimmer
 
 #: Minimum and maximum allowed values of drive parameters, by name. The units are in the names.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
 #: Number of gaits that are simulated in one batch.
-BATCH = 8
+BATCH_GAITS = 8
 #: Maximum number of times that the integration step is halved for a single gait that breaks down.
-MAX_HALVINGS = 2
+MAX_STEP_HALVINGS = 2
 
 Point = Mapping[str, float]
 #: Codes of two warnings about coefficients: they lie outside their bounds, or their fit did not converge or
 #: could not identify them.
 DOUBTFUL_CODES = ("SWM053", "SWM062")
 #: Default values of drive parameters that a gait does not state.
-NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
+NEUTRAL_DRIVE = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
 #: Minimum fraction of random samples of the coefficients that lie within the bounds of the coefficients.
 MIN_INSIDE = 0.5
 REFERENCES = [
@@ -97,7 +97,7 @@ class Performance:
             file, _ = catalogue.read_parameters(options.params)
             if file.model not in ("multilink", "multibody"):
                 raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
-        made = cls(catalogue.load_robot(options, file), given_drive(options), options)
+        made = cls(catalogue.load_robot(options, file), list_drive_options(options), options)
         if not made.model.driven:
             raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
         return made
@@ -131,7 +131,7 @@ class Performance:
         return {**drive, **shared}
 
     @property
-    def identified(self) -> dict[str, tuple[float, float]]:
+    def trial_ranges(self) -> dict[str, tuple[float, float]]:
         """Range of each drive parameter in the trials of the fit, by name; empty if it is unknown."""
         file = self.applied.file
         if file is None or file.fit is None:
@@ -189,7 +189,7 @@ class Performance:
     def run(self, point: Point) -> SwimRun:
         """Return the simulation of a gait from rest, before it is computed."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
-        return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
+        return SwimRun.simulate_drive(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
         """Return the parameter vector of the model with the coefficients of a gait."""
@@ -214,7 +214,7 @@ class Performance:
         vectors = [self.at(point, vector) for point, vector in zip(points, given, strict=True)]
         found = cases.quantities_of(self.model, runs, vectors)
         for k in np.flatnonzero(~np.isfinite(found).any(axis=1)):
-            own = choose_step(self.applied.model, [(vectors[k], runs[k].trial)], halvings=MAX_HALVINGS)
+            own = choose_step(self.applied.model, [(vectors[k], runs[k].trial)], halvings=MAX_STEP_HALVINGS)
             if own.halvings:
                 found[k] = cases.quantities_of(own.model.swimmer, [runs[k]], [vectors[k]])[0]
         self.model.forget([run.trial for run in runs])
@@ -223,7 +223,7 @@ class Performance:
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
         """Simulate gaits in several threads, and return their quantities as :meth:`table` does."""
         given = [self.values] * len(points) if values is None else values
-        parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
+        parts = [slice(k, k + BATCH_GAITS) for k in range(0, len(points), BATCH_GAITS)]
         tables = in_parallel(
             lambda k: self.table(points[parts[k]], given[parts[k]]), len(parts), self.options.jobs
         )
@@ -287,7 +287,7 @@ Made = TypeVar("Made", bound=FileResult[Any])
 
 
 @dataclass(frozen=True)
-class Study:
+class OptimisationStudy:
     """Output, checkpoint, provenance and first file keys of the computation of a map, rule or best gait.
 
     Attributes
@@ -303,15 +303,15 @@ class Study:
     origin: dict[str, Any]
     head: dict[str, Any]
 
-    def saved(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
+    def save(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
         """Write file content and evidence to the output, if there is one; return them as a result."""
         file.verdict = evidence.verdict.level
-        result = made.of(file, evidence).saved(self.output)
-        self.checkpoint.done()
+        result = made.of(file, evidence).write_output(self.output)
+        self.checkpoint.finish()
         return result
 
 
-def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> Study:
+def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> OptimisationStudy:
     """Return output, checkpoint, provenance and first file keys for the options of a command.
 
     Raises
@@ -324,7 +324,7 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
     name, folder, params = options.robot, None, None
     if given is not None:
         inputs.append(parameters_format.origin(given))
-        place = parameters_format.place(given)
+        place = parameters_format.source_path(given)
         params = place.name
         if name is None and applied.file is not None:
             name, folder = applied.file.robot, place.parent
@@ -342,10 +342,12 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
         "params": params,
         "drive": drive,
         "duration_s": options.duration_s,
-        "identified": performance.identified,
+        "identified": performance.trial_ranges,
         "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
     }
-    return Study(output, Checkpoint.beside(output, [origin["inputs"], origin["settings"]]), origin, head)
+    return OptimisationStudy(
+        output, Checkpoint.of_output(output, [origin["inputs"], origin["settings"]]), origin, head
+    )
 
 
 def in_parallel(
@@ -369,7 +371,7 @@ def in_parallel(
 # ------------------------------------------------------------ evidence
 
 
-def evidence(
+def make_evidence(
     file: Any,
     command: str,
     answer: str,
@@ -386,15 +388,15 @@ def evidence(
     doubts = "; ".join(n.text for n in notices if n.code in DOUBTFUL_CODES)
     if doubts:
         name, limit = "coefficients are those of a sound fit", "converged, identified, within bounds"
-        checks = [*checks, ev.check(name, "no", False, limit, reason=doubts)]
+        checks = [*checks, ev.make_check(name, "no", False, limit, reason=doubts)]
     robot = {"Robot": file.robot, "Parameters": file.params or "the robot file's"}
     return ev.Evidence(
         command=command,
         title=f"{file.kind.removesuffix(' file').capitalize()} of {file.robot}",
-        verdict=ev.judged(answer, checks),
+        verdict=ev.make_verdict(answer, checks),
         facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},
         checks=list(checks),
-        notices=ev.notices(notices),
+        notices=list(notices),
         references=REFERENCES,
         provenance=origin,
         **shown,
@@ -404,7 +406,7 @@ def evidence(
 def count_check(name: str, passed: int, count: int, text: str, reason: str = "") -> ev.Check:
     """Return a check that passes if all of ``count`` items pass. ``text`` is shown if some do not."""
     value, text = f"{passed} of {count}", text * (passed < count)
-    return ev.check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
+    return ev.make_check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
 
 
 def draws_check(inside: float) -> ev.Check:
@@ -412,12 +414,12 @@ def draws_check(inside: float) -> ev.Check:
     value, passed = numbers.percent(inside, 2), inside >= MIN_INSIDE
     text = "the coefficients have large standard errors: add trials that identify them" * (not passed)
     name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
-    return ev.check(name, value, passed, "half or more", text, reason=reason)
+    return ev.make_check(name, value, passed, "half or more", text, reason=reason)
 
 
-def unknown_check(name: str) -> ev.Check:
+def make_undefined_check(name: str) -> ev.Check:
     """Return an entry of the evidence which states that the uncertainty named ``name`` is not known."""
-    return ev.check(name, "not known", None, text="give a parameter file with standard errors: --params")
+    return ev.make_check(name, "not known", None, text="give a parameter file with standard errors: --params")
 
 
 def steady_check(steady: int, count: int) -> ev.Check:
@@ -432,7 +434,7 @@ def region_check(
     """Check that gaits lie inside the range of each drive parameter in the identification trials."""
     name = "inside the range of the identification trials"
     if not region:
-        return ev.check(name, "not known", None, text="give the parameter file of a fit: --params")
+        return ev.make_check(name, "not known", None, text="give the parameter file of a fit: --params")
     outside = [find_outside(region, at) for at in points]
     names = ", ".join(name for name in region if any(name in one for one in outside))
     text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"
@@ -451,7 +453,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
     for name, (low, high) in region.items():
         slack = 1e-9 * (1.0 + max(abs(low), abs(high)))
         # A stroke for which no frequency is stated has a frequency of its own, which is not compared.
-        value = at.get(name, NEUTRAL.get(name))
+        value = at.get(name, NEUTRAL_DRIVE.get(name))
         if value is not None and not low - slack <= value <= high + slack:
             found.append(name)
     return found

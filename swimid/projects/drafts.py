@@ -15,20 +15,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import yamlio
+from swimid.files.templates import environment
 from swimid.files.yamlio import ASK
+from swimid.imports.formats import open_table
+from swimid.imports.mapping import FORMAT as MAPPING
+from swimid.imports.mapping import guess_mapping
 from swimid.logs.experiments import FORMAT as TRIALS
 from swimid.logs.experiments import Trials
-from swimid.logs.foreign import UNITS, canonical, open_table
-from swimid.logs.mapping import FORMAT as MAPPING
-from swimid.logs.mapping import guess_mapping
-from swimid.logs.point_files import tracked_points
+from swimid.logs.units import UNITS, canonical
 from swimid.notices import Progress, silent
-from swimid.projects.survey import Recording, several
-from swimid.robots.file import built_in
+from swimid.points.point_files import find_tracked_points
+from swimid.projects.survey import SurveyedFile, several
+from swimid.robots.file import list_built_in_robots
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup
 
@@ -50,7 +51,7 @@ UNSTATED = {"id", "log", "drive", "coefficients"}
 
 
 @dataclass
-class Group:
+class RecordingGroup:
     """Recordings that were made in the same way.
 
     Attributes
@@ -73,17 +74,17 @@ class Group:
     """
 
     name: str
-    recordings: list[Recording]
+    recordings: list[SurveyedFile]
     columns: tuple[str, ...] = ()
     steps: list[dict[str, Any]] = field(default_factory=list)
     rates_hz: dict[Path, float] = field(default_factory=dict)
-    companions: list[Group] = field(default_factory=list)
+    companions: list[RecordingGroup] = field(default_factory=list)
     fitting: list[str] = field(default_factory=list)
     experiment: str = ASK
     robot: str = ASK
 
     @property
-    def first(self) -> Recording:
+    def first(self) -> SurveyedFile:
         """First recording of the group, from which its files are drafted."""
         return self.recordings[0]
 
@@ -121,7 +122,7 @@ class Project:
     experiment: str | None
     kinds: Mapping[str, type[Trials]]
     experiment_file: Path | None = None
-    groups: list[Group] = field(default_factory=list)
+    groups: list[RecordingGroup] = field(default_factory=list)
     files: dict[str, str] = field(default_factory=dict)
     pictures: dict[str, SetupDraft] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
@@ -134,7 +135,7 @@ class Project:
         """Return a path relative to the folder of the project, with slashes."""
         return relative(path, self.folder)
 
-    def fitting(self, group: Group) -> list[str]:
+    def fitting(self, group: RecordingGroup) -> list[str]:
         """Return the experiments whose columns the logs of a group have; all if the columns are unknown.
 
         Those that need most columns come first.
@@ -147,7 +148,7 @@ class Project:
         names = [name for name, kind in found.items() if not known or kind.has_columns(group.columns)]
         return sorted(names, key=lambda name: -len(found[name].usual))
 
-    def all_groups(self) -> list[Group]:
+    def all_groups(self) -> list[RecordingGroup]:
         """Return the groups, each followed by its companions."""
         return [one for group in self.groups for one in (group, *group.companions)]
 
@@ -160,38 +161,44 @@ class Project:
         return found
 
 
-def groups_of(recordings: Iterable[Recording]) -> list[Group]:
+def groups_of(recordings: Iterable[SurveyedFile]) -> list[RecordingGroup]:
     """Return the groups of recordings that were made in the same way, films last.
 
     A film of which a tracker's table is there is not tracked again.
     """
-    found: dict[Any, list[Recording]] = {}
     order = ("", "log", "points", "table", "choice", "film")
     usable = [one for one in recordings if one.is_alone or one.kind in order]
-    rates: dict[Path, float] = {}
-    tracked: set[Path] = set()
-    films = [one for one in usable if one.kind == "film"]
-    for one in (one for one in usable if one.kind == "points"):
-        film = _namesake(one, films)
-        if film is not None:
-            tracked.add(film.path)
-            # A table of a thinned copy of the film has another number of rows, and another rate.
-            if abs(one.rows - film.rows) <= MAX_FRAME_DIFFERENCE:
-                rates[one.path] = film.rate_hz
+    tracked, rates = _match_films(usable)
+    alike: dict[Any, list[SurveyedFile]] = {}
     for one in sorted(usable, key=lambda one: order.index("" if one.is_alone else one.kind)):
         if one.path not in tracked:
             alone = one.path if one.is_alone or one.kind == "choice" else None
-            found.setdefault((one.alike, alone), []).append(one)
-    groups: list[Group] = []
-    for members in found.values():
+            alike.setdefault((one.alike, alone), []).append(one)
+    groups: list[RecordingGroup] = []
+    for members in alike.values():
         kind = members[0].kind
         number = sum(group.first.kind == kind for group in groups) + 1
         known = {one.path: rates[one.path] for one in members if rates.get(one.path)}
-        groups.append(Group(f"{kind}-{number}", members, rates_hz=known))
+        groups.append(RecordingGroup(f"{kind}-{number}", members, rates_hz=known))
     return groups
 
 
-def _namesake(table: Recording, others: Iterable[Recording]) -> Recording | None:
+def _match_films(recordings: list[SurveyedFile]) -> tuple[set[Path], dict[Path, float]]:
+    """Return the films of which a tracker's table is there, and the frame rate of each of these tables."""
+    tracked: set[Path] = set()
+    rates: dict[Path, float] = {}
+    films = [one for one in recordings if one.kind == "film"]
+    for table in (one for one in recordings if one.kind == "points"):
+        film = _namesake(table, films)
+        if film is not None:
+            tracked.add(film.path)
+            # A table of a thinned copy of the film has another number of rows, and another rate.
+            if abs(table.rows - film.rows) <= MAX_FRAME_DIFFERENCE:
+                rates[table.path] = film.rate_hz
+    return tracked, rates
+
+
+def _namesake(table: SurveyedFile, others: Iterable[SurveyedFile]) -> SurveyedFile | None:
     """Return the recording with whose name that of a table begins; of several, the one beside the table."""
     name, found = table.path.stem, []
     for other in others:
@@ -201,28 +208,36 @@ def _namesake(table: Recording, others: Iterable[Recording]) -> Recording | None
     return max(found, key=lambda entry: entry[:2])[2] if found else None
 
 
-def pair_groups(groups: list[Group]) -> list[Group]:
+def pair_groups(groups: list[RecordingGroup]) -> list[RecordingGroup]:
     """Return the groups that need trials of their own; tables of the same trials become their companions.
 
     ``swim1_servo.csv`` belongs to ``swim1.mp4`` if each table like it has its film, log or points.
     """
     bases = [group for group in groups if group.first.kind in ("film", "points", "log")]
-    kept: list[Group] = []
+    kept: list[RecordingGroup] = []
     for group in groups:
-        others = [one for base in bases if base is not group for one in base.recordings]
-        names = [_namesake(one, others) for one in group.recordings]
-        pairs = zip(group.recordings, names, strict=True)
-        suffixes = {one.path.stem.removeprefix(other.path.stem) for one, other in pairs if other is not None}
-        base = next((one for one in bases if all(name in one.recordings for name in names)), None)
-        is_table = group.first.kind in ("table", "log")
-        if base is not None and is_table and len(suffixes) == 1 and "" not in suffixes:
-            base.companions.append(group)
-        else:
+        base = _find_base(group, bases)
+        if base is None:
             kept.append(group)
+        else:
+            base.companions.append(group)
     return kept
 
 
-def draft(project: Project, groups: list[Group], notes: list[Recording], progress: Progress = silent) -> None:
+def _find_base(group: RecordingGroup, bases: list[RecordingGroup]) -> RecordingGroup | None:
+    """Return the group of the same trials, to which the tables of a group belong; None if there is none."""
+    others = [one for base in bases if base is not group for one in base.recordings]
+    names = [_namesake(one, others) for one in group.recordings]
+    pairs = zip(group.recordings, names, strict=True)
+    suffixes = {one.path.stem.removeprefix(other.path.stem) for one, other in pairs if other is not None}
+    if group.first.kind not in ("table", "log") or len(suffixes) != 1 or "" in suffixes:
+        return None
+    return next((base for base in bases if all(name in base.recordings for name in names)), None)
+
+
+def draft(
+    project: Project, groups: list[RecordingGroup], notes: list[SurveyedFile], progress: Progress = silent
+) -> None:
     """Add the files for all groups to a project: setups, mappings, points, trials, plan and robot."""
     groups = project.groups = pair_groups(groups)
     for group in groups:
@@ -235,17 +250,22 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
         project.optional.append(f"swimid track imu {shlex.join(words)}")
     for group in groups:
         _add_trials(project, group, [logs[one.path] for one in group.recordings], notes)
-    names = {name for group in groups if group.robot == ASK for name in group.fitting}
+    _add_robot_file(project)
+
+
+def _add_robot_file(project: Project) -> None:
+    """Add a robot file for the groups whose robot is not known."""
+    names = {name for group in project.groups if group.robot == ASK for name in group.fitting}
     forms = {project.kinds[name].robot_form for name in names} - {""}
-    if forms:
-        joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for group in groups for name in group.columns]
+    if forms == {"links"} and project.robot_text:
+        project.files["robot.yaml"] = project.robot_text
+        project.missing += project.robot_asks
+    elif forms:
+        columns = [name for group in project.groups for name in group.columns]
+        joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for name in columns]
         count = max((int(hit[1]) for hit in joints if hit), default=1)
         links = ["body", *(f"segment{k}" for k in range(1, count)), "tail"]
-        if forms == {"links"} and project.robot_text:
-            project.files["robot.yaml"] = project.robot_text
-            project.missing += project.robot_asks
-            return
-        project.files["robot.yaml"] = rendered(
+        project.files["robot.yaml"] = render_template(
             "robot.yaml", rigid="body" in forms, linked="links" in forms, links=links
         )
 
@@ -253,7 +273,7 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
 # ---------------------------------------------------------------- logs
 
 
-def _of_film(project: Project, group: Group, progress: Progress) -> None:
+def _of_film(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add the setup of a camera, drafted from the first film in which two markers, or else one, are found."""
     name = f"{group.name}.setup.yaml"
     group.columns = ("x_m", "y_m", "yaw_rad")
@@ -261,7 +281,7 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
     if group.first.rate_hz == 0:
         options["fps"] = ASK
     group.steps = [{"track video": options}]
-    found: list[tuple[Recording, SetupDraft]] = []
+    found: list[tuple[SurveyedFile, SetupDraft]] = []
     for film in group.recordings:
         try:
             made = track_setup(film.path, fps=None if film.rate_hz else 1.0, progress=progress)
@@ -296,10 +316,10 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
     )
 
 
-def _of_points(project: Project, group: Group, progress: Progress) -> None:
+def _of_points(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add a points file: places on a robot if the robot is known, and a chain otherwise."""
     name = f"{group.name}.points.yaml"
-    points = list(tracked_points({name: np.empty(0) for name in group.first.columns}))
+    points = list(find_tracked_points({name: np.empty(0) for name in group.first.columns}))
     options: dict[str, Any] = {"points": name}
     lines = [
         f"# Points of {group.first.path.name}. Answer every {ASK}. All keys: swimid schema points",
@@ -325,7 +345,7 @@ def _of_points(project: Project, group: Group, progress: Progress) -> None:
     group.columns = ("x_m", "y_m", "yaw_rad", "joint1_rad")
 
 
-def _of_table(project: Project, group: Group, progress: Progress) -> None:
+def _of_table(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add a mapping of a table."""
     name = f"{group.name}.map.yaml"
     group.steps = [{"import": {"map": name}}]
@@ -335,14 +355,14 @@ def _of_table(project: Project, group: Group, progress: Progress) -> None:
             open_table(group.first.path)
         except InputError as error:
             if several(error):
-                text += f"# join: may add columns of another topic (docs/mapping.md). {error.hint}\n"
+                text += f"# join: may add columns of another topic (docs/import.md). {error.hint}\n"
     project.files[name] = text
     group.columns = tuple(re.findall(r"(?m)^ *- .*target: (\w+)", text))
     if not group.columns:
         group.columns = group.first.columns
 
 
-def _of_choice(project: Project, group: Group, progress: Progress) -> None:
+def _of_choice(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Note that the user must choose one of several topics, tracks or sheets before a mapping is drafted."""
     name = f"{group.name}.map.yaml"
     group.steps = [{"import": {"map": name}}]
@@ -353,7 +373,7 @@ def _of_choice(project: Project, group: Group, progress: Progress) -> None:
     )
 
 
-def _of_log(project: Project, group: Group, progress: Progress) -> None:
+def _of_log(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Note the columns of a log, which needs no further file."""
     group.columns = group.first.columns
 
@@ -367,7 +387,7 @@ DRAFTS = {
 }
 
 
-def _add_companions(project: Project, group: Group, progress: Progress) -> None:
+def _add_companions(project: Project, group: RecordingGroup, progress: Progress) -> None:
     """Add the mapping that joins the tables of the same trials to the logs of a group, by their names.
 
     The clock of each table is aligned by a commanded joint angle and the heading. An inertial log is not
@@ -425,7 +445,7 @@ def _add_plan(project: Project) -> None:
     project.files["plan.yaml"] = head + yamlio.dumps(plan)
 
 
-def _patterns(project: Project, group: Group) -> list[str]:
+def _patterns(project: Project, group: RecordingGroup) -> list[str]:
     """Return the patterns of the files of a group: one for a folder all of whose files belong to it."""
     members = {one.path for one in group.recordings}
     patterns: dict[str, None] = {}
@@ -458,46 +478,59 @@ def _logs_of(project: Project) -> dict[Path, str]:
     return {path: made.get(name, name) for path, name in own.items()}
 
 
-def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Recording]) -> None:
+def _add_trials(project: Project, group: RecordingGroup, logs: list[str], notes: list[SurveyedFile]) -> None:
     """Add the trials file of a group, whose recordings have these logs."""
     fitting, kinds = project.fitting(group), project.kinds
     group.experiment = experiment = _choose_experiment(project, group, fitting, notes)
     kind = kinds.get(experiment)
     group.fitting = fitting if kind is None else [experiment]
-    metadata = [one.metadata for one in group.recordings]
-    robots = {one.get("robot") for one in metadata} - {None}
-    robot = project.robot or (str(robots.pop()) if len(robots) == 1 else ASK)
-    group.robot = robot
+    robots = {one.metadata.get("robot") for one in group.recordings} - {None}
+    group.robot = project.robot or (str(robots.pop()) if len(robots) == 1 else ASK)
     lines = [
         f"# Trials of {len(group.recordings)} recordings of {group.first.path.parent.name}. "
         f"Answer every {ASK}, or delete its line. All keys: swimid schema trials",
         f"format: {TRIALS}",
         f"experiment: {experiment}" + f"   # {', '.join(fitting)}" * (experiment == ASK),
-        f"robot: {robot}" + f"   # {', '.join(built_in())}, or robot.yaml" * (robot == ASK),
+        f"robot: {group.robot}"
+        + f"   # {', '.join(list_built_in_robots())}, or robot.yaml" * (group.robot == ASK),
     ]
     if kind is not None and group.first.is_alone:
         table = project.relative(group.first.path)
         lines += [f"# {kind.about}", f"table: {_flow(table)}", *(f"{key}: {ASK}" for key in kind.asked)]
     else:
         lines.append("# Hold out one trial or more with 'role: validate'. Without one no fit is called good.")
-        commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
-        asked: Mapping[str, Any] = {}
         if kind is None:
             lines += [f"#   {name}: {kinds[name].about}" for name in fitting]
-        else:
-            asked = kind.asked
-        entries = [{**asked, **_keys_of(one, notes, kind)} for one in group.recordings]
-        if commands and any("drive" in entry for entry in entries):
-            lines.append(f"# The drive is in the logs: {', '.join(commands)}.")
-            entries = [{key: entry[key] for key in entry if key != "drive"} for entry in entries]
-        files = {one.path.name for group in project.all_groups() for one in group.recordings}
-        lines += [*_unused(notes, kind, files), "trials:"]
-        for log, ident, entry in zip(logs, _idents(group), entries, strict=True):
-            lines.append(f"  - {_flow({'id': ident, 'log': log, **entry})}")
+        lines += _trial_lines(project, group, logs, notes, kind)
     project.files[f"{group.name}.trials.yaml"] = "\n".join(lines) + "\n"
 
 
-def _choose_experiment(project: Project, group: Group, fitting: list[str], notes: list[Recording]) -> str:
+def _trial_lines(
+    project: Project,
+    group: RecordingGroup,
+    logs: list[str],
+    notes: list[SurveyedFile],
+    kind: type[Trials] | None,
+) -> list[str]:
+    """Return the lines of a trials file with the trials of a group."""
+    asked: Mapping[str, Any] = {} if kind is None else kind.asked
+    entries = [{**asked, **_keys_of(one, notes, kind)} for one in group.recordings]
+    lines = []
+    commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
+    if commands and any("drive" in entry for entry in entries):
+        lines.append(f"# The drive is in the logs: {', '.join(commands)}.")
+        for entry in entries:
+            entry.pop("drive", None)
+    files = {one.path.name for group in project.all_groups() for one in group.recordings}
+    lines += [*_list_unused(notes, kind, files), "trials:"]
+    for log, ident, entry in zip(logs, _idents(group), entries, strict=True):
+        lines.append(f"  - {_flow({'id': ident, 'log': log, **entry})}")
+    return lines
+
+
+def _choose_experiment(
+    project: Project, group: RecordingGroup, fitting: list[str], notes: list[SurveyedFile]
+) -> str:
     """Return the experiment of a group among those that its columns fit; ``ASK`` if it is not known.
 
     The logs or the user state it, or they state the keys that only one experiment asks for.
@@ -518,7 +551,7 @@ def _choose_experiment(project: Project, group: Group, fitting: list[str], notes
     return complete[0] if len(complete) == 1 else ASK
 
 
-def _idents(group: Group) -> list[str]:
+def _idents(group: RecordingGroup) -> list[str]:
     """Return an id of a trial for each recording: the stem of its name, with its folder if stems repeat."""
     stems = [one.path.stem for one in group.recordings]
     if len(set(stems)) == len(stems):
@@ -554,7 +587,7 @@ def _key_of(header: str, keys: Iterable[str]) -> tuple[str, float] | None:
     return None
 
 
-def _unused(notes: list[Recording], kind: type[Trials] | None, files: set[str]) -> list[str]:
+def _list_unused(notes: list[SurveyedFile], kind: type[Trials] | None, files: set[str]) -> list[str]:
     """Return a comment line for each table of recordings that has columns which are no keys of the trials."""
     lines = []
     for table in notes:
@@ -567,23 +600,28 @@ def _unused(notes: list[Recording], kind: type[Trials] | None, files: set[str]) 
     return lines
 
 
-def _keys_of(one: Recording, notes: list[Recording], kind: type[Trials] | None) -> dict[str, Any]:
+def _keys_of(one: SurveyedFile, notes: list[SurveyedFile], kind: type[Trials] | None) -> dict[str, Any]:
     """Return the keys of a trial that the metadata of its log, or a table of recordings, states."""
     keys = sorted(_keys(kind))
     found = {key: value for key, value in one.metadata.items() if key in keys and value is not None}
     for table in notes:
-        stated = {name: hit for name in table.cells if (hit := _key_of(name, keys)) is not None}
-        for number, file in enumerate(table.cells[table.columns[0]]):
-            if file not in (one.path.name, one.path.stem):
-                continue
-            for name, (key, factor) in stated.items():
-                value = yamlio.parse_scalar(table.cells[name][number])
-                if isinstance(value, int | float) and factor != 1:
-                    value *= factor
-                if value is not None:
-                    found[key] = value
+        rows = enumerate(table.cells[table.columns[0]])
+        for number in [k for k, file in rows if file in (one.path.name, one.path.stem)]:
+            found |= _read_row(table, number, keys)
     drive = {key: found.pop(key) for key in DRIVE_KEYS if key in found}
     return found | ({"drive": drive} if {"frequency_hz", "amplitude_deg"} <= drive.keys() else {})
+
+
+def _read_row(table: SurveyedFile, number: int, keys: list[str]) -> dict[str, Any]:
+    """Return the keys of a trial that a row of a table of recordings states, in the units of the keys."""
+    row = {}
+    for name, cells in table.cells.items():
+        hit = _key_of(name, keys)
+        value = None if hit is None else yamlio.parse_scalar(cells[number])
+        if hit is not None and value is not None:
+            key, factor = hit
+            row[key] = value * factor if isinstance(value, int | float) and factor != 1 else value
+    return row
 
 
 def _flow(value: Any) -> str:
@@ -596,13 +634,7 @@ def relative(path: Path, folder: Path) -> str:
     return Path(relpath(path, folder)).as_posix()
 
 
-def rendered(template: str, **variables: Any) -> str:
+def render_template(template: str, **variables: Any) -> str:
     """Return the text of a template of this package with its variables filled in."""
-    environment = Environment(
-        loader=PackageLoader("swimid.projects"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template(template).render(**variables)
+    templates = environment("swimid.projects", keep_trailing_newline=True, autoescape=False)
+    return templates.get_template(template).render(**variables)

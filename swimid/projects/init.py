@@ -18,13 +18,13 @@ from swimid.projects import drafts
 from swimid.projects.drafts import RUN, Project
 from swimid.projects.options import InitOptions
 from swimid.projects.robot import find_robot
-from swimid.projects.survey import Recording, survey
+from swimid.projects.survey import SurveyedFile, survey
 from swimid.results.evidence import Table
 from swimid.results.result import Result, table_text
 from swimid.robots import file as robot_format
 
 #: Maximum number of questions and of files that the terminal shows. The README of the project has all.
-MAX_SHOWN = 12
+MAX_LISTED_ENTRIES = 12
 #: Maximum number of questions of one file that the terminal shows one by one.
 MAX_LINES = 4
 
@@ -37,11 +37,6 @@ class Drafted(Result):
     document : Project
         Text of each drafted file.
     """
-
-    keys = {
-        "recordings": list[dict[str, str]], "others": list[str], "files": list[str],
-        "questions": list[dict[str, Any]], "missing": list[str], "commands": list[str], "next": str,
-    }  # fmt: skip
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the first command of the project."""
@@ -92,11 +87,29 @@ def init(
     target = Path() if output is None else Path(output)
     if output is not None:
         atomic.check_empty(target, force=force)
+    project = _start_project(target, options)
+    recordings = survey(source, project.kinds, target if output else None, progress)
+    if project.robot is None:
+        _add_robot(project, source)
+    written: list[Path] = []
+    with atomic.write_together():
+        if output is not None:
+            # Paths of the plan are looked up from the folder, which is removed again after an error.
+            atomic.make_folder(target)
+        data = _draft_files(project, source, recordings, progress)
+        if output is not None:
+            written = _write(project)
+            data["next"] = f"cd {shlex.quote(str(target))}"
+    return Drafted("init", _describe_project(project, data), data, written, document=project)
+
+
+def _start_project(folder: Path, options: InitOptions) -> Project:
+    """Return a project without files, with the robot and the experiment that the user states."""
     robot = options.robot
     if robot is not None:
         place = robot_format.locate(robot)
-        if robot not in robot_format.built_in():
-            robot = drafts.relative(place, target)
+        if robot not in robot_format.list_built_in_robots():
+            robot = drafts.relative(place, folder)
     own = find_own_experiments(options.experiment or "")
     kinds, experiment = find_experiments(own), options.experiment
     if own:
@@ -104,22 +117,8 @@ def init(
     if experiment not in (None, *kinds):
         hint = suggestion(str(experiment), [*kinds])
         raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
-    recordings = survey(source, kinds, target if output else None, progress)
-    project = Project(target, robot, experiment, kinds)
-    if own:
-        project.experiment_file = Path(str(options.experiment))
-    if robot is None:
-        _add_robot(project, source)
-    written: list[Path] = []
-    with atomic.together():
-        if output is not None:
-            # Paths of the plan are looked up from the folder, which is removed again after an error.
-            atomic.make_folder(target)
-        data = _drafted(project, source, recordings, progress)
-        if output is not None:
-            written = _write(project)
-            data["next"] = f"cd {shlex.quote(str(target))}"
-    return Drafted("init", _told(project, data), data, written, document=project)
+    file = Path(str(options.experiment)) if own else None
+    return Project(folder, robot, experiment, kinds, experiment_file=file)
 
 
 def _add_robot(project: Project, source: Path) -> None:
@@ -135,8 +134,8 @@ def _add_robot(project: Project, source: Path) -> None:
         project.robot_asks = [f"{words}: {ask}" for ask in asks] or [f"{words}: check it"]
 
 
-def _drafted(
-    project: Project, source: Path, recordings: list[Recording], progress: Progress
+def _draft_files(
+    project: Project, source: Path, recordings: list[SurveyedFile], progress: Progress
 ) -> dict[str, Any]:
     """Add all files to a project, and return what was found, the questions and the commands as plain data."""
     notes = [one for one in recordings if one.kind == "notes"]
@@ -145,7 +144,7 @@ def _drafted(
     grouped = {one.path for group in shown for one in group.recordings}
     commands, questions = _commands(project), project.questions()
     others = [one for one in recordings if one.path not in grouped]
-    project.files["README.md"] = drafts.rendered(
+    project.files["README.md"] = drafts.render_template(
         "README.md", folder=source.resolve().name, groups=shown, others=others,
         missing=project.missing, questions=questions, commands=commands,
     )  # fmt: skip
@@ -197,7 +196,7 @@ def _commands(project: Project) -> list[str]:
     return commands
 
 
-def _told(project: Project, data: dict[str, Any]) -> str:
+def _describe_project(project: Project, data: dict[str, Any]) -> str:
     """Return the text that the command prints: groups, other files, and what is to be answered."""
     rows = [
         [group.name, str(len(group.recordings)), group.first.path.name, group.first.about]
@@ -217,7 +216,11 @@ def _told(project: Project, data: dict[str, Any]) -> str:
             asked += [f"{name}, line {one['line']}: {one['text']}" for one in lines_of]
     for title, entries in (("Other files", data["others"]), ("To answer", asked)):
         if entries:
-            lines += ["", f"{title} ({len(entries)}):", *(f"  {entry}" for entry in entries[:MAX_SHOWN])]
-        if len(entries) > MAX_SHOWN:
-            lines.append(f"  and {len(entries) - MAX_SHOWN} more in README.md")
+            lines += [
+                "",
+                f"{title} ({len(entries)}):",
+                *(f"  {entry}" for entry in entries[:MAX_LISTED_ENTRIES]),
+            ]
+        if len(entries) > MAX_LISTED_ENTRIES:
+            lines.append(f"  and {len(entries) - MAX_LISTED_ENTRIES} more in README.md")
     return "\n".join(lines)

@@ -7,8 +7,6 @@ from swimid.options import Options, option
 
 class InitOptions(
     Options,
-    command="init",
-    section="Start",
     argument="FOLDER",
     output="Folder of the project to write. Without it, what was found is only listed.",
     beside=(),
@@ -34,8 +32,6 @@ class InitOptions(
 
 class SampleOptions(
     Options,
-    command="sample",
-    section="Start",
     argument="[NAME] [FOLDER]",
     output="The folder to write, in place of FOLDER.",
     beside=(),
@@ -64,8 +60,6 @@ class SampleOptions(
 
 class RobotOptions(
     Options,
-    command="robot",
-    section="Start",
     argument="FILE",
     output="Robot file to write. Without it, the draft is only described.",
     beside=(),

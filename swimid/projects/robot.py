@@ -28,7 +28,7 @@ from swimid.swimmer.planar.model import MultilinkModel
 #: Root element of a file in MJCF or URDF.
 ROOT = re.compile(r"<(mujoco|robot)[\s>]")
 #: Part of a robot file that is drafted.
-PARTS = frozenset({"multilink"})
+DRAFTED_PARTS = frozenset({"multilink"})
 #: Duration (s) and step (s) of the comparison without water, and frequency of its commands, Hz.
 COMPARED_S, STEP_S, COMPARED_HZ = 2.0, 5e-4, 1.0
 #: Command of an actuator without a range, and angle from which a robot without actuators is released, rad.
@@ -36,9 +36,9 @@ COMMAND, RELEASED_RAD = 0.2, 0.3
 #: Initial velocity (m/s, m/s, rad/s) of a robot without joints.
 DRIFT = np.array([0.2, 0.1, 0.5])
 #: Largest difference from MuJoCo without water, over the range of a coordinate, of a draft that moves alike.
-ALIKE = 1e-3
+MAX_RELATIVE_DIFFERENCE = 1e-3
 #: Range of a coordinate up to which it counts as still, m or rad.
-STILL = 1e-6
+STILL_RANGE = 1e-6
 #: Maximum cosine between an axis and the normal of the plane of motion by which both are parallel.
 PARALLEL = 1e-6
 #: Start values and bounds of the coefficients of the drafted forces of the water.
@@ -61,11 +61,6 @@ WATER = {
 
 class DraftedRobot(Result):
     """Result of ``robot``. Its ``data`` has the questions, what the draft leaves out, and the differences."""
-
-    keys = {
-        "robot": str, "plane": str, "asks": list[str], "left_out": list[str],
-        "differences": dict[str, float],
-    }  # fmt: skip
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return no command: a fit needs trials, which the draft does not know."""
@@ -131,7 +126,7 @@ def robot(file: str | Path, *, options: RobotOptions, output: Path | None = None
     path = Path(file)
     if output is not None:
         atomic.check_writable(output, inputs=[path])
-    draft, text, differences = _drafted(path, options)
+    draft, text, differences = _draft_robot(path, options)
     outputs = []
     if output is not None:
         atomic.write_text(output, text)
@@ -140,7 +135,7 @@ def robot(file: str | Path, *, options: RobotOptions, output: Path | None = None
         "robot": path.stem, "plane": draft.plane, "asks": draft.asks, "left_out": draft.left_out,
         "differences": differences,
     }  # fmt: skip
-    return DraftedRobot("robot", _told(draft, differences), data, outputs)
+    return DraftedRobot("robot", _describe_draft(draft, differences), data, outputs)
 
 
 def find_robot(folder: Path) -> tuple[Path, str, list[str]] | None:
@@ -157,16 +152,16 @@ def find_robot(folder: Path) -> tuple[Path, str, list[str]] | None:
     paths = [path for path in paths if ROOT.search(path.read_text(encoding="utf-8", errors="replace"))]
     if len(paths) != 1:
         return None
-    draft, text, _ = _drafted(paths[0], RobotOptions())
+    draft, text, _ = _draft_robot(paths[0], RobotOptions())
     return paths[0], text, draft.asks
 
 
-def _drafted(path: Path, options: RobotOptions) -> tuple[_Draft, str, dict[str, float]]:
+def _draft_robot(path: Path, options: RobotOptions) -> tuple[_Draft, str, dict[str, float]]:
     """Return the draft of a file, its text, and its differences from MuJoCo without water."""
     draft = _Draft(path, options)
     document = draft.document()
     try:
-        made = schema_of(PARTS).model_validate(document)
+        made = schema_of(DRAFTED_PARTS).model_validate(document)
     except ValueError as error:
         raise InputError(f"no robot file can be made of it: {error}", file=path) from error
     differences = _compare(draft, made)
@@ -309,19 +304,13 @@ class _Draft:
         density = self.options.density
         if density is None:
             density = float(self.compiled.opt.density)
-        elements, coefficients = self._forces(density)
+        elements, coefficients = _draft_forces(self, density)
         about: dict[str, Any] = {"plane": self.plane}
         if fixed:
             about["base"] = "fixed"
         multilink = {**about, **self._markers(), "coefficients": coefficients, "inputs": inputs,
                      "links": links, "joints": joints, "elements": elements}  # fmt: skip
-        if "equality" in self.path.read_text(encoding="utf-8", errors="replace"):
-            self.left_out.append("equality constraints")
-        limited = [self.name("joint", k) for k in self._hinges() if self.compiled.jnt_limited[k]]
-        if limited:
-            self.left_out.append(f"limits of {', '.join(limited)}")
-        if self.compiled.geom_contype.any() and self.compiled.ngeom > 1:
-            self.left_out.append("contacts")
+        self._note_left_out()
         gravity = float(np.linalg.norm(self.compiled.opt.gravity)) or 9.81
         return {
             "format": "swimid-robot/1",
@@ -332,6 +321,16 @@ class _Draft:
             "multilink": {key: value for key, value in multilink.items() if value},
         }
 
+    def _note_left_out(self) -> None:
+        """Note constraints, limits and contacts, which the draft leaves out."""
+        if "equality" in self.path.read_text(encoding="utf-8", errors="replace"):
+            self.left_out.append("equality constraints")
+        limited = [self.name("joint", k) for k in self._hinges() if self.compiled.jnt_limited[k]]
+        if limited:
+            self.left_out.append(f"limits of {', '.join(limited)}")
+        if self.compiled.geom_contype.any() and self.compiled.ngeom > 1:
+            self.left_out.append("contacts")
+
     def _link(self, body: _Body) -> dict[str, Any]:
         compiled, number = self.compiled, body.number
         centre = body.local(self.flat(self.data.xipos[number]))
@@ -341,9 +340,9 @@ class _Draft:
         if mass <= 0.0:
             self.asks.append(f"mass of the link {body.name}: the file states none")
         return {
-            "name": body.name, "length_m": _rounded(body.length), "mass_kg": _rounded(mass),
-            "com_m": _rounded(-centre[0]), "com_offset_m": _rounded(centre[1]),
-            "inertia_kg_m2": _rounded(inertia), "inertia_about": "com",
+            "name": body.name, "length_m": _round(body.length), "mass_kg": _round(mass),
+            "com_m": _round(-centre[0]), "com_offset_m": _round(centre[1]),
+            "inertia_kg_m2": _round(inertia), "inertia_about": "com",
         }  # fmt: skip
 
     def sign(self, joint: int) -> float:
@@ -359,9 +358,9 @@ class _Draft:
         else:
             heading -= math.atan2(parent.forward[1], parent.forward[0])
             at = parent.local(body.front)
-            entry |= {"parent": parent.name, "child": body.name, "at_m": _rounded(-at[0]),
-                      "offset_m": _rounded(at[1])}  # fmt: skip
-        entry["mount_deg"] = _rounded(math.degrees(math.remainder(heading, 2.0 * math.pi)))
+            entry |= {"parent": parent.name, "child": body.name, "at_m": _round(-at[0]),
+                      "offset_m": _round(at[1])}  # fmt: skip
+        entry["mount_deg"] = _round(math.degrees(math.remainder(heading, 2.0 * math.pi)))
         if k is None:
             return entry
         dof = int(compiled.jnt_dofadr[k])
@@ -379,7 +378,7 @@ class _Draft:
             "rest_deg": math.degrees(rest) if own else 0.0,
             "cubic_N_m_rad3": float(compiled.jnt_stiffnesspoly[k, 1]),
         }
-        entry["passive"] = {name: _rounded(value) for name, value in law.items() if value}
+        entry["passive"] = {name: _round(value) for name, value in law.items() if value}
         if k in torques:
             entry["torque"] = torques[k]
         return entry
@@ -406,7 +405,7 @@ class _Draft:
             inputs[name] = {"column": f"cmd_{name}"}
             for joint, share in joints:
                 sign = self.sign(joint)
-                torques[joint] = {"input": name, "gain_N_m": _rounded(sign * share * gain[0])}
+                torques[joint] = {"input": name, "gain_N_m": _round(sign * share * gain[0])}
                 gains[joint] = np.array([-bias[1], -bias[2]]) * share**2
             if len(joints) > 1 and (bias[1] or bias[2]):
                 self.left_out.append(f"the servo {name} on a tendon of several joints, which couples them")
@@ -438,42 +437,8 @@ class _Draft:
             body = next((b for b in self.bodies if b.number == self.compiled.site_bodyid[site]), None)
             if body is not None:
                 at = body.local(self.flat(self.data.site_xpos[site]))
-                points[self.name("site", site)] = {"link": body.name, "at_m": [_rounded(v) for v in at]}
+                points[self.name("site", site)] = {"link": body.name, "at_m": [_round(v) for v in at]}
         return {"points": points}
-
-    def _forces(self, density: float) -> tuple[list[Any], dict[str, Any]]:
-        """Return the forces of the water on each link, and their coefficients.
-
-        Each link is an ellipsoid of equal extent for its added mass, and a plate for its drag.
-        """
-        elements: list[Any] = []
-        if self.plane == "vertical" and np.any(self.compiled.opt.gravity):
-            elements += [{"kind": "hydrostatics", "link": body.name} for body in self.bodies]
-            if density > 0.0:
-                self.asks.append("volume_m3 of each link: without it no buoyancy acts")
-        if density <= 0.0:
-            self.left_out.append(
-                "forces of the water: the file has no fluid (option density); --density adds them"
-            )
-            return elements, {}
-        for body in self.bodies:
-            a, b, c = (max(0.5 * v, 1e-4) for v in (body.length, body.width, body.height))
-            surge, sway, turn = _added_mass(a, b, c, density)
-            middle = _rounded(0.5 * body.length)
-            elements.append(
-                {"kind": "added-mass", "link": body.name, "surge_kg": f"{surge:.4g} * c_ma",
-                 "sway_kg": f"{sway:.4g} * c_ma", "inertia_kg_m2": f"{turn:.4g} * c_ma", "at_m": middle}
-            )  # fmt: skip
-            elements.append(
-                {"kind": "drag", "link": body.name, "strips": 3,
-                 "normal_area_m2": _rounded(body.length * body.height), "normal_coefficient": "c_n",
-                 "axial_area_m2": _rounded(math.pi / 4.0 * body.width * body.height),
-                 "axial_coefficient": "c_x"}
-            )  # fmt: skip
-        return elements, {
-            name: {"value": value, "bounds": list(bounds), "meaning": meaning, "source": source}
-            for name, (value, bounds, meaning, source) in WATER.items()
-        }
 
     def text(self, document: dict[str, Any], differences: Mapping[str, float]) -> str:
         """Return the robot file with comments on what is asked and left out."""
@@ -486,12 +451,47 @@ class _Draft:
         return "".join(f"# {line}\n" for line in lines) + yamlio.dumps(document)
 
 
-def _rounded(value: float) -> float:
+def _draft_forces(draft: _Draft, density: float) -> tuple[list[Any], dict[str, Any]]:
+    """Return the forces of the water on each link, and their coefficients.
+
+    Each link is an ellipsoid of equal extent for its added mass, and a plate for its drag.
+    """
+    elements: list[Any] = []
+    if draft.plane == "vertical" and np.any(draft.compiled.opt.gravity):
+        elements += [{"kind": "hydrostatics", "link": body.name} for body in draft.bodies]
+        if density > 0.0:
+            draft.asks.append("volume_m3 of each link: without it no buoyancy acts")
+    if density <= 0.0:
+        draft.left_out.append(
+            "forces of the water: the file has no fluid (option density); --density adds them"
+        )
+        return elements, {}
+    for body in draft.bodies:
+        a, b, c = (max(0.5 * v, 1e-4) for v in (body.length, body.width, body.height))
+        surge, sway, turn = _compute_added_mass(a, b, c, density)
+        middle = _round(0.5 * body.length)
+        elements.append(
+            {"kind": "added-mass", "link": body.name, "surge_kg": f"{surge:.4g} * c_ma",
+             "sway_kg": f"{sway:.4g} * c_ma", "inertia_kg_m2": f"{turn:.4g} * c_ma", "at_m": middle}
+        )  # fmt: skip
+        elements.append(
+            {"kind": "drag", "link": body.name, "strips": 3,
+             "normal_area_m2": _round(body.length * body.height), "normal_coefficient": "c_n",
+             "axial_area_m2": _round(math.pi / 4.0 * body.width * body.height),
+             "axial_coefficient": "c_x"}
+        )  # fmt: skip
+    return elements, {
+        name: {"value": value, "bounds": list(bounds), "meaning": meaning, "source": source}
+        for name, (value, bounds, meaning, source) in WATER.items()
+    }
+
+
+def _round(value: float) -> float:
     """Return a number with eight digits, and a clean zero."""
     return float(f"{value:.8g}") if abs(value) > 1e-12 else 0.0
 
 
-def _added_mass(a: float, b: float, c: float, density: float) -> tuple[float, float, float]:
+def _compute_added_mass(a: float, b: float, c: float, density: float) -> tuple[float, float, float]:
     """Return the added mass along a and b (kg), and the added inertia about c (kg m2), of an ellipsoid.
 
     The semi-axes are a (along the link), b (across it in the plane) and c, m. The integrals are those of
@@ -523,28 +523,19 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
     """
     times = np.arange(0.0, COMPARED_S + 0.5 * STEP_S, STEP_S)
     commands = _commands(draft, times)
-    document = made.model_dump(mode="python")
-    weights = [e for e in document["multilink"]["elements"] if e["kind"] == "hydrostatics"]
-    document["multilink"] |= {"elements": weights, "coefficients": {}}
-    document["fluid"]["density_kg_m3"] = 1.0
-    model = MultilinkModel(schema_of(PARTS).model_validate(document), max_step=STEP_S)
+    model = _dry_model(made)
     names, values = [p.name for p in model.parameters], np.array([p.start for p in model.parameters])
     released = 0.0 if commands else RELEASED_RAD
     drifts = bool(draft.base) and draft.compiled.jnt_type[draft.base[0]] == 0 and not model.passive
-    simulated = _moved(draft, model.pose, times, commands, released, drifts=drifts)
+    simulated = _simulate_mujoco(draft, model.pose, times, commands, released, drifts=drifts)
     for axis in model.passive:
         values[names.index(f"initial_angle_{axis.name}")] = released
     if drifts:
-        # the velocity of the front end, in the axes of the link
-        base = draft.bodies[0]
-        lever = base.front - draft.flat(draft.data.xpos[base.number])
-        world = DRIFT[:2] + DRIFT[2] * np.array([-lever[1], lever[0]])
-        side = np.array([-base.forward[1], base.forward[0]])
-        for name, value in zip(model.rates, (world @ base.forward, world @ side, DRIFT[2]), strict=True):
+        for name, value in zip(model.rates, _front_velocity(draft), strict=True):
             values[names.index(f"initial_{name}")] = value
-    document_inputs = document["multilink"].get("inputs", {})
     known: dict[str, Any] = {
-        name: (lambda t, series=commands[name]: np.interp(t, times, series)) for name in document_inputs
+        name: (lambda t, series=commands[name]: np.interp(t, times, series))
+        for name in getattr(made.multilink, "inputs", {})
     }
     pose = tuple(float(simulated[name][0]) for name in model.pose) if draft.free else None
     ran = model.run(values, Trial("draft", "fit", times, {}, swim=SwimInput(inputs=known, pose=pose)))
@@ -552,9 +543,27 @@ def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
     found = {}
     for name, series in simulated.items():
         span = float(np.ptp(np.unwrap(series)))
-        if span > STILL:
+        if span > STILL_RANGE:
             found[name] = float(np.max(np.abs(np.unwrap(series) - ran[columns.get(name, name)]))) / span
     return found
+
+
+def _dry_model(made: Robot) -> MultilinkModel:
+    """Return the model of a drafted robot without forces of the water."""
+    document = made.model_dump(mode="python")
+    weights = [e for e in document["multilink"]["elements"] if e["kind"] == "hydrostatics"]
+    document["multilink"] |= {"elements": weights, "coefficients": {}}
+    document["fluid"]["density_kg_m3"] = 1.0
+    return MultilinkModel(schema_of(DRAFTED_PARTS).model_validate(document), max_step=STEP_S)
+
+
+def _front_velocity(draft: _Draft) -> tuple[float, float, float]:
+    """Return the velocity of the front end of a drifting robot, in the axes of the first link."""
+    base = draft.bodies[0]
+    lever = base.front - draft.flat(draft.data.xpos[base.number])
+    world = DRIFT[:2] + DRIFT[2] * np.array([-lever[1], lever[0]])
+    side = np.array([-base.forward[1], base.forward[0]])
+    return float(world @ base.forward), float(world @ side), float(DRIFT[2])
 
 
 def _commands(draft: _Draft, times: Array) -> dict[str, Array]:
@@ -568,7 +577,7 @@ def _commands(draft: _Draft, times: Array) -> dict[str, Array]:
     return found
 
 
-def _moved(
+def _simulate_mujoco(
     draft: _Draft, pose: Sequence[str], times: Array, commands: Mapping[str, Array], released: float, *,
     drifts: bool,
 ) -> dict[str, Array]:  # fmt: skip
@@ -609,7 +618,7 @@ def _in_body(draft: _Draft, base: _Body) -> Array:
     return np.asarray(turn.T @ offset)
 
 
-def _told(draft: _Draft, differences: Mapping[str, float]) -> str:
+def _describe_draft(draft: _Draft, differences: Mapping[str, float]) -> str:
     """Return the draft in words."""
     lines = [f"Robot of {draft.path.name}: {len(draft.bodies)} links in the {draft.plane} plane"]
     lines += [f"  ASK {one}" for one in draft.asks]
@@ -621,7 +630,7 @@ def _told(draft: _Draft, differences: Mapping[str, float]) -> str:
             f"  without water, {worst} differs from MuJoCo (RK4) by {share} in {COMPARED_S:g} s; all others "
             "by less"
         )
-        if differences[worst] > ALIKE:
+        if differences[worst] > MAX_RELATIVE_DIFFERENCE:
             lines.append(
                 "  CAUTION: the draft does not move as the file does: a robot file has no armature, no servo "
                 "on several joints, and no motion out of its plane"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import shutil
 from pathlib import Path
-from typing import NotRequired
 
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import atomic, download, yamlio
@@ -20,16 +19,11 @@ INDEX, ALL = "samples.yaml", "all"
 #: File of a sample that lists the recordings to download.
 DOWNLOAD = "download.yaml"
 #: Folder of the samples in an installed package, and in the source.
-PLACES = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
+SAMPLE_FOLDERS = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
 
 
 class Sample(Result):
     """Result of ``sample``. Its ``data`` has the folder and the command for the sample, or all samples."""
-
-    keys = {
-        "samples": NotRequired[dict[str, dict[str, str]]], "sample": NotRequired[str],
-        "folder": NotRequired[str], "about": NotRequired[str], "command": NotRequired[str],
-    }  # fmt: skip
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the command for the copied sample, or the command that copies the first sample."""
@@ -45,9 +39,7 @@ def sample(
     force: bool = False,
     progress: Progress = silent,
 ) -> Sample:
-    """Copy a sample to a folder, or list the samples.
-
-    Samples of which parts are downloaded are not among ``all``.
+    """Copy a sample to a folder, or list the samples. ``all`` has no samples that are downloaded.
 
     Parameters
     ----------
@@ -77,39 +69,54 @@ def sample(
     >>> list(sample().data["samples"])[:3]
     ['rig', 'cruise', 'tfish']
     """
-    source = next((place for place in PLACES if place.is_dir()), None)
-    if source is None:
-        raise InputError("the samples are not part of this installation", hint="reinstall swimid")
-    known = yamlio.load(source / INDEX)
+    source = _find_samples()
+    index = yamlio.plain(yamlio.load(source / INDEX))
     if name is None:
-        rows = [[one, entry["about"]] for one, entry in known.items()]
-        table = Table(id="samples", title="Samples", columns=["name", "content"], rows=rows)
-        return Sample("sample", table_text(table), {"samples": yamlio.plain(known)})
-    if name not in known:
-        raise UsageError(f"there is no sample '{name}'", hint=suggestion(name, list(known)))
+        return _list_samples(index)
+    if name not in index:
+        raise UsageError(f"there is no sample '{name}'", hint=suggestion(name, list(index)))
     folder = Path(name) if output is None else output
     atomic.check_empty(folder, force=force)
-    copies = []
-    origin = source
-    if name != ALL:
-        origin = source / name
-    described = origin / DOWNLOAD
+    described = source / name / DOWNLOAD
     if options.address is not None and not described.is_file():
         raise UsageError(f"nothing of the sample '{name}' is downloaded", hint="leave --from out")
-    with atomic.together():
+    copies: list[Path] = []
+    with atomic.write_together():
         atomic.make_folder(folder)
         if described.is_file():
             copies += download.fetch(described, folder, address=options.address, progress=progress)
-        for path in sorted(origin.rglob("*")):
-            copy = folder / path.relative_to(origin)
-            if name == ALL and any((place / DOWNLOAD).is_file() for place in (path, *path.parents)):
-                continue
-            if path.is_dir():
-                atomic.make_folder(copy)
-            elif path.name not in (INDEX, DOWNLOAD):
-                with atomic.replacing(copy) as temporary:
-                    shutil.copyfile(path, temporary)
-                copies.append(copy)
-    command = " ".join(str(known[name]["command"]).split()).format(folder=shlex.quote(folder.as_posix()))
-    data = {"sample": name, "folder": str(folder), "about": known[name]["about"], "command": command}
-    return Sample("sample", f"{folder}: {known[name]['about']}", data, copies)
+        copies += _copy(source if name == ALL else source / name, folder, everything=name == ALL)
+    about = index[name]["about"]
+    command = " ".join(index[name]["command"].split()).format(folder=shlex.quote(folder.as_posix()))
+    data = {"sample": name, "folder": str(folder), "about": about, "command": command}
+    return Sample("sample", f"{folder}: {about}", data, copies)
+
+
+def _find_samples() -> Path:
+    """Return the folder of the samples."""
+    for folder in SAMPLE_FOLDERS:
+        if folder.is_dir():
+            return folder
+    raise InputError("the samples are not part of this installation", hint="reinstall swimid")
+
+
+def _list_samples(index: dict[str, dict[str, str]]) -> Sample:
+    rows = [[name, entry["about"]] for name, entry in index.items()]
+    table = Table(id="samples", title="Samples", columns=["name", "content"], rows=rows)
+    return Sample("sample", table_text(table), {"samples": index})
+
+
+def _copy(origin: Path, folder: Path, *, everything: bool) -> list[Path]:
+    """Copy a sample, or all samples without downloads, to a folder; return the paths of the copies."""
+    copies = []
+    for path in sorted(origin.rglob("*")):
+        copy = folder / path.relative_to(origin)
+        if everything and any((place / DOWNLOAD).is_file() for place in (path, *path.parents)):
+            continue
+        if path.is_dir():
+            atomic.make_folder(copy)
+        elif path.name not in (INDEX, DOWNLOAD):
+            with atomic.replace_file(copy) as temporary:
+                shutil.copyfile(path, temporary)
+            copies.append(copy)
+    return copies

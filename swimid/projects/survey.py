@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from swimid.errors import InputError
+from swimid.imports.formats import formats, open_table
+from swimid.imports.table import Peek, is_text
 from swimid.logs import log
 from swimid.logs.experiments import Trials
-from swimid.logs.foreign import Peek, formats, is_text, open_table
-from swimid.logs.point_files import tracked_points
-from swimid.notices import Progress, recorded, silent
-from swimid.tracking.frames import ENDINGS as PICTURES
+from swimid.notices import Progress, record_warnings, silent
+from swimid.points.point_files import find_tracked_points
+from swimid.tracking.frames import PICTURE_EXTENSIONS as PICTURES
 from swimid.tracking.frames import Video
 
 #: Endings of films. FFmpeg decodes all of them.
@@ -23,7 +24,7 @@ FILMS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv
 #: Endings of tables, in addition to those of the formats that can be read.
 TABLES = (".tsv", ".tdms", ".c3d", ".lvm", ".nc", ".json", ".trc", ".mot", ".sto", ".kva", ".bin", "")
 #: Endings of files that swimid or an editor leaves beside others, and that are passed over.
-BESIDE = re.compile(r".*(\.evidence\.json|\.partial|\.lock|\.markers\.png|~)|\..*|__pycache__")
+SIDE_FILES = re.compile(r".*(\.evidence\.json|\.partial|\.lock|\.markers\.png|~)|\..*|__pycache__")
 #: Minimum number of pictures with numbers in their names that count as a film.
 MIN_PICTURES = 10
 #: Minimum number of rows of a table that counts as a recording.
@@ -31,7 +32,7 @@ MIN_ROWS = 10
 
 
 @dataclass(frozen=True)
-class Recording:
+class SurveyedFile:
     """File, or folder of pictures, and what it is.
 
     Attributes
@@ -78,7 +79,7 @@ def survey(
     kinds: Mapping[str, type[Trials]],
     left_out: Path | None = None,
     progress: Progress = silent,
-) -> list[Recording]:
+) -> list[SurveyedFile]:
     """Return the recordings of a folder and of its subfolders, in the order of their names.
 
     Parameters
@@ -100,9 +101,9 @@ def survey(
     if not paths:
         raise InputError("holds no file", file=folder, hint="name the folder of your recordings")
     found = []
-    with progress("looking", total=len(paths)) as step, recorded():
+    with progress("looking", total=len(paths)) as step, record_warnings():
         for path in paths:
-            found.append(recognised(path, kinds))
+            found.append(recognise(path, kinds))
             step()
     names = {name for one in found for name in (one.path.name, one.path.stem) if one.kind != "notes"}
     return [_with_role(one, names) for one in found]
@@ -112,16 +113,16 @@ def _paths(folder: Path, left_out: Path | None) -> Iterator[Path]:
     """Yield the files below a folder, and the folders that hold the numbered pictures of a film."""
     for root, folders, files in os.walk(folder):
         here = Path(root)
-        others = [one for one in folders if not BESIDE.fullmatch(one)]
+        others = [one for one in folders if not SIDE_FILES.fullmatch(one)]
         folders[:] = sorted(one for one in others if (here / one).resolve() != left_out)
         numbered = [name for name in files if re.search(r"\d", name) and name.lower().endswith(PICTURES)]
         if len(numbered) >= MIN_PICTURES and here != folder:
             yield here
             files = [name for name in files if name not in numbered]
-        yield from (here / name for name in sorted(files) if not BESIDE.fullmatch(name))
+        yield from (here / name for name in sorted(files) if not SIDE_FILES.fullmatch(name))
 
 
-def recognised(path: Path, kinds: Mapping[str, type[Trials]]) -> Recording:
+def recognise(path: Path, kinds: Mapping[str, type[Trials]]) -> SurveyedFile:
     """Return what a file or a folder of pictures is."""
     ending = path.suffix.lower()
     readable = {end for form in formats().values() for end in form.endings} | {*TABLES}
@@ -131,16 +132,16 @@ def recognised(path: Path, kinds: Mapping[str, type[Trials]]) -> Recording:
         if ending in (".yaml", ".yml"):
             form = re.search(r"^format: (swimid-\S+)", "\n".join(Peek.of(path).lines), re.M)
             if form is not None:
-                return Recording(path, "swimid", form[1])
+                return SurveyedFile(path, "swimid", form[1])
         elif ending in readable:
             return _table(path, kinds)
     except InputError as error:
         if several(error):
-            return Recording(path, "choice", f"{error.reason}. {error.hint}")
+            return SurveyedFile(path, "choice", f"{error.reason}. {error.hint}")
         # A text without rows of numbers, such as a licence, is no damaged recording.
         kind = "other" if ending in (".txt", "") else "damaged"
-        return Recording(path, kind, error.reason)
-    return Recording(path, "other", "no recording")
+        return SurveyedFile(path, kind, error.reason)
+    return SurveyedFile(path, "other", "no recording")
 
 
 def several(error: InputError) -> bool:
@@ -148,21 +149,21 @@ def several(error: InputError) -> bool:
     return "; name one" in error.message
 
 
-def _film(path: Path) -> Recording:
+def _film(path: Path) -> SurveyedFile:
     video = Video(path)
     size = f"{video.width} x {video.height} px"
     rate = round(video.stated_rate_hz, 2)
     about = f"{size}, {video.claimed} frames"
     if rate:
         about += f" at {rate:g} Hz"
-    return Recording(path, "film", about, ("film", size, rate), rate_hz=rate, rows=video.claimed)
+    return SurveyedFile(path, "film", about, ("film", size, rate), rate_hz=rate, rows=video.claimed)
 
 
-def _table(path: Path, kinds: Mapping[str, type[Trials]]) -> Recording:
+def _table(path: Path, kinds: Mapping[str, type[Trials]]) -> SurveyedFile:
     table = open_table(path, kind="")
     kind, is_alone = "table", False
     columns = tuple(table.columns)
-    points = tracked_points(table.columns)
+    points = find_tracked_points(table.columns)
     title = formats()[table.profile].title if table.profile else "table"
     rows = max(map(len, table.columns.values()))
     about = f"{title}, {rows} rows"
@@ -182,13 +183,13 @@ def _table(path: Path, kinds: Mapping[str, type[Trials]]) -> Recording:
     if kind == "table" and any(map(is_text, table.columns.values())):
         cells = {name: [str(cell) for cell in values[:10_000]] for name, values in table.columns.items()}
     alike = (kind, table.profile, columns, tuple(table.units.items()), metadata.get("experiment"))
-    return Recording(
+    return SurveyedFile(
         path, kind, about, alike, columns, rows=rows, has_times=log.TIME in columns, profile=table.profile,
         metadata=metadata, cells=cells, is_alone=is_alone,
     )  # fmt: skip
 
 
-def _with_role(one: Recording, names: set[str]) -> Recording:
+def _with_role(one: SurveyedFile, names: set[str]) -> SurveyedFile:
     """Return a table as ``notes`` if all cells of one of its columns name recordings of the folder.
 
     Another table with few rows is no recording.
@@ -196,7 +197,7 @@ def _with_role(one: Recording, names: set[str]) -> Recording:
     for name, cells in one.cells.items():
         if cells and all(cell in names for cell in cells):
             about = f"table of {len(cells)} recordings, named in its column '{name}'"
-            return Recording(one.path, "notes", about, columns=(name, *one.columns), cells=one.cells)
+            return SurveyedFile(one.path, "notes", about, columns=(name, *one.columns), cells=one.cells)
     if one.kind == "table" and one.rows < MIN_ROWS:
-        return Recording(one.path, "other", f"{one.about}, too few for a recording")
+        return SurveyedFile(one.path, "other", f"{one.about}, too few for a recording")
     return one

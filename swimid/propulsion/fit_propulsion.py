@@ -15,11 +15,11 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
+from swimid.fitting.model import Array, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.propulsion import trials as propulsion_trials
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, strouhal, velocity_ratio
@@ -58,6 +58,9 @@ Made = tuple[ParameterFile, list[ev.Check], dict[str, Any]]
 #: Exponent of the beat amplitude in the power law of thrust in straight swimming.
 AMPLITUDE_EXPONENT = 2.0
 
+#: Sentence on average and terminal speeds for the methods section of a report.
+CONVERSION = "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25."
+
 
 @takes(FitPropulsionOptions)
 def fit_propulsion(
@@ -89,8 +92,8 @@ def fit_propulsion(
     -------
     Fitted
         For a cruise ``.parameters`` has ``recoil_efficiency`` (1), ``amplitude_offset_deg`` (deg), and
-        ``inertia_<fin>`` (kg m^2) for each fin of unknown inertia. ``.derived`` has ``velocity_ratio`` (1),
-        the minimum and the maximum propulsive force (N), and the free exponents (1). The standard errors
+        ``inertia_<fin>`` (kg m^2) for each fin of unknown inertia. ``.quantities`` has ``velocity_ratio``
+        (1), the minimum and the maximum propulsive force (N), and the free exponents (1). The standard errors
         include those of the drag file. ``.tables()`` has speeds, forces and Strouhal numbers of each run,
         with both levers of the wake width. For straight runs ``.parameters`` has ``thrust_acceleration``
         (m/s^2), ``surge_drag`` (1/m, drag per mass), and the exponents of amplitude and frequency (1).
@@ -102,13 +105,6 @@ def fit_propulsion(
     NoTrustworthyResult
         If no parameter can be identified.
 
-    References
-    ----------
-    .. [1] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
-       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
-       Eqs 3 to 6 and 25 to 27: the recoil law; Eq 28: the Strouhal number; Tables 3 and 4: amplitude offset
-       and efficiency.
-
     Examples
     --------
     >>> import swimid
@@ -119,9 +115,9 @@ def fit_propulsion(
     >>> fin.verdict, list(fin.warnings["code"])
     ('caution', ['SWM030'])
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         experiment = fit_common.load_experiment(trials, command="fit-propulsion", drag=options.drag)
-        choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
+        choices = fit_common.prepare_fit(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         fit = _fit_recoil_law
         if experiment.name != "cruise":
@@ -158,41 +154,25 @@ def _fit_surge(
     """
     model = experiment.model
     assert isinstance(model, SurgeModel)
-    result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
+    result = output_error.fit_output_error(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
-    result = output_error.complete(result)
-    if all(result.status[label] != "estimated" for label in result.shared):
+    result = output_error.complete_fit(result)
+    if all(result.status[label] != "estimated" for label in result.common_labels):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
     laws = {"amplitude_exponent": AMPLITUDE_EXPONENT}
     if len(amplitudes) < 2:
         laws = {}
     derived, exponent_checks = _free_exponents(model, experiment.trials, choices, laws, "thrust")
-    reference = model.reference_amplitude_rad
-    thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
-    at_one = thrust / reference**exponent
-    spread = math.hypot(
-        (result.stderr("thrust_acceleration") or 0.0) / thrust,
-        (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
-    )
-    derived["thrust_coefficient"] = _estimated(at_one, at_one * spread, "m/s^2")
-    if spread >= UNIDENTIFIABLE:
-        derived["thrust_coefficient"].status = "unidentifiable"
-    beats = experiment.facts["beats"]
-    measured = [b for b in beats.values() if b["found_hz"] is not None]
-    if measured:
-        values = [float(b["found_hz"]) for b in measured]
-        scatter = float(np.std(values) / math.sqrt(len(values)))
-        error = max(scatter, min(float(b["stderr_hz"]) for b in measured))
-        derived["beat_frequency"] = _estimated(float(np.median(values)), error, "Hz")
+    derived |= _derive_surge(model, result, experiment.facts["beats"])
     settings = {
-        "reference_amplitude_rad": reference,
+        "reference_amplitude_rad": model.reference_amplitude_rad,
         "reference_frequency_hz": model.reference_frequency_hz,
         **experiment.facts,
     }
     robot = experiment.robot.name
     file = fit_common.parameter_file(result, robot=robot, provenance={}, derived=derived, settings=settings)
-    checks = [*fit_common.checks(result), fit_common.beat_check(beats), *exponent_checks]
+    checks = [*fit_common.checks(result), fit_common.beat_check(experiment.facts["beats"]), *exponent_checks]
     state = "estimated"
     if not any(label.startswith("initial_speed[") for label in result.labels):
         state = "held"
@@ -205,7 +185,30 @@ def _fit_surge(
     return file, checks, {"title": title, "figures": figures, "methods": methods}
 
 
-def _estimated(value: float, stderr: float, unit: str) -> Estimate:
+def _derive_surge(
+    model: SurgeModel, result: FitResult, beats: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Estimate]:
+    """Return the thrust coefficient at an amplitude of 1 rad, and the frequency of the beats."""
+    reference = model.reference_amplitude_rad
+    thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
+    at_one = thrust / reference**exponent
+    spread = math.hypot(
+        (result.stderr("thrust_acceleration") or 0.0) / thrust,
+        (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
+    )
+    derived = {"thrust_coefficient": _make_estimate(at_one, at_one * spread, "m/s^2")}
+    if spread >= UNIDENTIFIABLE:
+        derived["thrust_coefficient"].status = "unidentifiable"
+    measured = [b for b in beats.values() if b["found_hz"] is not None]
+    if measured:
+        values = [float(b["found_hz"]) for b in measured]
+        scatter = float(np.std(values) / math.sqrt(len(values)))
+        error = max(scatter, min(float(b["stderr_hz"]) for b in measured))
+        derived["beat_frequency"] = _make_estimate(float(np.median(values)), error, "Hz")
+    return derived
+
+
+def _make_estimate(value: float, stderr: float, unit: str) -> Estimate:
     """Return an estimate with the status ``estimated`` for a derived quantity."""
     return Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
@@ -238,15 +241,17 @@ def _fit_recoil_law(
             "no fin's hydrodynamic inertia is known: only its product with the efficiency is determined; the "
             "efficiency is held at its starting value",
         )
-    everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
+    everything = output_error.fit_output_error(
+        model, experiment.trials, parameters=choices, progress=progress
+    )
     fit_common.refuse_interrupted(everything)
     departures: list[dict[str, Any]] = []
     if not options.keep_departures:
         departures = _find_departures(model, experiment.trials, choices)
     kept, result, left_out = experiment.trials, everything, [d["frequency_hz"] for d in departures]
     if departures:
-        kept = _without(experiment.trials, left_out)
-        result = output_error.fit(model, kept, parameters=choices, progress=progress)
+        kept = _blank_frequencies(experiment.trials, left_out)
+        result = output_error.fit_output_error(model, kept, parameters=choices, progress=progress)
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents, exponent_checks = _free_exponents(model, kept, choices, LAWS, "power")
@@ -265,24 +270,23 @@ def _fit_recoil_law(
     assert file.fit.model_extra is not None
     file.fit.model_extra.update(departures=departures, operating_points=points)
     departed = _departure_check(departures, everything)
-    methods = [
+    said = (
         "Recoil efficiency and amplitude offset were estimated from the average speeds of "
         f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
         "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
-        "falling-weight rig and their uncertainty carried along.",
-        "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
-    ]
+        "falling-weight rig and their uncertainty carried along."
+    )
     shown = {
         "title": f"Propulsion of {experiment.robot.name}: energy recoil law",
         "tables": [_run_table(points)],
         "figures": [_speed_figure(experiment, result, points, left_out), _residual_figure(result)],
-        "methods": methods,
+        "methods": [said, CONVERSION],
     }
-    checks = [*fit_common.checks(result, held_out=False), _held_out_fins(model, result, kept, choices)]
+    checks = [*fit_common.checks(result, held_out=False), _predict_fins(model, result, kept, choices)]
     return file, [*checks, departed, *exponent_checks], shown
 
 
-def _held_out_fins(
+def _predict_fins(
     model: RecoilModel, result: FitResult, trials: Sequence[Trial], choices: tuple[Parameter, ...]
 ) -> ev.Check:
     """Return a check of the speeds of each fin, predicted by a fit to the other fins.
@@ -293,23 +297,23 @@ def _held_out_fins(
     if len(known) > 1:
         for left_out in known:
             roles = [replace(t, role="validate" if t is left_out else "fit") for t in trials]
-            without = output_error.fit(model, roles, parameters=choices)
+            without = output_error.fit_output_error(model, roles, parameters=choices)
             errors += [s.residual / s.measured for s in without.series_of(SPEED, "validate")]
     fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
-    error, usual = (100 * ev.rms(*parts) if parts else math.nan for parts in (errors, fitted))
+    error, usual = (100 * ev.compute_rms(*parts) if parts else math.nan for parts in (errors, fitted))
     limit = fit_common.VALIDATION_RATIO * usual
-    reason = f"the speeds of a fin that was not fitted are predicted with an error of {error:.2g} %"
+    reason = f"the error on fins that were not fitted is {error:.2g} %, and at most {limit:.2g} % is allowed"
     if not errors:
         reason = "no fin can be held out: two fins with known inertia are needed"
     text = "root-mean-square error of the speeds of each fin, predicted by a fit to the others"
     shown = ("fins held out in turn", f"{error:.2g} %", error <= limit, f"≤ {limit:.2g} %", text)
-    return ev.check(*shown, reason=reason)
+    return ev.make_check(*shown, reason=reason)
 
 
 # ------------------------------------------------------------ checks of the law
 
 
-def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
+def _blank_frequencies(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
     """Return copies of cruise trials in which the speeds at the given beat frequencies are set to NaN."""
     kept = []
     for trial in trials:
@@ -332,7 +336,9 @@ def _find_departures(
         out, tests = [d["frequency_hz"] for d in departures], []
         for level in [one for one in levels if one not in out]:
             with suppress(NoTrustworthyResult):
-                fitted = output_error.fit(model, _without(trials, [*out, level]), parameters=choices)
+                fitted = output_error.fit_output_error(
+                    model, _blank_frequencies(trials, [*out, level]), parameters=choices
+                )
                 test = _departure(fitted, trials, level)
                 if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
                     tests.append(test)
@@ -349,7 +355,7 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     speed was measured at this frequency.
     """
     shares, spread = [], []
-    size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
+    size = float(np.sqrt(np.mean([np.nanmean(s.z_scores**2) for s in fitted.series])))
     reference = fitted.noise[SPEED].value_sd
     for trial in trials:
         predicted = fitted.model.run(fitted.values(trial.id), trial)[SPEED]
@@ -378,15 +384,16 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
             "are left out of the fit. Fins that flex at high frequency do this (source, section 4.2)",
         )
     off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
-    fitted = "; ".join(
-        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), everything.parameter(n).unit)}"
-        for n in everything.labels
-    )
+    values = []
+    for n in everything.labels:
+        unit = everything.parameter(n).unit
+        values.append(f"{n} {numbers.format_estimate(everything.value(n), everything.stderr(n), unit)}")
+    fitted = "; ".join(values)
     limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
     text = f"left out of the fit; with these frequencies {fitted}" * bool(departures)
-    reason = f"runs depart from the law at {off}, and are left out"
+    reason = f"the law does not hold for the runs at {off}, which are left out"
     name = "every frequency follows the law"
-    return ev.check(name, off or "all", not departures, limit, text, reason=reason)
+    return ev.make_check(name, off or "all", not departures, limit, text, reason=reason)
 
 
 def _free_exponents(
@@ -412,7 +419,9 @@ def _free_exponents(
     exponents, checks = {}, []
     for name, law in laws.items():
         try:
-            result = output_error.fit(model, trials, parameters=chosen(choices, freed=(name,)))
+            result = output_error.fit_output_error(
+                model, trials, parameters=choose_parameters(choices, freed=(name,))
+            )
         except NoTrustworthyResult:
             continue
         fit_common.refuse_interrupted(result)
@@ -426,12 +435,12 @@ def _free_exponents(
         )  # type: ignore[arg-type]
         words, shown, agrees = name.replace("_", " "), "not identifiable", None
         if status == "estimated" and stderr:
-            shown, agrees = numbers.measured(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
+            shown, agrees = numbers.format_estimate(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
         if agrees is False:
             warn("SWM031", f"set free, the {words} of {of} is {shown}, the law says {law:g}")
         reason = f"the {words} of {of} is {shown}, not {law:g}"
         text = f"exponent of the {of}, estimated together with the other parameters"
-        checks.append(ev.check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))
+        checks.append(ev.make_check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))
     return exponents, checks
 
 
@@ -461,7 +470,7 @@ def _with_drag_error(
     drag: ParameterFile = experiment.facts["drag"]
     shifts, joint = np.zeros((2, len(result.labels))), np.eye(2)
     for name, other in _models_by_drag_error(experiment).items():
-        moved = output_error.fit(other, trials, parameters=choices)
+        moved = output_error.fit_output_error(other, trials, parameters=choices)
         shifts[DRAG_PARAMETERS.index(name)] = moved.estimate - result.estimate
     if drag.correlation and all(n in drag.correlation.names for n in DRAG_PARAMETERS):
         i, j = (drag.correlation.names.index(n) for n in DRAG_PARAMETERS)
@@ -483,9 +492,9 @@ def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, An
     relative = math.hypot((coefficient.stderr or 0.0) / coefficient.value, scatter)
     forces = [p["propulsive_force_N"] for p in points]
     return {
-        "velocity_ratio": _estimated(ratio, error, "1"),
-        "smallest_propulsive_force": _estimated(min(forces), min(forces) * relative, "N"),
-        "largest_propulsive_force": _estimated(max(forces), max(forces) * relative, "N"),
+        "velocity_ratio": _make_estimate(ratio, error, "1"),
+        "smallest_propulsive_force": _make_estimate(min(forces), min(forces) * relative, "N"),
+        "largest_propulsive_force": _make_estimate(max(forces), max(forces) * relative, "N"),
     }
 
 
@@ -537,7 +546,7 @@ def _run_table(points: list[dict[str, Any]]) -> ev.Table:
         "Force is drag at terminal speed. The lever of the wake width in the Strouhal number is the length "
         "of the fin (Eq 28), or the distance from the axle to the trailing edge."
     )
-    return ev.table("points", "Runs", runs, about)
+    return ev.make_table("points", "Runs", runs, about)
 
 
 def _speed_figure(
@@ -552,26 +561,18 @@ def _speed_figure(
     settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
     frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
     swept = frequencies[counts > 2][:1].tolist()
-    over_frequency, over_amplitude = [], []
     common = [p for p in points if abs(p["amplitude_deg"] - amplitude) < 1e-6]
-    kept = [p for p in common if p["frequency_hz"] not in left_out]
-    apart = [{**p, "fin": "not fitted"} for p in common if p not in kept]
+    over_frequency = _frequency_traces(experiment, result, common, amplitude, left_out)
+    title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
+    speeds = [ev.panel("frequency (Hz)", y_label, over_frequency, title=title)]
+    over_amplitude = []
     for group, trial in enumerate(experiment.trials):
-        reach = [p["frequency_hz"] for p in common if p["fin"] == trial.id]
-        over_frequency += _points(kept, trial.id, "frequency_hz", 1.0, group)
-        if reach:
-            line = np.linspace(0.0, max(reach), 60)[1:]
-            law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
-            over_frequency.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
         runs = [p for p in points if p["fin"] == trial.id and p["frequency_hz"] in swept]
         if runs:
             line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 400)[1:]
             law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
             over_amplitude += _points(runs, trial.id, "amplitude_deg", 1.5, group)
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
-    over_frequency += _points(apart, "not fitted", "frequency_hz", 1.0, len(experiment.trials))
-    title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
-    speeds = [ev.panel("frequency (Hz)", y_label, over_frequency, title=title)]
     if over_amplitude:
         title, y_label = f"at {swept[0]:g} Hz", "speed¹·⁵ ((cm/s)¹·⁵)"
         speeds.append(ev.panel("amplitude (°)", y_label, over_amplitude, title=title))
@@ -580,6 +581,27 @@ def _speed_figure(
         "the offset as intercept over amplitude. Runs that depart from the law are not fitted."
     )
     return ev.panels("speeds", "Average speed", about, speeds)
+
+
+def _frequency_traces(
+    experiment: Experiment,
+    result: FitResult,
+    points: Sequence[dict[str, Any]],
+    amplitude: float,
+    left_out: Sequence[float],
+) -> list[ev.Trace]:
+    """Return measured speeds over frequency at one amplitude, and the lines of the fitted law."""
+    traces: list[ev.Trace] = []
+    kept = [p for p in points if p["frequency_hz"] not in left_out]
+    for group, trial in enumerate(experiment.trials):
+        reach = [p["frequency_hz"] for p in points if p["fin"] == trial.id]
+        traces += _points(kept, trial.id, "frequency_hz", 1.0, group)
+        if reach:
+            line = np.linspace(0.0, max(reach), 60)[1:]
+            law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
+            traces.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
+    rest = [{**p, "fin": "not fitted"} for p in points if p not in kept]
+    return traces + _points(rest, "not fitted", "frequency_hz", 1.0, len(experiment.trials))
 
 
 def _residual_figure(result: FitResult) -> ev.Figure:
@@ -595,7 +617,7 @@ def _residual_figure(result: FitResult) -> ev.Figure:
         for group, s in enumerate(fins):
             # Shift the points of each fin sideways, so that points of different fins do not hide each other.
             x = factor * inputs[s.trial][name] + 0.025 * reach * (group - (len(fins) - 1) / 2)
-            traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
+            traces.append(ev.Trace(x=x, y=s.z_scores, style="points", label=s.trial, group=group))
         spans = [ev.Span(start=-2.0, end=2.0, axis="y", label="±2 sd")]
         panels.append(ev.panel(label, "residual / sd", traces, spans=spans))
     caption = (
@@ -618,7 +640,7 @@ def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: i
     def speed(run: dict[str, Any]) -> float:
         return float((100 * run["mean_speed_m_s"]) ** power)
 
-    return [ev.points(own, lambda run: run[x], speed, label=fin, group=group)]
+    return [ev.make_point_trace(own, lambda run: run[x], speed, label=fin, group=group)]
 
 
 def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:

@@ -23,7 +23,7 @@ from swimid.fitting.model import (
 
 SPEED = MEAN_SPEED
 #: Maximum integration step of the surge model, s, if its equation of motion has no closed-form solution.
-STEP_S = 0.05
+CRUISE_STEP_S = 0.05
 #: Maximum number of iterations of Newton's method for speeds and distances of cruise runs. The method
 #: converges in fewer iterations, because the functions are convex and the search starts above the root.
 MAX_ITERATIONS = 60
@@ -56,7 +56,7 @@ def velocity_ratio(b1: Array | float, distance_m: Array | float) -> Array:
     return np.asarray(y / (y + np.log1p(np.sqrt(-np.expm1(-2 * y)))))
 
 
-def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
+def compute_cruise_speed(power: Array, c: Mapping[str, float]) -> Array:
     """Return the steady speed at which drag consumes a given propulsive power, m/s.
 
     The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``. It is zero if the power
@@ -91,7 +91,7 @@ def _root(step: Callable[[Array], Array], start: Array) -> Array:
     return start
 
 
-def mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -> Array:
+def compute_mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -> Array:
     """Return the average speed of a robot that swims a distance from rest with constant thrust, m/s.
 
     Over an infinite distance the robot would reach the given terminal speed. Dry friction is not an argument,
@@ -214,8 +214,9 @@ class RecoilModel(Model):
         """Return the typical sizes of speed, force and inertia in cruise trials."""
         return RecoilScales(self, trials)
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the average speed of each cruise run, simulated with effects (see :meth:`Model.hooked`).
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Return the average speed of each cruise run, simulated with effects (see
+        :meth:`Model.simulate_hooked`).
 
         ``coefficients`` hooks change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and ``mass`` (kg).
         The factor on the thrust of a steady beat multiplies the power. A water flow along x displaces the
@@ -226,7 +227,7 @@ class RecoilModel(Model):
         if inertia is None:
             inertia = float(values[self.index(f"inertia_{known.fin}")])
         steady = Stroke(inputs["frequency_hz"], inputs["amplitude_rad"], np.ones(len(trial.time_s)), inertia)
-        stroke = hooks.beaten(steady)
+        stroke = hooks.change_stroke(steady)
         efficiency, offset, p, q = values[:4]
         # Divide frequency and amplitude by reference values, so that the estimates of exponents and
         # efficiency are nearly independent.
@@ -235,18 +236,18 @@ class RecoilModel(Model):
         # Compute the propulsive power of each run, W (boxfish paper, Eqs 5, 27).
         factor = 8 * efficiency * np.pi**2 * stroke.inertia_kg_m2
         power = stroke.thrust * (factor * f_mid**3 * f**p * a_mid**2 * a**q)
-        c = hooks.changed(self.resistance(), "coefficients")
+        c = hooks.change_values(self.resistance(), "coefficients")
         if c["quadratic"] <= 0 or c["mass"] <= 0:
-            return self.broken_down(trial)
+            return self.make_broken(trial)
         if c["linear"] == c["dry"] == 0:
             speed = velocity_ratio(c["quadratic"] / c["mass"], distance) * np.cbrt(power / c["quadratic"])
         else:
-            speed = mean_speed(terminal_speed(power, c), distance, c)
+            speed = compute_mean_speed(compute_cruise_speed(power, c), distance, c)
         if hooks.flow:
             time = distance / np.maximum(speed, 1e-9)
             carried = sum(flow(time)[0][:, 0] - flow(np.zeros(1))[0][0, 0] for flow in hooks.flow)
             speed = speed + carried / time
-        return hooks.seen({SPEED: speed}, trial.time_s)
+        return hooks.sense({SPEED: speed}, trial.time_s)
 
 
 class SurgeModel(Model):
@@ -284,36 +285,37 @@ class SurgeModel(Model):
         """Return the typical sizes of speed and force per mass in straight swimming trials."""
         return SurgeScales(self, trials)
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the surge at the samples of a trial, simulated with effects (see :meth:`Model.hooked`).
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Return the surge at the samples of a trial, simulated with effects (see
+        :meth:`Model.simulate_hooked`).
 
         ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass`` (1).
         All values are per unit of mass. Drag depends on the speed relative to a water flow along x.
         """
         (thrust, drag, n, m, u0), surge = values.tolist(), trial.surge
         steady = Stroke(np.array([surge.frequency_hz]), np.array([surge.amplitude_rad]), np.ones(1))
-        stroke = hooks.beaten(steady)
+        stroke = hooks.change_stroke(steady)
         amplitude = float(stroke.amplitude_rad[0]) / self.reference_amplitude_rad
         a = thrust * amplitude**n * (float(stroke.frequency_hz[0]) / self.reference_frequency_hz) ** m
-        c = hooks.changed({"quadratic": drag, "linear": 0.0, "dry": 0.0, "mass": 1.0}, "coefficients")
+        c = hooks.change_values({"quadratic": drag, "linear": 0.0, "dry": 0.0, "mass": 1.0}, "coefficients")
         if c["mass"] <= 0:
-            return self.broken_down(trial)
+            return self.make_broken(trial)
         force = float(stroke.thrust[0]) * a
         a, quadratic, linear, dry = (v / c["mass"] for v in (force, c["quadratic"], c["linear"], c["dry"]))
         t = trial.time_s - surge.start_s
         if linear == dry == 0 and not hooks.flow:
-            speed = _closed_form(t, a, quadratic, u0)
+            speed = _solve_closed_form(t, a, quadratic, u0)
         else:
             half = _half_steps(t)
             water = np.zeros(len(half))
             for flow in hooks.flow:
                 water = water + flow(surge.start_s + half)[1][:, 0]
-            run = _integrated(half, water, a, quadratic, linear, dry, u0)
+            run = _integrate_speed(half, water, a, quadratic, linear, dry, u0)
             speed = np.interp(t, half[::2], run)
-        return hooks.seen({"u_m_s": speed}, trial.time_s)
+        return hooks.sense({"u_m_s": speed}, trial.time_s)
 
 
-def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
+def _solve_closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
     """Return the surge over time with constant thrust and quadratic drag, m/s.
 
     ``a`` is the thrust per mass (m/s2), ``drag`` the drag per mass (1/m), and ``u0`` the surge at time zero.
@@ -333,13 +335,13 @@ def _half_steps(t: Array) -> Array:
     knots = np.unique(np.append(t[t > 0], 0.0))
     parts = [np.zeros(1)]
     for begin, end in itertools.pairwise(knots):
-        steps = math.ceil((end - begin) / STEP_S)
+        steps = math.ceil((end - begin) / CRUISE_STEP_S)
         parts.append(np.linspace(begin, end, 2 * steps + 1)[1:])
     return np.concatenate(parts)
 
 
 @numba.njit(cache=True, nogil=True)
-def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
+def _integrate_speed(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
     """Integrate the equation of motion of the surge by the fourth-order Runge-Kutta method.
 
     ``half`` has the times of half steps, and ``water`` the speed of the water at these times. The result is

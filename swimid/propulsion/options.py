@@ -8,7 +8,7 @@ import swimid.options as fits
 from swimid.options import Options, Source, option
 
 
-class FitPropulsionOptions(Options, command="fit-propulsion", section="Identify", makes="parameters"):
+class FitPropulsionOptions(Options, makes="parameters"):
     """Identify the propulsion of a caudal fin.
 
     TRIALS is a trials file of a cruise experiment (energy recoil law: efficiency and amplitude
@@ -21,5 +21,5 @@ class FitPropulsionOptions(Options, command="fit-propulsion", section="Identify"
 
     drag: Source = option(None, help="Drag file of the rig (fit-drag); needed for a cruise.", recorded=False)
     keep_departures: bool = option(False, help="Keep frequencies that depart from the law in the fit.")
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()

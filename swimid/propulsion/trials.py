@@ -15,7 +15,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, file_errors, suggestion
 from swimid.files import tabular
-from swimid.files.provenance import Held
+from swimid.files.provenance import InputInMemory
 from swimid.fitting.model import Array
 from swimid.logs.log import Log
 from swimid.notices import warn
@@ -70,10 +70,10 @@ def recoil_model(
     """
     file = parameters_format.read(drag, model=RIGS)
     if file.effects:
-        names, place = ", ".join(file.effects), parameters_format.place(drag).name
+        names, place = ", ".join(file.effects), parameters_format.source_path(drag).name
         warn("SWM076", f"{place}: the law of propulsion takes drag and added mass only, without {names}")
     coefficient, added = parameters_format.require(
-        file, ("drag_coefficient", "added_mass"), parameters_format.place(drag)
+        file, ("drag_coefficient", "added_mass"), parameters_format.source_path(drag)
     )
     body = robot.body
     if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
@@ -158,7 +158,7 @@ class CruiseTable:
     """
 
     path: Path
-    source: Path | Held
+    source: Path | InputInMemory
     fin: list[str]
     frequency_hz: Array
     amplitude_deg: Array
@@ -183,14 +183,14 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
         names = tabular.column_names(header, path, line)
     else:
         names, text = [str(name) for name in source.columns], source.to_csv(index=False)
-        held = Held("table", hashlib.sha256(text.encode()).hexdigest())
+        held = InputInMemory("table", hashlib.sha256(text.encode()).hexdigest())
     speed, what = "time_s", "neither time_s nor mean_speed_m_s is there"
     if "mean_speed_m_s" in names:
         speed = "mean_speed_m_s"
     for column in ("fin", *NUMBERS, speed):
         if column not in names:
             reason = {"time_s": what}.get(column, "this column is missing")
-            raise tabular.missing_column(column, names, path, line, reason)
+            raise tabular.column_error(column, names, path, line, reason)
     rows = _rows(text, path, line, names)
     if not rows:
         raise InputError("has a header and no runs", file=path, line=line)
@@ -208,7 +208,15 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     missing = int(np.isnan(speeds).sum())
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
-    typical = np.nanmedian(speeds)
+    _warn_units(path, speed, float(np.nanmedian(speeds)), columns)
+    fins = [cells["fin"] for _, cells in rows]
+    frequency, amplitude, distance = (columns[name] for name in NUMBERS)
+    return CruiseTable(path, held or path, fins, frequency, amplitude, distance, speeds)
+
+
+def _warn_units(path: Path, speed: str, typical: float, columns: Mapping[str, Array]) -> None:
+    """Warn of a column whose values look like those of another unit."""
+    distance = columns["distance_m"]
     doubts = [
         (speed, typical > 20, f"speeds of {typical:.3g} m/s; is it mm/s (a factor of 1000)?"),
         ("distance_m", np.max(distance) > 50, "looks like centimetres or millimetres"),
@@ -217,9 +225,6 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     for column, doubtful, words in doubts:
         if doubtful:
             warn("SWM002", f"{path.name}, '{column}': {words}")
-    fins = [cells["fin"] for _, cells in rows]
-    frequency, amplitude, distance = (columns[name] for name in NUMBERS)
-    return CruiseTable(path, held or path, fins, frequency, amplitude, distance, speeds)
 
 
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
@@ -245,7 +250,7 @@ def _numbers(rows: list[Row], name: str, path: Path) -> Array:
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]
-        value, what, hint = tabular.number(text), "", None
+        value, what, hint = tabular.parse_number(text), "", None
         if text in tabular.MISSING and name not in NUMBERS:
             continue
         if text in tabular.MISSING:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from swimid.files import atomic
 from swimid.files.provenance import SOFTWARE
 from swimid.results import numbers
-from swimid.results.evidence import MAX_POINTS, Figure, Heat, Panel, Trace, thinned
+from swimid.results.evidence import MAX_TRACE_POINTS, Figure, Heat, Panel, Trace, thin_curve
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ WIDTH, HEIGHT = 3.5, 2.3
 #: Total height of a figure of three or more panels, and minimum height of one panel, inches.
 TALLEST, LOW = 5.1, 1.2
 #: Space that labels and title need around the axes of a panel, in width and in height, inches.
-FRAME = 0.6
+AXES_MARGIN_INCH = 0.6
 #: Font size of figures, points, as in the style file ``figure.mplstyle``.
 FONT = 8.0
 #: Approximate width of a letter as a fraction of the font size. It is used to estimate the width of a text.
@@ -177,34 +177,20 @@ def _trace(
     ``repeat`` the number of earlier traces with the same colour and style.
     """
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
-    marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
     if trace.lower is not None and trace.upper is not None:
         band = axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
         if not np.any(y):  # A trace that is zero everywhere is a band without a line.
             band.set_label(trace.label)
             return
-    elif len(x) > MAX_POINTS:
-        x, y = thinned(x, y)
+    elif len(x) > MAX_TRACE_POINTS:
+        x, y = thin_curve(x, y)
     if trace.y_error is not None:
         axes.errorbar(x, y, yerr=_array(trace.y_error), fmt="none", ecolor=colour, lw=0.9, capsize=2)
     if trace.style in ("points", "stems"):
         if trace.style == "stems":
             axes.vlines(x, 0, y, color=colour, lw=0.9)
-        size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 1.6, 1.2]))
-        if small:
-            size *= 0.6
-        edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
-        about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
-        if compact and len(x) >= MIN_CLOUD:
-            # Draw the points as one path of very short strokes with round ends, which saves space in an SVG
-            # file.
-            end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
-            dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
-            (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
-            line.get_path().should_simplify = False
-            x, y, marker, size = np.array([]), np.array([]), "o", 3.0
-        axes.plot(x, y, marker=marker, ms=size, **about)
+        _points(axes, x, y, slot, label, small=small, compact=compact)
         return
     steps = {"step": "steps-post"}.get(trace.style, "default")
     (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2, drawstyle=steps)
@@ -216,19 +202,30 @@ def _trace(
         line.set_dashes(DASHES[(slot - 1) % len(DASHES)])
 
 
+def _points(
+    axes: Axes, x: Array, y: Array, slot: int, label: str | None, *, small: bool, compact: bool
+) -> None:
+    """Draw points on axes, as markers or, if there are many and ``compact`` is true, as one path."""
+    marker, colour = MARKERS[slot % len(MARKERS)], _colour(slot)
+    size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 1.6, 1.2]))
+    if small:
+        size *= 0.6
+    edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
+    if compact and len(x) >= MIN_CLOUD:
+        # Draw the points as very short strokes with round ends, which saves space in an SVG file.
+        end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
+        dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
+        (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
+        line.get_path().should_simplify = False
+        x, y, marker, size = np.array([]), np.array([]), "o", 3.0
+    about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
+    axes.plot(x, y, marker=marker, ms=size, **about)
+
+
 def _scales(axes: Axes, panel: Panel) -> None:
-    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
-        values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
-        if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
-            getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
-            axis.set_major_formatter(FuncFormatter(partial(_scaled, 1.0)))
-            axis.set_minor_formatter(NullFormatter())
-            continue
-        largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-        power = math.floor(math.log10(largest or 1.0))
-        if not -3 <= power < 5:
-            axis.set_major_formatter(FuncFormatter(partial(_scaled, 10.0**power)))
-            axis.set_label_text(f"{axis.get_label_text()}, × {numbers.power_of_ten(power)}")
+    """Set scales, ticks and categories of the axes of a panel."""
+    _scale_axis(axes, panel, "x")
+    _scale_axis(axes, panel, "y")
     for names, axis in ((panel.x_categories, axes.xaxis), (panel.y_categories, axes.yaxis)):
         if names is not None:
             axis.set_ticks(range(len(names)), [_cut(name) for name in names])
@@ -247,7 +244,23 @@ def _scales(axes: Axes, panel: Panel) -> None:
         axes.invert_yaxis()
 
 
-def _scaled(factor: float, value: float, _: int | None) -> str:
+def _scale_axis(axes: Axes, panel: Panel, name: str) -> None:
+    """Set the scale of the axis ``"x"`` or ``"y"``: logarithmic, or with a power of ten in its label."""
+    axis = axes.xaxis if name == "x" else axes.yaxis
+    values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
+    if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
+        getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
+        axis.set_major_formatter(FuncFormatter(partial(_format_tick, 1.0)))
+        axis.set_minor_formatter(NullFormatter())
+        return
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    power = math.floor(math.log10(largest or 1.0))
+    if not -3 <= power < 5:
+        axis.set_major_formatter(FuncFormatter(partial(_format_tick, 10.0**power)))
+        axis.set_label_text(f"{axis.get_label_text()}, × {numbers.power_of_ten(power)}")
+
+
+def _format_tick(factor: float, value: float, _: int | None) -> str:
     return f"{value / factor:.4g}".replace("-", "−")
 
 
@@ -304,7 +317,7 @@ def _heat(axes: Axes, heat: Heat) -> None:
     if heat.scale == "log":
         low, high = 0.0, max(high, math.log(3.0))
     rows = [_cut(name) for name in heat.rows]
-    texts = [[numbers.number(float(value), 2) for value in row] for row in values]
+    texts = [[numbers.format_number(float(value), 2) for value in row] for row in values]
     letters = max((len(text) for row in texts for text in row), default=1) + 1
     room = 72 * WIDTH - LETTER * FONT * max((len(row) for row in rows), default=0)
     size = min(FONT, room / max(len(heat.columns), 1) / (letters * LETTER))
@@ -333,7 +346,7 @@ def _height(panel: Panel, panels: int = 1) -> float:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
     if not is_to_scale(panel):
         return max(min(HEIGHT, TALLEST / panels), LOW)
-    return min(max((WIDTH - FRAME) * _shape(panel), 0.8), 4.0) + FRAME
+    return min(max((WIDTH - AXES_MARGIN_INCH) * _shape(panel), 0.8), 4.0) + AXES_MARGIN_INCH
 
 
 def is_to_scale(panel: Panel) -> bool:
@@ -399,13 +412,13 @@ def canvas(
                         place.tick_params(labelbottom=False)
                         shared = place
                 place = drawn.add_subplot(next(grid), sharex=shared)
-                shown = panel.model_copy(update={"title": _lettered(figure, index, heading)})
+                shown = panel.model_copy(update={"title": _panel_title(figure, index, heading)})
                 paint(place, shown, slots, legend=legend)
                 step(1)
     return drawn
 
 
-def _lettered(figure: Figure, index: int, heading: str = "") -> str:
+def _panel_title(figure: Figure, index: int, heading: str = "") -> str:
     """Return the title of a panel of a figure, with a letter such as ``(a)`` if there are several panels.
 
     ``heading`` is used as the title of a panel that has none.
@@ -442,13 +455,15 @@ def write(
     metadata = {"svg": {"Date": None, "Creator": SOFTWARE}, "png": {"Software": SOFTWARE}}[kind]
     with mpl.rc_context({**style(), "svg.fonttype": "path"}):
         drawn = canvas(figures, title=title, step=step)
-        with atomic.replacing(path) as temporary:
+        with atomic.replace_file(path) as temporary:
             drawn.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
             if kind == "svg":
-                temporary.write_text(_numbered(temporary.read_text(encoding="utf-8"), ""), encoding="utf-8")
+                temporary.write_text(
+                    _number_clips(temporary.read_text(encoding="utf-8"), ""), encoding="utf-8"
+                )
 
 
-def _numbered(text: str, prefix: str) -> str:
+def _number_clips(text: str, prefix: str) -> str:
     """Derive the ids of the clip paths in the text of an SVG file from a prefix and their order.
 
     matplotlib derives them from addresses in memory, which differ between runs.
@@ -482,14 +497,14 @@ def for_page(figure: Figure, prefix: str) -> list[str]:
         page: Any = {"svg.fonttype": "none", "figure.facecolor": "none", "svg.hashsalt": f"{prefix}{index}"}
         with mpl.rc_context({**style(), **page}):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
-            shown = panel.model_copy(update={"title": _lettered(figure, index)})
+            shown = panel.model_copy(update={"title": _panel_title(figure, index)})
             paint(drawn.add_subplot(), shown, slots, compact=True)
             file = io.StringIO()
             drawn.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
         names = ", ".join(trace.label for trace in panel.traces if trace.label)
         title = ": ".join(filter(None, [figure.title, panel.title]))
         about = f"{title}. {panel.y_label} over {panel.x_label}. {names}"
-        drawings.append(_inline(_numbered(file.getvalue(), f"{prefix}{index}-"), about))
+        drawings.append(_inline(_number_clips(file.getvalue(), f"{prefix}{index}-"), about))
     return drawings
 
 

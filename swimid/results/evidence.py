@@ -17,15 +17,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from swimid.errors import InputError, UsageError, file_errors
 from swimid.files import atomic, yamlio
 from swimid.notices import Notice
+from swimid.options import describe_problem
 from swimid.results import numbers
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
 #: Name of the check that does not pass if values are impossible for a swimmer, which suggests a wrong unit.
 POSSIBLE = "Values a swimmer reaches"
 #: Maximum number of points of a trace in a figure. A longer trace is drawn as its envelope.
-MAX_POINTS = 2000
-#: Maximum number of failed checks whose reasons the text of a verdict states.
-MAX_REASONS = 3
+MAX_TRACE_POINTS = 2000
 
 
 class _Part(BaseModel):
@@ -179,7 +178,7 @@ class Verdict(_Part):
     #: Word that reports show in place of the level of the verdict; empty to show the level itself.
     word: str = ""
 
-    def lowered(self, level: str, text: str) -> Verdict:
+    def lower_to(self, level: str, text: str) -> Verdict:
         """Return a copy of the verdict with another text, and with the given level if that is worse."""
         worst = max(level, self.level, key=("good", "caution", "bad").index)
         return self.model_copy(update={"level": worst, "text": text})
@@ -233,12 +232,12 @@ class Evidence(_Part):
             if texts:
                 self.checks.append(Check(name=POSSIBLE, value="beyond", verdict=grade, text=texts))
                 text = f"{self.verdict.text} Values that no swimmer reaches: {texts}."
-                self.verdict = self.verdict.lowered(level, text)
+                self.verdict = self.verdict.lower_to(level, text)
                 break
         return self
 
 
-def check(
+def make_check(
     name: str,
     value: str,
     passed: bool | None,
@@ -265,19 +264,32 @@ def check(
     return Check(name=name, value=value, limit=limit, verdict=verdicts[passed], text=text, reason=reason)
 
 
-def judged(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict on a result: its answer, followed by the reasons of the checks that do not pass.
+def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
+    """Return the verdict on a result: its answer, then the number of failed checks and their reasons.
 
-    The level is bad if a check fails, caution if a check warns, and good otherwise.
+    The level is bad if a check has the verdict ``fail``, caution if one has ``warn``, and good otherwise.
     """
-    for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
-        failed = (c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade)
-        shown = list(dict.fromkeys(failed))
-        if shown:
-            if len(shown) > MAX_REASONS:
-                shown[MAX_REASONS:] = [f"and {len(shown) - MAX_REASONS} more"]
-            return Verdict(level=level, text=f"{answer} {words}: {'; '.join(shown)}.")  # type: ignore[arg-type]
-    return Verdict(level="good", text=answer)
+    failed = [check for grade in ("fail", "warn") for check in checks if check.verdict == grade]
+    if not failed:
+        return Verdict(level="good", text=answer)
+    level: Literal["caution", "bad"] = "caution"
+    if failed[0].verdict == "fail":
+        level = "bad"
+    count = sum(check.verdict != "info" for check in checks)
+    noun = "check" if count == 1 else "checks"
+    reasons = "; ".join(dict.fromkeys(c.reason or f"{c.name} {c.value}".strip() for c in failed))
+    return Verdict(level=level, text=f"{answer} {len(failed)} of {count} {noun} failed: {reasons}.")
+
+
+def count_checks(checks: Sequence[Check]) -> str:
+    """Return a sentence with the number of checks if all pass; empty otherwise, and without checks.
+
+    The text of the verdict states the number of checks that fail (:func:`make_verdict`).
+    """
+    tested = [check.verdict for check in checks if check.verdict != "info"]
+    if set(tested) != {"pass"}:
+        return ""
+    return f"{len(tested)} {'check passes' if len(tested) == 1 else 'checks pass'}."
 
 
 def leaf_table(id: str, title: str, entries: dict[str, Any], caption: str = "") -> Table:
@@ -367,10 +379,11 @@ def read(path: str | Path) -> Evidence:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"no {FORMAT} file: {first['msg']}", file=path, column=place or None) from error
+        text = f"is no {FORMAT} file: {describe_problem(first)}"
+        raise InputError(text, file=path, column=place or None) from error
 
 
-def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
+def thin_curve(x: Any, y: Any, points: int = MAX_TRACE_POINTS) -> tuple[np.ndarray, np.ndarray]:
     """Reduce a curve to a maximum number of samples that preserve its envelope.
 
     The curve is divided into segments with equal numbers of samples. The samples with the smallest and the
@@ -403,14 +416,14 @@ def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.nd
 # ---------------------------------------------------------------- parts that several packages use
 
 #: Maximum number of points that one trial has in a figure of several trials.
-POINTS = 400
+MAX_TRIAL_POINTS = 400
 #: Number of measured points that are drawn along a straight line over the whole width of a panel. A curve
 #: with more rise and fall has more points.
 MAX_MARKS = 50
 #: Maximum number of trials in a figure of residuals, and largest residual that it shows, in standard
 #: deviations of the noise. Each trial is a row of the figure. Larger residuals are drawn at the edge of the
 #: row.
-MAX_ROWS, ROW_SD = 12, 4.0
+MAX_RESIDUAL_ROWS, ROW_SD = 12, 4.0
 #: Distance from the middle of a row of a figure of residuals at which a residual of ROW_SD standard
 #: deviations is drawn, as a fraction of the distance between two rows.
 HALF_ROW = 0.45
@@ -435,18 +448,13 @@ def p_text(p: float) -> str:
     """
     if p < 1e-16:
         return "p < 10⁻¹⁶"
-    return f"p = {numbers.number(p, 2)}"
-
-
-def notices(recorded: Sequence[Notice]) -> list[Notice]:
-    """Return recorded warnings as the list ``notices`` of the evidence of a result."""
-    return list(recorded)
+    return f"p = {numbers.format_number(p, 2)}"
 
 
 # ---------------------------------------------------------------- tables
 
 
-def table(
+def make_table(
     id: str, title: str, rows: Sequence[Mapping[str, Cell]], caption: str = "", columns: Sequence[str] = ()
 ) -> Table:
     """Return a table of a report from its rows. Each row is a mapping of column names to cells.
@@ -465,7 +473,7 @@ def table(
 # ---------------------------------------------------------------- figures
 
 
-def figure(
+def make_figure(
     id: str,
     title: str,
     caption: str,
@@ -515,7 +523,9 @@ def path(title: str, names: Sequence[str], x: Sequence[Any], y: Sequence[Any]) -
     return panel(x_label, y_label, pair(x, y), title=title, equal_aspect=True)
 
 
-def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any], **trace: Any) -> Trace:
+def make_point_trace(
+    runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any], **trace: Any
+) -> Trace:
     """Return a trace of points, one for each object in ``runs``.
 
     The functions ``x`` and ``y`` compute the coordinates of a point from its object.
@@ -523,7 +533,7 @@ def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any]
     return Trace(x=[x(run) for run in runs], y=[y(run) for run in runs], style="points", **trace)
 
 
-def measured_and_simulated(
+def make_fit_figure(
     id: str,
     title: str,
     caption: str,
@@ -538,19 +548,19 @@ def measured_and_simulated(
     unit of the figure.
     """
     drawn: list[Panel] = []
-    for name, s in extremes(shown, lambda s: rms(s.weighted)).items():
-        known = apart(s.time_s, s.measured)
-        x, y = thinned(s.time_s, factor * s.simulated, POINTS)
+    for name, s in extremes(shown, lambda s: compute_rms(s.z_scores)).items():
+        known = select_marks(s.time_s, s.measured)
+        x, y = thin_curve(s.time_s, factor * s.simulated, MAX_TRIAL_POINTS)
         traces = pair((s.time_s[known], x), (factor * s.measured[known], y))
         drawn.append(panel("time (s)", y_label, traces, title=name))
     return panels(id, title, caption, drawn)
 
 
-def apart(x: Any, y: Any) -> Any:
+def select_marks(x: Any, y: Any) -> Any:
     """Return the indices of samples that are evenly spaced along a curve in a panel of a figure.
 
     The distance along the curve is 1 / MAX_MARKS of the width of the panel, which is twice as wide as high. A
-    curve that rises and falls has more samples than a straight line, at most :data:`POINTS`.
+    curve that rises and falls has more samples than a straight line, at most :data:`MAX_TRIAL_POINTS`.
     """
     known = np.flatnonzero(np.isfinite(y))
     if not len(known):
@@ -561,7 +571,7 @@ def apart(x: Any, y: Any) -> Any:
     )
     number = np.floor(np.concatenate(([0.0], np.cumsum(steps))) * MAX_MARKS)
     marks = known[np.unique(number, return_index=True)[1]]
-    return marks[:: -(-len(marks) // POINTS)]
+    return marks[:: -(-len(marks) // MAX_TRIAL_POINTS)]
 
 
 def extremes(shown: Sequence[Series], error: Callable[[Series], float]) -> dict[str, Series]:
@@ -582,14 +592,14 @@ def extremes(shown: Sequence[Series], error: Callable[[Series], float]) -> dict[
     return found | {f"{s.trial} (held out)": s for s in held_out[-1:]}
 
 
-def rms(*series: Any) -> float:
+def compute_rms(*series: Any) -> float:
     """Return the root mean square of all finite samples of several series; 0 without samples."""
     values = np.concatenate(series)
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.sum(known**2) / max(len(known), 1)))
 
 
-def residuals(
+def make_residual_figure(
     id: str, title: str, caption: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
     """Return a figure of the residuals over time, divided by the standard deviation of the noise.
@@ -597,12 +607,12 @@ def residuals(
     It shows the trials with the largest errors. If ``correlation`` is given, a second panel shows the
     autocorrelation of the residuals.
     """
-    worst = sorted(range(len(shown)), key=lambda k: -rms(shown[k].weighted))[:MAX_ROWS]
+    worst = sorted(range(len(shown)), key=lambda k: -compute_rms(shown[k].z_scores))[:MAX_RESIDUAL_ROWS]
     rows = [shown[k] for k in sorted(worst)]
     mixed = len({s.role for s in rows}) > 1
     traces: list[Trace] = []
     for k, s in enumerate(rows):
-        x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
+        x, y = thin_curve(s.time_s, np.clip(s.z_scores, -ROW_SD, ROW_SD), MAX_TRIAL_POINTS)
         group, label = 0, "fitted" if mixed else "residuals"
         if s.role != "fit":
             group, label = 1, "held out"

@@ -23,7 +23,7 @@ from typing import TypeGuard
 Z95 = 1.959963984540054
 
 #: Text that tables show in place of a missing number.
-NOTHING = "–"
+MISSING_TEXT = "–"
 
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
 #: Limits of the decimal exponent n of a number without a power of ten in its text. If n is at least
@@ -32,12 +32,12 @@ _LARGE, _SMALL = 6, -3
 #: Maximum number of significant digits of a number as text, which is the number of exact digits of a float64.
 _MOST_DIGITS = 15
 
-_UNITS = (
+_UNIT_NAMES = (
     "kg m^2/s^2, N s^2/m^2, N m/rad, rad/s^2, deg/s^2, kg/m^3, kg m^2, N s/m, m/s^2, rad/s, deg/s, BL/s, "
     "kg m, N m, J/m, m/s, m^2, m^3, rad, deg, BL, Hz, kg, px, N, W, J, V, A, m, s"
 )
 #: Unit for each ending that the name of a column or key may have: ``m_s2`` stands for m/s^2.
-_SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNITS)} | {"hz": "Hz"}
+_SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNIT_NAMES)} | {"hz": "Hz"}
 #: Name in words for each column that has a velocity component along a body axis.
 BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 
@@ -56,7 +56,7 @@ def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
     return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
 
 
-def fixed(value: float, decimals: int) -> str:
+def format_fixed(value: float, decimals: int) -> str:
     """Return a value as text with ``decimals`` decimal places.
 
     With -1 decimal places the value is rounded to tens, with -2 to hundreds. The text is never ``-0``.
@@ -70,27 +70,27 @@ def power_of_ten(exponent: int) -> str:
     return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
-def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
+def format_number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
     """Return a number as text with its unit, rounded to significant digits and without trailing zeros.
 
     Whole numbers (``int``) below a million keep all their digits. NaN and None are shown as a dash.
     """
     if value is None or (isinstance(value, float) and math.isnan(value)):
-        return NOTHING
+        return MISSING_TEXT
     if isinstance(value, bool):
         return ("no", "yes")[value]
     if math.isinf(value):
-        return _joined(f"{value}".replace("-", "−").replace("inf", "∞"), unit)
+        return _add_unit(f"{value}".replace("-", "−").replace("inf", "∞"), unit)
     if isinstance(value, int) and abs(value) < 10**_LARGE:
-        return _joined(str(value).replace("-", "−"), unit)
+        return _add_unit(str(value).replace("-", "−"), unit)
     exponent = _exponent(float(value), digits)
     if _SMALL <= exponent < _LARGE:
-        return _joined(_trimmed(fixed(value, digits - 1 - exponent)), unit)
-    mantissa = _trimmed(fixed(value / 10.0**exponent, digits - 1))
-    return _joined(f"{mantissa} × {power_of_ten(exponent)}", unit)
+        return _add_unit(_trim_zeros(format_fixed(value, digits - 1 - exponent)), unit)
+    mantissa = _trim_zeros(format_fixed(value / 10.0**exponent, digits - 1))
+    return _add_unit(f"{mantissa} × {power_of_ten(exponent)}", unit)
 
 
-def _trimmed(text: str) -> str:
+def _trim_zeros(text: str) -> str:
     if "." in text:
         text = text.rstrip("0").rstrip(".")
     return text
@@ -111,7 +111,7 @@ def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
     return first, first - last
 
 
-def measured(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
+def format_estimate(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
     """Return a value with its standard error and unit as text, such as ``0.705 ± 0.033 kg``.
 
     Both numbers are rounded to ``digits`` significant digits of the standard error.
@@ -130,16 +130,16 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
         Significant digits of the standard error.
     """
     if not _is_number(value):
-        return NOTHING
+        return MISSING_TEXT
     if not _is_error(stderr):
-        return number(value, 6, unit)
+        return format_number(value, 6, unit)
     scale, decimals = _layout(value, stderr, digits)
-    text = f"{fixed(value / 10.0**scale, decimals)} ± {fixed(stderr / 10.0**scale, decimals)}"
+    text = f"{format_fixed(value / 10.0**scale, decimals)} ± {format_fixed(stderr / 10.0**scale, decimals)}"
     if scale:
         text = f"({text}) × {power_of_ten(scale)}"
     elif unit_text(unit) == "°":
         text = f"({text})"
-    return _joined(text, unit)
+    return _add_unit(text, unit)
 
 
 def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
@@ -152,14 +152,14 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
     ('27°', '15 … 35')
     """
     if not (_is_number(low) and _is_number(high)):
-        return NOTHING
+        return MISSING_TEXT
     if not _is_error(stderr):
-        return _joined(" … ".join(dict.fromkeys([number(low), number(high)])), unit)
+        return _add_unit(" … ".join(dict.fromkeys([format_number(low), format_number(high)])), unit)
     scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
-    text = f"{fixed(low / 10.0**scale, decimals)} … {fixed(high / 10.0**scale, decimals)}"
+    text = f"{format_fixed(low / 10.0**scale, decimals)} … {format_fixed(high / 10.0**scale, decimals)}"
     if scale:
         text = f"({text}) × {power_of_ten(scale)}"
-    return _joined(text, unit)
+    return _add_unit(text, unit)
 
 
 def confidence95(value: float | None, stderr: float | None) -> tuple[float, float] | None:
@@ -176,10 +176,10 @@ def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] |
     """Return the bounds of a parameter as text: ``0 … 5``, ``≥ 0``, ``≤ 1``, or ``free`` without bounds."""
     low, high = bounds or (None, None)
     if _is_number(low) and _is_number(high):
-        return f"{number(low)} … {number(high)}"
+        return f"{format_number(low)} … {format_number(high)}"
     if _is_number(low):
-        return f"≥ {number(low)}"
-    return f"≤ {number(high)}" if _is_number(high) else "free"
+        return f"≥ {format_number(low)}"
+    return f"≤ {format_number(high)}" if _is_number(high) else "free"
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
@@ -189,10 +189,10 @@ def percent(fraction: float | None, digits: int = 3) -> str:
     ('14.2 %', '> 99.9 %', '100 %')
     """
     if not _is_number(fraction):
-        return NOTHING
-    text = number(100.0 * fraction, digits)
+        return MISSING_TEXT
+    text = format_number(100.0 * fraction, digits)
     if text == "100" and fraction < 1.0:
-        text = f"> {number(100.0 - 10.0 ** (2 - digits), digits)}"
+        text = f"> {format_number(100.0 - 10.0 ** (2 - digits), digits)}"
     return f"{text} %"
 
 
@@ -214,7 +214,7 @@ def unit_text(unit: str) -> str:
     return re.sub(r"\bdeg\b", "°", text)
 
 
-def _joined(text: str, unit: str) -> str:
+def _add_unit(text: str, unit: str) -> str:
     printed = unit_text(unit)
     if printed and printed != "°":
         text += " "
@@ -258,7 +258,7 @@ def column_title(name: str) -> str:
     return f"{quantity(name)} ({printed})"
 
 
-def listed(names: Sequence[str], last: str = "and") -> str:
+def join_names(names: Sequence[str], last: str = "and") -> str:
     """Return names joined as in a sentence: ``a, b and c``."""
     if len(names) < 2:
         return "".join(names)

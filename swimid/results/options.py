@@ -11,8 +11,6 @@ Kind = Literal["html", "md"]
 
 class ReportOptions(
     Options,
-    command="report",
-    section="Publish",
     argument="RESULT...",
     output="The report. Without it, or with -o -, it goes to stdout.",
     stdout={"format": "md"},

@@ -10,9 +10,10 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_valid
 
 from swimid.errors import InputError, Named, UsageError, suggestion
 from swimid.files import yamlio
-from swimid.files.provenance import Held
+from swimid.files.provenance import InputInMemory
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict
+from swimid.results.next_command import find_inputs
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 CORRELATION_TOLERANCE, MAX_ROUNDING = 1e-6, 0.005
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
 #: Text that tables show for the status of an estimate, if it differs from the name of the status.
-STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
+STATUS_TEXT = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
 
 
 class Estimate(yamlio.Document):
@@ -49,7 +50,7 @@ class Estimate(yamlio.Document):
         return yamlio.limits(self.bounds)
 
 
-def spoken(name: str, meaning: str) -> str:
+def parameter_text(name: str, meaning: str) -> str:
     """Return the text that names a parameter in a sentence.
 
     It is the name in words if the meaning contains these words, and otherwise the meaning with the name.
@@ -129,7 +130,26 @@ class Fit(yamlio.Document):
 
 
 class ParameterFile(yamlio.ResultFile):
-    """Content of a parameter file: the estimates of a fit, with its settings, errors and provenance."""
+    """Content of a parameter file: the estimates of a fit, with its settings, errors and provenance.
+
+    Every fit writes one. Use the value of a parameter that is not identifiable only to simulate the whole
+    model. A name such as ``start_offset[w10]`` is a parameter of one trial.
+
+    Example::
+
+        format: swimid-parameters/1
+        model: falling-weight
+        robot: boxfish
+        parameters:
+          drag_coefficient: {value: 0.705, stderr: 0.0004, unit: '1', bounds: [0.0, 5.0], status: estimated}
+          linear_drag: {value: 0.0, stderr: null, unit: N s/m, bounds: [0.0, null], status: fixed}
+        derived:
+          terminal_speed[w10]: {value: 0.1654, stderr: 4.2e-05, unit: m/s, status: estimated}
+        fit:
+          trials: [w10]
+          channels: {x_m: {rmse: 0.0021, nrmse: 0.0015, unit: m, samples: 240}}
+          converged: true
+    """
 
     kind: ClassVar[str] = "parameter file"
 
@@ -195,7 +215,7 @@ class ParameterFile(yamlio.ResultFile):
 Source = str | Path | ParameterFile | FileResult[ParameterFile]
 
 
-def place(source: Source) -> Path:
+def source_path(source: Source) -> Path:
     """Return the path of a source of parameters, for messages and for relative paths in the parameters.
 
     A source in memory has the path ``parameters`` in the working folder.
@@ -218,7 +238,7 @@ def _file(source: Source) -> ParameterFile:
     raise UsageError(text, hint="pass the path of a parameter file, or the result of a fit")
 
 
-def origin(source: Source) -> Path | Held:
+def origin(source: Source) -> Path | InputInMemory:
     """Return the entry of a source of parameters in the provenance of a result.
 
     It is the path of a file, or the name and SHA-256 of parameters in memory.
@@ -227,7 +247,7 @@ def origin(source: Source) -> Path | Held:
         return Path(source)
     file = _file(source)
     content = file.model_copy(update={"provenance": {}})
-    return Held(f"parameters of {file.model}", content.digest())
+    return InputInMemory(f"parameters of {file.model}", content.digest())
 
 
 def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> ParameterFile:
@@ -244,7 +264,7 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
     InputError
         If the source is not a parameter file, or has another model.
     """
-    path = place(source)
+    path = source_path(source)
     parameters = _file(source)
     models = model or (parameters.model,)
     if isinstance(models, str):
@@ -305,11 +325,11 @@ class Fitted(FileResult[ParameterFile]):
     ----------
     parameters : DataFrame
         A row for each parameter: ``value``, ``stderr``, ``low95``, ``high95`` (in ``unit``), ``status``.
-    derived : DataFrame
+    quantities : DataFrame
         Quantities computed from the parameters, with the same columns as ``parameters``.
     correlation : DataFrame
         Correlation matrix of the estimates, dimensionless.
-    converged : bool
+    has_converged : bool
         Whether the fit converged to a minimum.
     file : ParameterFile
         Parameter file that :meth:`save` writes.
@@ -326,7 +346,7 @@ class Fitted(FileResult[ParameterFile]):
     @property
     def next_step(self) -> str:  # type: ignore[override]
         """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
-        if not self._inputs(Path()):
+        if not find_inputs(self):
             return FileResult.next_step
         own = "{own}" * (not self.file.effects)
         return f"swimid compare {{trials}}{own} --params {{file}} -o {{free[comparison.yaml]}}"
@@ -337,7 +357,7 @@ class Fitted(FileResult[ParameterFile]):
         return _estimates_frame(self.file.parameters)
 
     @property
-    def derived(self) -> pd.DataFrame:
+    def quantities(self) -> pd.DataFrame:
         """Table of the quantities that are computed from the parameters, such as a terminal speed.
 
         Its columns are those of :attr:`parameters`.
@@ -353,7 +373,7 @@ class Fitted(FileResult[ParameterFile]):
         return pd.DataFrame(found.matrix, index=found.names, columns=found.names)
 
     @property
-    def converged(self) -> bool:
+    def has_converged(self) -> bool:
         """Whether the fit converged to a minimum."""
         return self.file.fit is not None and self.file.fit.converged
 
@@ -366,7 +386,7 @@ class Fitted(FileResult[ParameterFile]):
         if file.fit is not None:
             facts["Trials"] = str(len(file.fit.trials))
         if file.sample_time_s is not None:
-            facts["Sample time"] = numbers.number(file.sample_time_s, unit="s")
+            facts["Sample time"] = numbers.format_number(file.sample_time_s, unit="s")
         if file.delay is not None:
             facts["Delay"] = f"{file.delay} sample{'s' if file.delay != 1 else ''}"
         return {name: value for name, value in facts.items() if value}
@@ -394,7 +414,7 @@ class Fitted(FileResult[ParameterFile]):
         Its verdict follows from the convergence of the fit and from the status of the parameters.
         """
         parameters = self.file.parameters.items()
-        weak = [spoken(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
+        weak = [parameter_text(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
         verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
         if self.file.fit is not None and not self.file.fit.converged:
             verdict = Verdict(level="bad", text="The fit did not converge.")
@@ -413,22 +433,22 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
         band, ends = "", numbers.confidence95(e.value, e.stderr)
         if e.status == "estimated" and ends is not None:
             band = numbers.interval(*ends, e.stderr)
-        status = STATUS.get(e.status, e.status)
-        rows.append([name, value_text(e), band, status, e.meaning, numbers.bounds_text(e.bounds)])
-    columns = ["parameter", "value ± sd", "95 % interval", "status", "meaning", "allowed"]
+        status = STATUS_TEXT.get(e.status, e.status)
+        rows.append([name, estimate_text(e), band, status, e.meaning, numbers.bounds_text(e.bounds)])
+    columns = ["parameter", "value ± se", "95 % interval", "status", "meaning", "allowed"]
     if not any(e.meaning for e in estimates.values()):
         columns.remove("meaning")
         rows = [[*row[:4], *row[5:]] for row in rows]
     return Table(id=id, title=title, columns=columns, rows=rows, folded=folded)
 
 
-def value_text(estimate: Estimate) -> str:
+def estimate_text(estimate: Estimate) -> str:
     """Return the value and standard error of a parameter as text; a dash if it is not identifiable."""
     if estimate.status == "unidentifiable":
-        return numbers.NOTHING
+        return numbers.MISSING_TEXT
     if estimate.status == "fixed":
-        return numbers.number(estimate.value, 6, estimate.unit)
-    return numbers.measured(estimate.value, estimate.stderr, estimate.unit)
+        return numbers.format_number(estimate.value, 6, estimate.unit)
+    return numbers.format_estimate(estimate.value, estimate.stderr, estimate.unit)
 
 
 def _correlation(correlation: Correlation | None) -> Table:
@@ -440,7 +460,7 @@ def _correlation(correlation: Correlation | None) -> Table:
     rows: list[list[Any]] = []
     if len(found.names) > 1:
         for name, row in zip(found.names, found.matrix, strict=True):
-            rows.append([name, *(numbers.fixed(r, 2) for r in row)])
+            rows.append([name, *(numbers.format_fixed(r, 2) for r in row)])
     return Table(
         id="correlation",
         title="Correlation of the estimates",
@@ -462,7 +482,7 @@ def _channels(fit: Fit) -> Table:
             unit, rmse, nrmse = str(entry.get("unit", "")), entry.get("rmse"), entry.get("nrmse")
             known = fit.noise.get(name)
             noise, ratio = _noise(known if isinstance(known, dict) else {}, rmse, unit)
-            errors = [numbers.number(rmse, 3, unit), noise, ratio, numbers.percent(nrmse)]
+            errors = [numbers.format_number(rmse, 3, unit), noise, ratio, numbers.percent(nrmse)]
             rows.append([name, label, *errors, entry.get("samples")])
     columns = ["channel", "data", "RMSE", "noise", "RMSE / noise", "NRMSE", "samples"]
     return Table(id="errors", title="Errors by channel", columns=columns, rows=rows)
@@ -475,11 +495,11 @@ def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, s
     dash if the sample times have noise.
     """
     sd, time_sd_s = known.get("value_sd"), known.get("time_sd_s")
-    text, ratio = numbers.number(sd, 3, unit), numbers.NOTHING
+    text, ratio = numbers.format_number(sd, 3, unit), numbers.MISSING_TEXT
     if time_sd_s:
-        text += f", {numbers.number(1e3 * time_sd_s, 3, 'ms')} in time"
+        text += f", {numbers.format_number(1e3 * time_sd_s, 3, 'ms')} in time"
     elif rmse is not None and sd:
-        ratio = numbers.number(rmse / sd, 3)
+        ratio = numbers.format_number(rmse / sd, 3)
     return text, ratio
 
 

@@ -10,8 +10,9 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +22,18 @@ from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
 from swimid.files.templates import environment
-from swimid.notices import CODES, Progress, recorded, silent, warn
+from swimid.notices import Progress, Step, read_codes, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.results.options import Kind, ReportOptions
-from swimid.results.parameters import Fitted, value_text
+from swimid.results.parameters import Fitted, estimate_text
 from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
 #: Symbol and word that a report shows for each level of a verdict, so that it is legible without colour.
-LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
-CHECKS = {
+LEVEL_SYMBOLS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
+CHECK_SYMBOLS = {
     "pass": ("✓", "pass", "good"),
     "warn": ("!", "warn", "caution"),
     "fail": ("✕", "fail", "bad"),
@@ -49,7 +50,6 @@ class Page(Text):
     """Result of ``report``, whose ``document`` is the text of the page."""
 
     next_step = "python -m webbrowser {file}"
-    keys = {"title": str, "verdict": dict[str, Any], "results": list[dict[str, Any]]}
 
 
 @takes(ReportOptions)
@@ -93,47 +93,26 @@ def report(
     >>> print(page.document.splitlines()[0])
     # Rig identification of boxfish: falling-weight
     """
-    if not inputs:
-        raise UsageError("name at least one result file")
     sources = list(dict.fromkeys(source for given in inputs for source in _sources(given)))
+    if not sources:
+        raise UsageError("name at least one result file")
     paths = [source for source in sources if isinstance(source, Path)]
     target, kind = None, options.format or "html"
-    if output is not None and str(output) != "-":
-        target = atomic.check_writable(output, inputs=[*paths, *map(ev.sidecar, paths)])
+    if output not in (None, "-", Path("-")):
+        target = atomic.check_writable(Path(str(output)), inputs=[*paths, *map(ev.sidecar, paths)])
         kind = options.format or _ENDINGS.get(target.suffix.lower(), "html")
-    results = []
-    for source in sources:
-        if isinstance(source, Path):
-            source = _read(source)
-        results.append(source)
-    contents = _titled(results)
+    results = [_read(source) for source in sources]
+    contents = _make_titles(results)
     heading = options.title or "Identification report"
     if options.title is None and len(contents) == 1:
         heading = contents[0].title
-    created = now()
-    digests = {str(result.path): "of nothing: it was in memory" for result in results}
-    digests |= {str(path): sha256(path) for path in paths}
-    text = render(
-        results,
-        contents,
-        folder=Path() if target is None else target.parent,
-        template=f"report.{kind}",
-        title=heading,
-        created=created,
-        digests=digests,
-        progress=progress,
-    )
-    whole = overall(results, contents)
-    lines = [f"{whole.level}: {whole.text}"]
-    verdicts = []
-    for result, content in zip(results, contents, strict=True):
-        lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
-        verdicts.append({"file": str(result.path), **content.verdict.model_dump()})
-    data = {"title": heading, "verdict": whole.model_dump(), "results": verdicts}
+    folder = Path() if target is None else target.parent
+    page = ReportPage(results, contents, f"report.{kind}", heading, folder, now())
+    text = page.render(progress)
     if target is None:
-        return Page("report", text.rstrip("\n"), data, document=text)
+        return Page("report", text.rstrip("\n"), page.to_dict(), document=text)
     atomic.write_text(target, text)
-    return Page("report", "\n".join(lines), data, [target], document=text)
+    return Page("report", page.verdict_lines(), page.to_dict(), [target], document=text)
 
 
 def _sources(given: str | Path | Result) -> list[Path | Result]:
@@ -155,15 +134,19 @@ def _sources(given: str | Path | Result) -> list[Path | Result]:
     return found
 
 
-def _read(path: Path) -> Result:
+def _read(path: Path | Result) -> Result:
     """Read a result file with its evidence, and add the warnings of the reading to the evidence.
+
+    A result in memory is returned as it is.
 
     Warns
     -----
     SWM050
         The evidence is missing.
     """
-    with recorded(repeat=True) as raised:
+    if isinstance(path, Result):
+        return path
+    with record_warnings(repeat=True) as raised:
         result = load_result(path)
         shown = result.evidence
         if shown is None:
@@ -177,7 +160,7 @@ def _read(path: Path) -> Result:
 # ---------------------------------------------------------------- page
 
 
-def _titled(results: Sequence[Result]) -> list[ev.Evidence]:
+def _make_titles(results: Sequence[Result]) -> list[ev.Evidence]:
     """Return the content of each result. On a page of several results the titles differ.
 
     They name the parameter file that the result is about, and the result file if that is not enough.
@@ -200,29 +183,35 @@ def overall(results: Sequence[Result], contents: Sequence[ev.Evidence]) -> ev.Ve
     verdict describe the model before the repair: they are named, but do not count. The level is the worst of
     the other results.
     """
-    found = [content for result, content in zip(results, contents, strict=True) if result.leads_page]
-    solved = [content for content in found if content.verdict.level == "good"]
-    doubts: dict[str, list[str]] = {}
-    counted = []
-    for result, content in zip(results, contents, strict=True):
-        level: str = content.verdict.level
-        inputs = _digests(content)
-        if not result.leads_page and inputs and any(inputs <= _digests(one) for one in solved):
-            level = "before the repair"
-        else:
-            counted.append(content)
-        doubts.setdefault(level, []).append(result.path.name)
+    leading = [content for result, content in zip(results, contents, strict=True) if result.leads_page]
+    doubts, counted = _sort_by_level(results, contents, leading)
     whole = _worst(counted)
     if len(contents) == 1:
         return whole
-    parts = [content.verdict.text for content in found]
-    if not found or whole.level != "good":
+    parts = [content.verdict.text for content in leading]
+    if not leading or whole.level != "good":
         parts.append(whole.text)
-    for kind in ("bad", "caution", "before the repair"):
-        if kind in doubts:
-            parts.append(f"{kind.capitalize()}: {', '.join(doubts[kind])}.")
-    word = "".join(content.verdict.word for content in found[:1] if content.verdict.level == whole.level)
+    parts += [f"{level.capitalize()}: {', '.join(names)}." for level, names in doubts.items() if names]
+    word = leading[0].verdict.word if leading and leading[0].verdict.level == whole.level else ""
     return ev.Verdict(level=whole.level, text=" ".join(parts), word=word)
+
+
+def _sort_by_level(
+    results: Sequence[Result], contents: Sequence[ev.Evidence], leading: Sequence[ev.Evidence]
+) -> tuple[dict[str, list[str]], list[ev.Evidence]]:
+    """Return the names of doubtful results by level, and the contents that count for the verdict."""
+    solved = [_digests(content) for content in leading if content.verdict.level == "good"]
+    names: dict[str, list[str]] = {"bad": [], "caution": [], "before the repair": [], "good": []}
+    counted = []
+    for result, content in zip(results, contents, strict=True):
+        inputs = _digests(content)
+        if inputs and not result.leads_page and any(inputs <= digests for digests in solved):
+            names["before the repair"].append(result.path.name)
+        else:
+            counted.append(content)
+            names[content.verdict.level].append(result.path.name)
+    del names["good"]
+    return names, counted
 
 
 def _digests(content: ev.Evidence) -> set[str]:
@@ -233,7 +222,7 @@ def _digests(content: ev.Evidence) -> set[str]:
 def _worst(contents: Sequence[ev.Evidence]) -> ev.Verdict:
     """Return the worst level among results, and a sentence that says how many results have this level."""
     levels = [shown.verdict.level for shown in contents]
-    worst = max(levels, key=list(LEVELS).index)
+    worst = max(levels, key=list(LEVEL_SYMBOLS).index)
     count = levels.count(worst)
     verb = {"good": "can be used", "caution": "needs care", "bad": "should not be used"}[worst]
     if len(levels) == 1:
@@ -246,75 +235,113 @@ def _worst(contents: Sequence[ev.Evidence]) -> ev.Verdict:
     return ev.Verdict(level=worst, text=f"{which} {verb}.")
 
 
-def render(
-    results: Sequence[Result],
-    contents: Sequence[ev.Evidence],
-    *,
-    folder: Path = Path(),
-    template: str,
-    title: str,
-    created: datetime,
-    digests: dict[str, str],
-    progress: Progress = silent,
-) -> str:
-    """Return the text of a report page on several results, in HTML or Markdown.
+@dataclass(frozen=True)
+class ReportPage:
+    """Content of a report page.
 
-    Parameters
+    Attributes
     ----------
     results : sequence of Result
         Results in the report, at least one.
     contents : sequence of Evidence
         Evidence of each result, as :meth:`Result.content` returns it.
-    folder : Path
-        Folder of the page, in which the next commands are typed.
     template : str
         Name of the template, ``"report.html"`` or ``"report.md"``.
     title : str
+    folder : Path
+        Folder of the page, in which the next commands are typed.
     created : datetime
         Time that is printed at the foot of the page. Reports with the same input and time are identical.
-    digests : dict of str to str
-        SHA-256 of each result file by its path.
-    progress : Progress
-        Progress over the figures.
     """
-    is_html = template.endswith("html")
-    templates = environment(
-        "swimid.results", autoescape=is_html, lstrip_blocks=True, keep_trailing_newline=True
-    )
-    templates.globals.update(
-        levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
-    )
-    templates.filters.update(md=_markdown, code=_code, name_of=reading.name_of)
-    groups = compared(results)
-    folded = [fit for fits, _ in groups for fit in fits]
-    shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]
-    shown += zip(contents, results, strict=True)
-    sections = []
-    with progress("drawing", total=sum(len(content.figures) for content, _ in shown)) as step:
-        for k, (content, result) in enumerate(shown, 1):
-            pictures = []
-            for n, figure in enumerate(content.figures):
-                panels: list[str] = []
-                if is_html:
-                    panels = drawing.for_page(figure, f"{k}-{n}-")
-                pictures.append((_explained(figure), panels))
-                step()
-            section = _parts(content, pictures) | {"anchor": f"r{k}", "folded": result in folded}
-            section |= {"kind": "Side by side", "path": None, "next": ""}
-            if result is not None:
-                command = _next_command(result, content, contents, folder, digests)
-                section |= {"kind": result.kind, "path": result.path, "next": command}
-            sections.append(section)
-    return templates.get_template(template).render(
-        title=title,
-        version=swimid.__version__,
-        created=created,
-        verdict=overall(results, contents),
-        results=sections,
-        references=list(dict.fromkeys(text for content in contents for text in content.references)),
-        warnings=_warnings(results, contents),
-        digests=digests,
-    )
+
+    results: Sequence[Result]
+    contents: Sequence[ev.Evidence]
+    template: str
+    title: str
+    folder: Path
+    created: datetime
+
+    @cached_property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of each result file by its path."""
+        digests = {}
+        for result in self.results:
+            digests[str(result.path)] = "of nothing: it was in memory"
+            if result.outputs and result.path.exists():
+                digests[str(result.path)] = sha256(result.path)
+        return digests
+
+    @cached_property
+    def verdict(self) -> ev.Verdict:
+        """Verdict on all results together."""
+        return overall(self.results, self.contents)
+
+    def verdict_lines(self) -> str:
+        """Return the verdict on all results, and the verdict on each in a line of its own."""
+        lines = [f"{self.verdict.level}: {self.verdict.text}"]
+        for result, content in zip(self.results, self.contents, strict=True):
+            lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return title and verdicts as plain data."""
+        verdicts = [
+            {"file": str(result.path), **content.verdict.model_dump()}
+            for result, content in zip(self.results, self.contents, strict=True)
+        ]
+        return {"title": self.title, "verdict": self.verdict.model_dump(), "results": verdicts}
+
+    def render(self, progress: Progress = silent) -> str:
+        """Return the text of the page, with progress over the figures."""
+        templates = environment(
+            "swimid.results",
+            autoescape=self.template.endswith("html"),
+            lstrip_blocks=True,
+            keep_trailing_newline=True,
+        )
+        templates.globals.update(
+            levels=LEVEL_SYMBOLS, checks=CHECK_SYMBOLS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
+        )
+        templates.filters.update(md=_markdown, code=_code, name_of=reading.name_of)
+        return templates.get_template(self.template).render(
+            title=self.title,
+            version=swimid.__version__,
+            created=self.created,
+            verdict=self.verdict,
+            results=self._sections(progress),
+            references=list(dict.fromkeys(text for content in self.contents for text in content.references)),
+            warnings=_warnings(self.results, self.contents),
+            digests=self.digests,
+        )
+
+    def _sections(self, progress: Progress) -> list[dict[str, Any]]:
+        """Return the variables of the template for each section: fits side by side, then all results."""
+        groups = compare_fits(self.results)
+        folded = [fit for fits, _ in groups for fit in fits]
+        shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]
+        shown += zip(self.contents, self.results, strict=True)
+        sections = []
+        with progress("drawing", total=sum(len(content.figures) for content, _ in shown)) as step:
+            for k, (content, result) in enumerate(shown, 1):
+                section = _parts(content, self._draw(content, k, step))
+                section |= {"anchor": f"r{k}", "folded": result in folded}
+                section |= {"kind": "Side by side", "path": None, "next": ""}
+                if result is not None:
+                    command = _next_command(result, content, self.contents, self.folder, self.digests)
+                    section |= {"kind": result.kind, "path": result.path, "next": command}
+                sections.append(section)
+        return sections
+
+    def _draw(self, content: ev.Evidence, number: int, step: Step) -> list[tuple[ev.Figure, list[str]]]:
+        """Return each figure with the drawings of its panels; without drawings on a page in Markdown."""
+        pictures = []
+        for n, figure in enumerate(content.figures):
+            panels: list[str] = []
+            if self.template.endswith("html"):
+                panels = drawing.for_page(figure, f"{number}-{n}-")
+            pictures.append((_explain_figure(figure), panels))
+            step()
+        return pictures
 
 
 def _next_command(
@@ -356,10 +383,11 @@ def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> 
         "more_figures": figures[n_main:],
         "more_tables": [table for table in content.tables if table not in tables],
         "checks": ", ".join(counts),
+        "check_count": ev.count_checks(content.checks),
     }
 
 
-def _explained(figure: ev.Figure) -> ev.Figure:
+def _explain_figure(figure: ev.Figure) -> ev.Figure:
     """Add remarks to the caption of a figure on how it is drawn: scales of a path, envelopes of traces."""
     caption = figure.caption
     paths = [drawing.is_to_scale(panel) for panel in figure.panels if panel.equal_aspect]
@@ -370,7 +398,7 @@ def _explained(figure: ev.Figure) -> ev.Figure:
         elif not all(paths):
             remark = "Both axes have the same scale, unless the title says that one is magnified."
         caption = f"{caption} {remark}"
-    if any(len(trace.x) > ev.MAX_POINTS for panel in figure.panels for trace in panel.traces):
+    if any(len(trace.x) > ev.MAX_TRACE_POINTS for panel in figure.panels for trace in panel.traces):
         caption += " Long traces are drawn as their envelope."
     return figure.model_copy(update={"caption": caption})
 
@@ -388,7 +416,7 @@ def _warnings(
             entry = (result.path.name, notice.text.removeprefix(f"{result.path.name}, "))
             if entry not in texts.setdefault(notice.code, []):
                 texts[notice.code].append(entry)
-    return [(code, CODES.get(code, "unknown code"), texts[code]) for code in sorted(texts)]
+    return [(code, read_codes().get(code, "unknown code"), texts[code]) for code in sorted(texts)]
 
 
 def _markdown(text: str) -> str:
@@ -408,7 +436,7 @@ def _code(text: str) -> str:
 # ---------------------------------------------------------------- several fits of one model
 
 
-def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
+def compare_fits(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
     """Find fits of the same model among the results, and compare their parameters in a table and a figure.
 
     Return each group of two or more fits with this comparison. Fits belong to a group only if they have the
@@ -431,7 +459,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> ev.Evidence:
         known = {k: e for k, e in enumerate(held) if e.status == "estimated"}
         if "[" in name or not known:
             continue
-        rows.append([name, *map(value_text, held)])
+        rows.append([name, *map(estimate_text, held)])
         half = [numbers.Z95 * (e.stderr or math.nan) for e in known.values()]
         points = ev.Trace(x=list(known), y=[e.value for e in known.values()], y_error=half, style="points")
         label = f"{name} ({numbers.unit_text(first.unit) or '1'})"

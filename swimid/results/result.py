@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import html
-import itertools
-import os
 import re
-import shlex
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -16,15 +13,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from swimid.commands import KINDS, found
+from swimid.commands import COMMAND_SPECS, KINDS
 from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
 from swimid.files import atomic, provenance, tabular, yamlio
-from swimid.files.provenance import paths_of, sha256
+from swimid.files.provenance import paths_of
 from swimid.notices import warn
-from swimid.options import explained
-from swimid.reading import name_of
+from swimid.options import explain_types
 from swimid.results import evidence as ev
 from swimid.results import numbers
+from swimid.results.next_command import format_command
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,8 +36,8 @@ File = TypeVar("File", bound="ResultFile")
 #: defined.
 _CLASSES: dict[str, type[FileResult[Any]]] = {}
 #: Modules with the classes of the two results that several packages make: parameters, and logs.
-PARAMETERS, LOG = "swimid.results.parameters", "swimid.logs.tracks"
-LOG_ENDINGS = (".csv", *tabular.PARQUET)
+PARAMETERS, LOG = "swimid.results.parameters", "swimid.kinematics.logged"
+LOG_ENDINGS = (".csv", *tabular.PARQUET_ENDINGS)
 
 #: Maximum width of a line on a terminal, and minimum width of a table column with shortened texts,
 #: characters.
@@ -52,40 +49,8 @@ _NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³
 #: Members of results that the commands and reports use, and that :func:`dir` does not list.
 _INTERNAL = frozenset((
     "bare", "content", "ending", "exit_status", "file_type", "keys", "kind", "leads_page", "next_command",
-    "next_step", "of", "saved", "text",
+    "next_step", "of", "text", "write_output",
 ))  # fmt: skip
-
-
-def typed(name: str | Path) -> str:
-    """Return a file name as it is typed in a command: quoted for the shell, and never taken for an option.
-
-    >>> typed("my $(run).yaml"), typed("-x.yaml")
-    ("'my $(run).yaml'", './-x.yaml')
-    """
-    text = str(name)
-    if text.startswith("-"):
-        text = f"./{text}"
-    return shlex.quote(text)
-
-
-class _Free(dict[str, str]):
-    """Names of outputs. A name that a file in the folder already has is numbered: ``gap-2.yaml``."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__()
-        self.folder = folder
-
-    def __missing__(self, name: str) -> str:
-        stem, dot, ending = name.rpartition(".")
-        names = itertools.chain([name], (f"{stem}-{k}{dot}{ending}" for k in itertools.count(2)))
-        places = (self.folder / one for one in names)
-        return next(one.name for one in places if not (one.exists() or ev.sidecar(one).exists()))
-
-    @property
-    def repaired(self) -> str:
-        """Option for the second output of ``diagnose``; empty if its usual name is free."""
-        name = self["repaired.yaml"]
-        return "" if name == "repaired.yaml" else f" --repaired {name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +101,6 @@ class Result:
     ending: ClassVar[str] = ".yaml"
     #: Whether a report of several results begins with the verdict of this result.
     leads_page: ClassVar[bool] = False
-    #: Type of each key of :attr:`data`, for ``swimid schema answer``, if the result is no YAML file.
-    keys: ClassVar[Mapping[str, Any]] = {}
     #: Command that a user may run next. ``{file}`` stands for the result file, ``{trials}`` and ``{params}``
     #: for two of its inputs, ``{data[key]}`` for a name in :attr:`data`, ``{free[gap.yaml]}`` for an output.
     next_step: ClassVar[Any] = ""
@@ -153,16 +116,13 @@ class Result:
             return self.text
         shown = self.content()
         facts = "; ".join(f"{name[:1].lower()}{name[1:]} {value}" for name, value in shown.facts.items())
-        parts = [shown.title, *filter(None, [_wrapped(facts)])]
+        parts = [shown.title, *filter(None, [_wrap(facts)])]
         for table in [table for table in shown.tables if not table.folded][:1]:
             parts += ["", table_text(table)]
         if shown.notes:
-            parts += ["", *(_wrapped(note) for note in shown.notes)]
+            parts += ["", *(_wrap(note) for note in shown.notes)]
         word = (shown.verdict.word or shown.verdict.level).upper()
-        verdict = f"{word}: {shown.verdict.text}"
-        passed = sum(check.verdict == "pass" for check in shown.checks)
-        if passed:
-            verdict += f" {passed} {('checks pass', 'check passes')[passed == 1]}."
+        verdict = f"{word}: {shown.verdict.text} {ev.count_checks(shown.checks)}".rstrip()
         return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH, break_on_hyphens=False)])
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
@@ -178,44 +138,7 @@ class Result:
             Folder in which the command is typed. It must contain the inputs of the result, or the folder of
             the result file or one above it must. Otherwise there is no command.
         """
-        words: dict[str, Any] = {"file": typed(file), "free": _Free(folder)}
-        words["data"] = {name: typed(value) for name, value in self.data.items() if isinstance(value, str)}
-        step = self.next_step
-        if "{trials}" in step:
-            given = self._inputs(folder)
-            about = getattr(self.document, "params", None)
-            params = [place for name, place in given.items() if Path(name).name == Path(str(about)).name]
-            if not given or ("{params}" in step and not params):
-                return ""
-            code = [place for place in given.values() if place.endswith(".py")]
-            trials = next(place for place in given.values() if place not in code)
-            # the code of a simulator is named in the trials file
-            own = [] if getattr(self.document, "model", None) == "python" else code
-            words |= {"trials": typed(trials), "params": "".join(map(typed, params[:1]))}
-            words["own"] = "".join(f" --experiment {typed(place)}" for place in own)
-        return step.format(**words)
-
-    def _inputs(self, folder: Path) -> dict[str, str]:
-        """Return the paths of YAML and Python files among the inputs of the result from a folder, by name.
-
-        The names of inputs are relative to the folder of the result. The folder is searched for that has
-        these files with their content. The result is empty if there is none.
-        """
-        known = getattr(self.evidence, "provenance", {}).get("inputs", {})
-        paths = getattr(known, "paths", {})
-        digests = {
-            name: digest
-            for name, digest in known.items()
-            if name.endswith((".yaml", ".yml", ".py")) and not name.startswith("swimid/robots/")
-        }
-        for base in (Path(), *self.path.absolute().parents):
-            files = {name: base / paths.get(name, name) for name in digests}
-            if all(file.is_file() and sha256(file) == digests[name] for name, file in files.items()):
-                places = {name: os.path.relpath(file, folder) for name, file in files.items()}
-                # A page does not state a path through the home folder of its author.
-                if all(Path(name_of(file, folder)) == Path(places[name]) for name, file in files.items()):
-                    return places
-        return {}
+        return format_command(self, file, folder)
 
     def content(self) -> ev.Evidence:
         """Return the content of a report on the result: its evidence, and facts and tables of its file.
@@ -252,12 +175,14 @@ class Result:
     @property
     def warnings(self) -> pd.DataFrame:
         """Table of the warnings of the computation, with their code (``docs/warnings.md``) and text."""
-        return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
+        return _frame(["code", "text"], [[n.code, n.text] for n in self._list_evidence("notices")])
 
     def checks(self) -> pd.DataFrame:
         """Return a table of all checks, with the name, value, limit and verdict of each check."""
         names = list(ev.Check.model_fields)
-        return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
+        return _frame(
+            names, [[getattr(check, name) for name in names] for check in self._list_evidence("checks")]
+        )
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return the tables that a report shows for the result. The key is the id of the table."""
@@ -266,13 +191,13 @@ class Result:
     @property
     def figure_names(self) -> list[str]:
         """Names of the figures of the result that :meth:`plot` draws."""
-        return [figure.id for figure in self._shown("figures")]
+        return [figure.id for figure in self._list_evidence("figures")]
 
     def figures(self) -> dict[str, Canvas]:
         """Draw the figures that a report shows for the result. The key is the id of the figure."""
         from swimid.results import drawing
 
-        return Named({figure.id: drawing.canvas([figure]) for figure in self._shown("figures")})
+        return Named({figure.id: drawing.canvas([figure]) for figure in self._list_evidence("figures")})
 
     def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
         """Draw one figure of the result. A notebook shows the figure, and ``pyplot.savefig`` saves it.
@@ -296,7 +221,7 @@ class Result:
         """
         from swimid.results import drawing
 
-        figures = {figure.id: figure for figure in self._shown("figures")}
+        figures = {figure.id: figure for figure in self._list_evidence("figures")}
         if name not in figures:
             raise UnknownName(f"there is no figure '{name}'", hint=suggestion(name, list(figures)))
         figure = figures[name]
@@ -335,7 +260,7 @@ class Result:
         target = atomic.check_writable(Path(path), inputs=inputs)
         for owner in (self.document, self.evidence):
             provenance.rename(getattr(owner, "provenance", {}), target)
-        with atomic.together():
+        with atomic.write_together():
             written = self._write(target)
             if self.evidence is not None and not atomic.is_device(target):
                 made_for = {"result": target.name, "sha256": self.document.digest()}
@@ -343,7 +268,7 @@ class Result:
                 written.insert(1, ev.sidecar(target))
         return replace(self, outputs=[*self.outputs, *written])
 
-    def saved(self, output: str | Path | None) -> Self:
+    def write_output(self, output: str | Path | None) -> Self:
         """Return this result, after it is written to the file ``output`` if that is given."""
         if output is None:
             return self
@@ -402,7 +327,7 @@ class Result:
     def _write(self, path: Path) -> list[Path]:
         raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
 
-    def _shown(self, what: str) -> Sequence[Any]:
+    def _list_evidence(self, what: str) -> Sequence[Any]:
         """Return all checks, tables, figures or notices of the evidence, whichever ``what`` names.
 
         The list is empty for a result without evidence.
@@ -426,19 +351,24 @@ class Result:
         return [name for name in super().__dir__() if name[0] != "_" and name not in _INTERNAL]
 
     def _repr_html_(self) -> str:
-        """Return the HTML that a notebook shows: summary, figures (folded after the first), folded checks."""
-        from swimid.results import drawing
+        return notebook_html(self)
 
-        shown = f"<pre>{html.escape(self.summary())}</pre>"
-        for k, figure in enumerate(self._shown("figures")):
-            picture = drawing.for_notebook(figure)
-            if k:
-                picture = f"<details><summary>{html.escape(figure.title)}</summary>{picture}</details>"
-            shown += picture
-        if self.evidence is not None and self.evidence.checks:
-            table = self.checks().to_html(index=False, border=0)
-            shown += f"<details><summary>checks</summary>{table}</details>"
-        return f"<div>{shown}</div>"
+
+def notebook_html(result: Result) -> str:
+    """Return the HTML that a notebook shows: summary, figures (folded after the first), folded checks."""
+    from swimid.results import drawing
+
+    shown = f"<pre>{html.escape(result.summary())}</pre>"
+    figures = [] if result.evidence is None else result.evidence.figures
+    for k, figure in enumerate(figures):
+        picture = drawing.for_notebook(figure)
+        if k:
+            picture = f"<details><summary>{html.escape(figure.title)}</summary>{picture}</details>"
+        shown += picture
+    if result.evidence is not None and result.evidence.checks:
+        table = result.checks().to_html(index=False, border=0)
+        shown += f"<details><summary>checks</summary>{table}</details>"
+    return f"<div>{shown}</div>"
 
 
 class Text(Result):
@@ -474,7 +404,7 @@ def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence
     warn("SWM052", text)
     said = f"The file was changed after this verdict: {evidence.verdict.text}"
     notices = [*evidence.notices, ev.NoticeRecord(code="SWM052", text=text)]
-    verdict = evidence.verdict.lowered("caution", said)
+    verdict = evidence.verdict.lower_to("caution", said)
     return in_memory.model_copy(update={"verdict": verdict, "notices": notices})
 
 
@@ -522,15 +452,15 @@ class FileResult(Result, Generic[File]):
 # ---------------------------------------------------------------- text for a terminal
 
 
-def _wrapped(text: str) -> str:
+def _wrap(text: str) -> str:
     return textwrap.fill(text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
 
 
 def cell_text(value: Any) -> str:
     """Return the text of a table cell: numbers with four significant digits, an empty cell as a dash."""
     if isinstance(value, str):
-        return value or numbers.NOTHING
-    return numbers.number(value)
+        return value or numbers.MISSING_TEXT
+    return numbers.format_number(value)
 
 
 def is_numeric(table: ev.Table) -> list[bool]:
@@ -590,7 +520,7 @@ def load_result(path: str | Path) -> Result:
     >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
     '1'
     """
-    with explained(load_result, [path]):
+    with explain_types(load_result, [path]):
         path = Path(path)
     ending = path.suffix.lower()
     if path.name.endswith(".evidence.json"):
@@ -606,12 +536,12 @@ def load_result(path: str | Path) -> Result:
         raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)
     form = yamlio.load(path).get("format")
     name = _format_name(str(form))
-    if name not in formats():
+    if name not in list_result_formats():
         reason = f"its format '{form}' is that of no result"
         if form is None:
             reason = "has no 'format'"
-        hint = suggestion(name, formats(), "known")
-        if close := nearest(name, formats()):
+        hint = suggestion(name, list_result_formats(), "known")
+        if close := nearest(name, list_result_formats()):
             hint = f"did you mean '{class_of(close).file_type.model_fields['format'].default}'?"
         raise InputError(reason, file=path, line=1, column="format", hint=hint)
     return class_of(name).load(path)
@@ -621,16 +551,18 @@ def _format_name(form: str) -> str:
     return form.removeprefix("swimid-").partition("/")[0]
 
 
-def formats() -> list[str]:
+def list_result_formats() -> list[str]:
     """Return the names of the formats of all result files, such as ``gap`` for ``swimid-gap/1``."""
-    names = [name for spec in found().values() for name in spec.makes.split("|") if name not in KINDS]
+    names = [
+        name for spec in COMMAND_SPECS.values() for name in spec.usage.makes.split("|") if name not in KINDS
+    ]
     return ["parameters", *names]
 
 
 def class_of(name: str) -> type[FileResult[Any]]:
     """Return the class of the results of a format; the module of its command is imported if need be."""
     import_module(PARAMETERS)
-    for spec in found().values():
-        if name not in _CLASSES and name in spec.makes.split("|"):
+    for spec in COMMAND_SPECS.values():
+        if name not in _CLASSES and name in spec.usage.makes.split("|"):
             spec.run()
     return _CLASSES[name]

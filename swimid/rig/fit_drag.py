@@ -7,9 +7,9 @@ and damping ratios are derived with their standard errors.
 
 The reference fit (``stated``) has the parameters that the user chose. Its rivals
 (:mod:`swimid.fitting.rivals`) free each parameter that it holds for all trials, or let it replace the
-parameters with a similar effect (:data:`swimid.rig.model.ALIKE`). For example, dry friction replaces linear
-damping. Further rivals have another start or another pulley friction in each trial, one trial with parameters
-of its own, or another sign of the force.
+parameters with a similar effect (:data:`swimid.rig.model.SIMILAR_PARAMETERS`). For example, dry friction
+replaces linear damping. Further rivals have another start or another pulley friction in each trial, one trial
+with parameters of its own, or another sign of the force.
 
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
 squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
@@ -35,17 +35,22 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error, rivals
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Parameter, Trial, chosen
+from swimid.fitting.model import Array, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.rivals import Judged, Rival
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.parameters import Estimate, Fit, Fitted, ParameterFile
-from swimid.rig.model import ALIKE, COORDINATES, falling_weight_closed_form, terminal_speed
+from swimid.rig.model import (
+    COORDINATES,
+    SIMILAR_PARAMETERS,
+    compute_terminal_speed,
+    falling_weight_closed_form,
+)
 from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
@@ -57,7 +62,7 @@ MATERIAL_SHARE = 0.01
 #: Parameters that describe the force sensor and not the body. Each has another meaning beside the other.
 OF_SENSOR = ("force_offset", "force_drift")
 #: Maximum number of omitted parameters that one warning names.
-MAX_NAMED = 3
+MAX_OMITTED = 3
 #: Parameters of the initial state of a trial. Each has the text of a warning on how the trials then start.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
 #: Per-trial parameter that gives each trial a pulley friction of its own.
@@ -74,7 +79,7 @@ POINT_SHARES = (0.255, 0.51)
 HALF_WIDTH = 1 / 6
 #: Minimum number of samples around each of the two displacements of the two-point method, and the number of
 #: samples above which their noise is estimated.
-MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
+MIN_SAMPLES_POINT, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
 
@@ -118,14 +123,6 @@ def fit_drag(
     NoTrustworthyResult
         If no parameter can be identified.
 
-    References
-    ----------
-    .. [1] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
-       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
-       Eqs 7 and 8: the equation of motion; Eqs 9 and 10: its closed form; Eqs 13 to 19: the two-point method.
-    .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
-       Output error.
-
     Examples
     --------
     A weight over a pulley pulls the boxfish through the tank in seven drops:
@@ -133,24 +130,19 @@ def fit_drag(
     >>> drag = fit_drag("sample_logs/rig/trials.yaml")
     >>> drag.parameters.loc[["drag_coefficient", "added_mass"], "value"].round(1).to_dict()
     {'drag_coefficient': 0.7, 'added_mass': 0.7}
-    >>> drag["added_mass"].unit, drag.converged, drag.verdict
+    >>> drag["added_mass"].unit, drag.has_converged, drag.verdict
     ('kg', True, 'good')
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         coordinate = options.coordinate
         experiment = fit_common.load_experiment(trials, command="fit-drag", coordinate=coordinate)
         if coordinate is not None and experiment.name != "free-decay":
             warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
-        choices = fit_common.prepare(
+        choices = fit_common.prepare_fit(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
         result, facts, checks = _fit_best(experiment, choices, options.start_state, progress)
-        pair = None
-        try:
-            pair = two_point(experiment.trials, experiment.robot, options.points_m)
-        except NoTrustworthyResult:
-            if options.method == "two-point":
-                raise
+        pair = _try_two_point(experiment, options)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         file = fit_common.parameter_file(
             result,
@@ -160,18 +152,14 @@ def fit_drag(
             settings=facts,
         )
         checks = [
-            *fit_common.checks(result),
-            *fit_common.error_checks(result),
+            *fit_common.assess(result),
             *possible_checks(experiment, result),
             *checks,
         ]
     hint = "use longer runs, more different forces, or fix what is known with --fix"
     fit_common.insist_identified(result, hint)
-    count = sum(t.role == "fit" for t in result.trials)
-    said = (
-        f"{', '.join(result.shared)} were estimated from {count} {experiment.name} trials ({result.samples} "
-        "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model."
-    )
+    law = "a single-degree-of-freedom rig model"
+    said = fit_common.describe_method(result, f"{experiment.name} trials", law)
     shown: dict[str, Any] = {
         "title": f"Rig identification of {experiment.robot.name}: {experiment.name}",
         "tables": [_methods_table(experiment, result, pair)],
@@ -190,6 +178,16 @@ def fit_drag(
     return fit_common.finish("fit-drag", file, checks, notices, output, **shown)
 
 
+def _try_two_point(experiment: Experiment, options: FitDragOptions) -> TwoPointResult | None:
+    """Return the result of the two-point method; None if it has none and the user did not ask for it."""
+    try:
+        return two_point(experiment.trials, experiment.robot, options.points_m)
+    except NoTrustworthyResult:
+        if options.method == "two-point":
+            raise
+        return None
+
+
 # ------------------------------------------------------------ maximum likelihood
 
 
@@ -202,25 +200,16 @@ def _fit_best(
     the trials.
     """
     if start_state == "estimate":
-        choices = chosen(choices, freed=("start_offset", "initial_speed"))
+        choices = choose_parameters(choices, freed=("start_offset", "initial_speed"))
     known = {p.name: p.start for p in choices if not p.free}
-    adapted = []
-    for p in choices:
-        if p.name == "gravity_stiffness" and p.free and known.get("stiffness") == 0.0:
-            # Without a spring, start the search at the gravity stiffness that follows from the period of the
-            # decay. This value is the typical scale of the parameter.
-            p = replace(p, start=p.scale)
-        adapted.append(p)
-    readings = experiment.variants or {"": experiment.trials}
-    fits = {
-        name: output_error.fit(experiment.model, trials, parameters=adapted, progress=progress)
-        for name, trials in readings.items()
-    }
-    name = first = next(iter(fits))
-    if len(fits) > 1:
-        name = min(fits, key=lambda key: rivals.compute_deviance(fits[first], [fits[key]]))
+    if known.get("stiffness") == 0.0:
+        # Without a spring, start the search at the gravity stiffness that follows from the period of the
+        # decay. This value is the typical scale of the parameter.
+        swings = ("gravity_stiffness",)
+        choices = tuple(replace(p, start=p.scale) if p.name in swings and p.free else p for p in choices)
+    name, plain = _fit_readings(experiment, choices, progress)
     facts = {"encoder_rounding": name} if name else {}
-    plain = best = fits[name]
+    best = plain
     starts: tuple[str, ...] = ()
     if experiment.name == "falling-weight" and start_state == "auto" and known.keys() >= STARTS.keys():
         starts, facts["start_state"] = tuple(STARTS), "rest"
@@ -231,11 +220,25 @@ def _fit_best(
         # Judge the other rivals again, because the separate initial states may explain residuals that another
         # rival seemed to explain.
         judged = rivals.judge(best, name_rivals(best))
-    result = output_error.complete(best)
+    result = output_error.complete_fit(best)
     checks = [omission_check(result, find_omitted(best, judged))]
     if experiment.name == "towed":
         checks.append(sign_check(best))
     return result, facts, checks + trial_checks(best, result, judged)
+
+
+def _fit_readings(
+    experiment: Experiment, choices: tuple[Parameter, ...], progress: Progress
+) -> tuple[str, FitResult]:
+    """Return the rounding of encoder counts that explains the trials best, and its fit."""
+    fits = {
+        name: output_error.fit_output_error(experiment.model, trials, parameters=choices, progress=progress)
+        for name, trials in (experiment.variants or {"": experiment.trials}).items()
+    }
+    name = first = next(iter(fits))
+    if len(fits) > 1:
+        name = min(fits, key=lambda key: rivals.compute_deviance(fits[first], [fits[key]]))
+    return name, fits[name]
 
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
@@ -248,12 +251,14 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
             continue
         e, two, bias = fitted[name], "", ""
         if pair is not None and name in pair.values:
-            two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
-            bias = numbers.number(pair.bias[name], 2, e.unit)
+            two = numbers.format_estimate(pair.values[name], pair.stderr[name], e.unit)
+            bias = numbers.format_number(pair.bias[name], 2, e.unit)
         known = "not identifiable"
         if e.status != "unidentifiable":
-            known = numbers.measured(e.value, e.stderr, e.unit)
-        quoted = [f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in theory if t.parameter == name]
+            known = numbers.format_estimate(e.value, e.stderr, e.unit)
+        quoted = [
+            f"{numbers.format_number(t.value, 3, t.unit)} ({t.basis})" for t in theory if t.parameter == name
+        ]
         rows.append([name, known, two, bias, "; ".join(quoted)])
     return ev.Table(
         id="methods",
@@ -285,7 +290,11 @@ def name_rivals(stated: FitResult, starts: Sequence[str] = ()) -> list[Rival]:
     if "pulley_friction" in stated.labels:
         fixed = {"pulley_friction": stated.value("pulley_friction")}
         found.append(
-            Rival(OWN_FRICTION, chosen(stated.parameters, fixed=fixed, freed=(OWN_FRICTION,)), stated.trials)
+            Rival(
+                OWN_FRICTION,
+                choose_parameters(stated.parameters, fixed=fixed, freed=(OWN_FRICTION,)),
+                stated.trials,
+            )
         )
     return found
 
@@ -296,20 +305,24 @@ def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
     Return None if there is no parameter to replace, or if the user holds the parameter and the model by
     default does not.
     """
-    alike = next((names for names in ALIKE if held.name in names), ())
-    others = [
-        p for p in stated.parameters if p.name in alike and p is not held and (p.free or p.start != 0.0)
-    ]
-    by_default = any(p.name == held.name and not p.free for p in stated.model.parameters)
-    bounded = not all(p.lower <= 0.0 <= p.upper for p in others)
-    if not others or not by_default or held.start != 0.0 or bounded:
+    alike = next((names for names in SIMILAR_PARAMETERS if held.name in names), ())
+    acting = [p for p in stated.parameters if p.free or p.start != 0.0]
+    others = [p for p in acting if p.name in alike and p is not held]
+    can_vanish = all(p.lower <= 0.0 <= p.upper for p in others)
+    is_absent = held.start == 0.0 and is_held_by_default(stated.model, held.name)
+    if not (others and can_vanish and is_absent):
         return None
     fixed = dict.fromkeys([p.name for p in others], 0.0)
-    parameters = chosen(stated.parameters, fixed=fixed, freed=(held.name,))
+    parameters = choose_parameters(stated.parameters, fixed=fixed, freed=(held.name,))
     if not any(p.free for p in others):
         whole = {held.name: sum(p.start for p in others)}
-        parameters = chosen(stated.parameters, fixed=fixed | whole)
+        parameters = choose_parameters(stated.parameters, fixed=fixed | whole)
     return Rival(held.name, parameters, stated.trials, tuple(fixed))
+
+
+def is_held_by_default(model: Model, name: str) -> bool:
+    """Return whether a model holds a parameter unless the user frees it."""
+    return any(p.name == name and not p.free for p in model.parameters)
 
 
 def find_omitted(stated: FitResult, judged: Sequence[Judged]) -> list[Judged]:
@@ -339,7 +352,7 @@ def _describe(omitted: Judged) -> str:
     place = ""
     if omitted.rival.replaced:
         place = f" in the place of {', '.join(omitted.rival.replaced)}"
-    return _measured(omitted.fit, omitted.rival.name) + place
+    return _format_estimate(omitted.fit, omitted.rival.name) + place
 
 
 def _suggest(stated: FitResult, omitted: Judged) -> str:
@@ -357,7 +370,7 @@ def _suggest(stated: FitResult, omitted: Judged) -> str:
 def find_moved(stated: FitResult, other: FitResult) -> list[str]:
     """Return the shared parameters whose 95 % interval in the fit ``stated`` excludes the other estimate."""
     found = []
-    for label in [one for one in stated.shared if stated.status[one] != "unidentifiable"]:
+    for label in [one for one in stated.common_labels if stated.status[one] != "unidentifiable"]:
         error = stated.stderr(label)
         if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
             found.append(label)
@@ -386,7 +399,7 @@ def explains_differences(stated: FitResult, other: FitResult) -> bool:
     """
     if stated.differences is None or not stated.differences.are_likely:
         return False
-    pairs = [(stated.stderr(label), other.stderr(label)) for label in stated.shared]
+    pairs = [(stated.stderr(label), other.stderr(label)) for label in stated.common_labels]
     return all(after is not None and (before is None or after < before) for before, after in pairs)
 
 
@@ -400,23 +413,26 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
     limit = f"score ≤ {rivals.STRONG:g}, and no other law explains as much"
     if not omitted:
         held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
-        return ev.check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
+        return ev.make_check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
     failed = [
         o
         for o in omitted
         if o.is_better and (find_material(stated, o.fit) or explains_differences(stated, o.fit))
     ]
     best = [*failed, *omitted][0]
-    first = sorted(omitted, key=lambda o: o is not best)[:MAX_NAMED]
+    first = sorted(omitted, key=lambda o: o is not best)[:MAX_OMITTED]
     warn("SWM024", "; ".join(_suggest(stated, o) for o in first))
-    shifts = [f"{_measured(stated, one)} becomes {_measured(best.fit, one)}" for one in stated.shared]
-    reason = f"the trials speak for {_describe(best)}"
+    shifts = [
+        f"{_format_estimate(stated, one)} becomes {_format_estimate(best.fit, one)}"
+        for one in stated.common_labels
+    ]
+    reason = f"the fit lacks {_describe(best)}"
     if explains_differences(stated, best.fit):
         reason += ", which explains why the trials differ"
     elif not find_material(stated, best.fit):
         reason += ", which moves no estimate materially"
     text = f"score {best.score:.3g}; with it " + "; ".join(shifts)
-    check = ev.check(name, _describe(best), False, limit, text, reason=reason)
+    check = ev.make_check(name, _describe(best), False, limit, text, reason=reason)
     if failed:
         check.verdict = "fail"
     return check
@@ -461,7 +477,7 @@ def trial_checks(stated: FitResult, result: FitResult, judged: Sequence[Judged])
     if odd is None or any(one.score > odd.score for one in shared):
         return found
     name = odd.rival.name
-    without = "; ".join(_measured(odd.fit, label) for label in odd.fit.shared)
+    without = "; ".join(_format_estimate(odd.fit, label) for label in odd.fit.common_labels)
     text = (
         f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
         "out of the fit with role: validate"
@@ -469,19 +485,21 @@ def trial_checks(stated: FitResult, result: FitResult, judged: Sequence[Judged])
     size, limit = f"{name}: score {odd.score:.3g}", f"score ≤ {rivals.STRONG:g}"
     reason = f"{name} contradicts the other trials"
     check = ("SWM071", "no trial contradicts the others", size, False, limit, text, reason)
-    return [*found, fit_common.warned_check(*check, failed=bool(find_moved(result, odd.fit)))]
+    return [*found, fit_common.warn_check(*check, failed=bool(find_moved(result, odd.fit)))]
 
 
-def _measured(fit: FitResult, label: str) -> str:
+def _format_estimate(fit: FitResult, label: str) -> str:
     """Return the name, the estimate and the standard error of a fitted parameter as text."""
-    return f"{label} {numbers.measured(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
+    return (
+        f"{label} {numbers.format_estimate(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
+    )
 
 
 def _friction_check(own: FitResult) -> list[ev.Check]:
     """Check whether the pulley friction depends on the pulling force, from a fit with one for each trial."""
     pulls = {f"{OWN_FRICTION}[{t.id}]": t.rig.pull for t in own.trials}
     index = [j for j, label in enumerate(own.labels) if label in pulls and own.stderr(label)]
-    if len(index) < rivals.MIN_TRIALS:
+    if len(index) < rivals.MIN_TRIALS_RIVAL:
         return []
     pull = np.array([pulls[own.labels[j]] for j in index])
     score = rivals.compute_trend_score(own.estimate[index], own.covariance[np.ix_(index, index)], pull)
@@ -490,7 +508,7 @@ def _friction_check(own: FitResult) -> list[ev.Check]:
     value = f"follows the pulling mass (score {score:.3g})"
     text = "find the cause with swimid diagnose TRIALS --params FILE"
     shown = ("same friction in all trials", value, False, f"score ≤ {rivals.STRONG:g}", text)
-    return [fit_common.warned_check("SWM070", *shown, f"the pulley friction {value}", failed=True)]
+    return [fit_common.warn_check("SWM070", *shown, f"the pulley friction {value}", failed=True)]
 
 
 # ------------------------------------------------------------ measured force
@@ -521,7 +539,7 @@ def sign_check(result: FitResult) -> ev.Check:
     judged = [Rival("sign of the force", result.parameters, trials)] if turned else []
     found = next((one for one in rivals.judge(result, judged) if one.is_better), None)
     if found is None:
-        return ev.check(name, "as stated", True, limit)
+        return ev.make_check(name, "as stated", True, limit)
     where = ", ".join(sorted(turned))
     if len(turned) == len(fitted):
         where = "all trials"
@@ -532,7 +550,7 @@ def sign_check(result: FitResult) -> ev.Check:
         "factor: -1 in the mapping of an import"
     )
     check = ("SWM110", name, f"wrong in {where}", False, limit, text, reason)
-    return fit_common.warned_check(*check, failed=True)
+    return fit_common.warn_check(*check, failed=True)
 
 
 # ------------------------------------------------------------ derived quantities
@@ -566,7 +584,7 @@ def derive(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
     quantities: dict[str, Estimate | None] = {}
     if experiment.name == "falling-weight":
         for trial in result.trials:
-            terminal = partial(terminal_speed, force=trial.rig.pull)
+            terminal = partial(compute_terminal_speed, force=trial.rig.pull)
             quantities[f"terminal_speed[{trial.id}]"] = propagate(result, trial, terminal, "m/s")
     if experiment.name == "free-decay":
         amplitude = max(_first_amplitude(result, t) for t in result.trials)
@@ -596,24 +614,15 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
     if not math.isfinite(centre):
         return None
     estimate = Estimate(value=centre, unit=unit, status="fixed")
-    gradient, unknown, bound = np.zeros(len(result.labels)), False, False
-    for j, label in enumerate(result.labels):
-        parameter, error, status = result.parameter(label), result.stderr(label), result.status[label]
-        if label not in (parameter.name, f"{parameter.name}[{trial.id}]"):
-            continue
-        k = result.model.index(parameter.name)
-        moved, step = values.copy(), DELTA_STEP * (error or parameter.scale)
-        moved[k] += step
-        if moved[k] > parameter.upper:
-            moved[k] = values[k] - step
-        gradient[j] = (at(moved) - centre) / (moved[k] - values[k])
-        if gradient[j] == 0:
-            continue
-        bound |= status == "at-bound"
+    gradient = _differentiate(result, trial, at)
+    unknown, bound = False, False
+    for label in (result.labels[j] for j in np.flatnonzero(gradient)):
+        parameter, held = result.parameter(label), result.status[label] == "at-bound"
+        bound |= held
         # Compute the standard error of the derived quantity without that of a parameter at its lower bound 0.
         # The standard errors of the other parameters include the effect of its uncertainty.
-        vanishes = status == "at-bound" and parameter.lower == 0.0 >= values[k]
-        unknown |= error is None and not vanishes
+        vanishes = held and parameter.lower == 0.0 >= values[result.model.index(parameter.name)]
+        unknown |= result.stderr(label) is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
     variance = float(gradient[known] @ result.covariance[np.ix_(known, known)] @ gradient[known])
     if unknown or not (math.isfinite(variance) and variance >= 0):
@@ -625,6 +634,22 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
     elif unit != "1" and (estimate.stderr or 0.0) > UNIDENTIFIABLE * abs(centre):
         estimate.status = "unidentifiable"
     return estimate
+
+
+def _differentiate(result: FitResult, trial: Trial, function: Callable[[Array], float]) -> Array:
+    """Return the derivatives of a function of a trial's values with respect to the unknowns, shape (p,)."""
+    values, gradient = result.values(trial.id), np.zeros(len(result.labels))
+    for j, label in enumerate(result.labels):
+        parameter = result.parameter(label)
+        if label not in (parameter.name, f"{parameter.name}[{trial.id}]"):
+            continue
+        k = result.model.index(parameter.name)
+        moved, step = values.copy(), DELTA_STEP * (result.stderr(label) or parameter.scale)
+        moved[k] += step
+        if moved[k] > parameter.upper:
+            moved[k] = values[k] - step
+        gradient[j] = (function(moved) - function(values)) / (moved[k] - values[k])
+    return gradient
 
 
 def _rate(c: Mapping[str, float]) -> float:
@@ -665,29 +690,35 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     checks = []
     for name, most, basis, inputs in _limits(experiment, result):
         value, error, unit = result.value(name), result.stderr(name), result.parameter(name).unit
-        size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
+        size, limit = (
+            numbers.format_estimate(value, error or None, unit),
+            numbers.format_number(most, 2, unit),
+        )
         words, text = name.replace("_", " "), f"look at {inputs} and their units, and at what the model lacks"
         reason = f"{words} {size} is more than {basis} can have ({limit})"
         check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
-        checks.append(fit_common.warned_check(*check, failed=value - 1.96 * (error or 0.0) > most))
+        checks.append(fit_common.warn_check(*check, failed=value - 1.96 * (error or 0.0) > most))
     coordinate = result.model.channels[0].name
     if coordinate in ("roll_rad", "pitch_rad"):
         angles = {t.id: t.measured[coordinate] for t in experiment.trials}
         swings = {n: float(np.nanmax(np.abs(a - np.nanmedian(a)))) for n, a in angles.items()}
         name = max(swings, key=lambda trial: swings[trial])
-        size, limit = f"{numbers.number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
+        size, limit = f"{numbers.format_number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
         text = "a body that swings farther in roll or pitch turns over: are these degrees?"
         reason = f"the body swings by {size}, which no body does"
         check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
-        checks.append(fit_common.warned_check(*check, failed=True))
+        checks.append(fit_common.warn_check(*check, failed=True))
     forces = _force_ratios(experiment)
     if forces:
         _, force, most, name = max(forces)
-        size, limit = f"{numbers.number(force, 3, 'N')} in {name}", f"≤ {numbers.number(most, 3, 'N')}"
+        size, limit = (
+            f"{numbers.format_number(force, 3, 'N')} in {name}",
+            f"≤ {numbers.format_number(most, 3, 'N')}",
+        )
         text = "look at its unit and the mass; only a drive of another kind is stronger"
         reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
         check = ("SWM072", "driving force possible", size, force <= most, limit, text, reason)
-        checks.append(fit_common.warned_check(*check))
+        checks.append(fit_common.warn_check(*check))
     return checks
 
 
@@ -712,15 +743,19 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
         if displaced > 0:
             basis = "a body of its mass" + " and size" * bool(area)
             yield "added_mass", max_added_mass(displaced, area or None, density), basis, inputs
-    if "drag_coefficient" not in known:
-        return
+    if "drag_coefficient" in known:
+        yield from _limit_drag(result, areas, density)
+
+
+def _limit_drag(result: FitResult, areas: Sequence[float], density: float) -> Iterator[Limit]:
+    """Yield the physical limit of the drag coefficient at the largest Reynolds number, if it is known."""
     sized = [(t, a) for t, a in zip(result.trials, areas, strict=True) if t.role == "fit" and a]
     speeds = [result.model.run(result.values(t.id), t)["u_m_s"] for t, _ in sized]
     tops = [float(np.nanmax(np.abs(u), initial=0.0)) for u in speeds]
     reached = [reynolds(top, a, density) for top, (_, a) in zip(tops, sized, strict=True)]
     most = max_drag_coefficient(max(reached, default=math.nan))
     if math.isfinite(most):
-        basis = f"a body of any shape at a Reynolds number of {numbers.number(max(reached), 2)}"
+        basis = f"a body of any shape at a Reynolds number of {numbers.format_number(max(reached), 2)}"
         yield "drag_coefficient", most, basis, "forces, areas, lengths"
 
 
@@ -955,7 +990,7 @@ class TwoPointResult:
         """Estimates of the two-point method as a sentence."""
         if not self.is_valid:
             return f"The two-point method has no answer: {NO_ANSWER}."
-        parts = [f"{n} {numbers.measured(value, self.stderr[n])}" for n, value in self.values.items()]
+        parts = [f"{n} {numbers.format_estimate(value, self.stderr[n])}" for n, value in self.values.items()]
         return f"The two-point method gives {', '.join(parts)}."
 
 
@@ -969,10 +1004,10 @@ def speed_at(
     Raises
     ------
     NoTrustworthyResult
-        If fewer than :data:`MIN_SAMPLES` samples lie around the point.
+        If fewer than :data:`MIN_SAMPLES_POINT` samples lie around the point.
     """
     near = np.abs(displacement_m - point_m) <= half_width_m
-    if near.sum() < MIN_SAMPLES:
+    if near.sum() < MIN_SAMPLES_POINT:
         raise NoTrustworthyResult(
             f"only {int(near.sum())} samples lie within {half_width_m:.3g} m of the displacement "
             f"{point_m:.3g} m",
@@ -1048,21 +1083,7 @@ def two_point(
     measured, measured_sd = speeds(measured_m)
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, lines = solve(squared)
-
-    # Estimate the random error of the squared speeds from their residuals about the lines over pulling mass.
-    scatter = squared - np.array([np.polyval(line, masses) for line in lines])
-    pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
-    spread = np.maximum(squared_sd, pooled)
-    variance = np.zeros(3)
-    for at in np.ndindex(squared.shape):
-        moved = squared.copy()
-        moved[at] += spread[at]
-        try:
-            variance += (solve(moved)[0] - answer) ** 2
-        except NoTrustworthyResult:
-            variance = np.full(3, np.inf)
-            break
-
+    variance = _random_variance(lambda moved: solve(moved)[0], squared, squared_sd, masses, lines)
     drag, added, friction = answer
     perfect = [
         falling_weight_closed_form(
@@ -1076,6 +1097,28 @@ def two_point(
     )
     at_points = (float(points[0]), float(points[1]))
     return TwoPointResult(values, stderr, bias_of, at_points, masses, squared, squared_sd, lines)
+
+
+def _random_variance(
+    solve: Callable[[Array], Array], squared: Array, squared_sd: Array, masses: Array, lines: Array
+) -> Array:
+    """Return the variances of the estimates due to the random errors of the squared speeds, shape (3,).
+
+    The errors follow from the residuals about the lines over pulling mass. The variances are infinite if the
+    method has no result for a squared speed that is moved by its error.
+    """
+    scatter = squared - np.array([np.polyval(line, masses) for line in lines])
+    pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
+    spread = np.maximum(squared_sd, pooled)
+    answer, variance = solve(squared), np.zeros(3)
+    for at in np.ndindex(squared.shape):
+        moved = squared.copy()
+        moved[at] += spread[at]
+        try:
+            variance += (solve(moved) - answer) ** 2
+        except NoTrustworthyResult:
+            return np.full(3, np.inf)
+    return variance
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
@@ -1142,4 +1185,6 @@ def _speed_figure(pair: TwoPointResult) -> ev.Figure:
         traces.append(ev.Trace(x=1e3 * mass, y=line, group=i))
     title = "Squared speed against pulling mass"
     caption = "Squared speed at two displacements with 95 % intervals; the lines are fitted to these points."
-    return ev.figure("speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces)
+    return ev.make_figure(
+        "speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces
+    )

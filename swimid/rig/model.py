@@ -30,7 +30,7 @@ from swimid.fitting.model import (
     Hooks,
     Model,
     Parameter,
-    Rig,
+    RigCoordinate,
     Scales,
     Trial,
     no_force,
@@ -47,7 +47,7 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
 }
 #: Groups of rig parameters with a similar effect on the motion. In a fit, one parameter of a group can
 #: replace the other parameters of the group.
-ALIKE = (
+SIMILAR_PARAMETERS = (
     (
         *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
         *("linear_drag", "linear_damping", "dry_friction"),
@@ -60,7 +60,7 @@ DEFAULT_STEP = 0.01
 #: Maximum number of steps of :data:`DEFAULT_STEP` in a trial. Longer trials have longer steps.
 MAX_STEPS = 5_000
 #: Names of the coefficients of the equation of motion, in the order of the argument ``c`` of
-#: :func:`integrate`.
+#: :func:`integrate_rig`.
 EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest", "gravity", "cubic")
 
 
@@ -128,8 +128,9 @@ class RigScales(Scales):
 class RigModel(Model):
     """Model of one robot on a test rig.
 
-    Create the model with :func:`falling_weight`, :func:`towed` or :func:`free_decay`. :attr:`Trial.rig` has
-    the known quantities of a trial. The input ``force_N`` of a trial is a measured force.
+    Create the model with :func:`falling_weight`, :func:`make_towed_model` or :func:`free_decay`.
+    :attr:`Trial.rig` has the known quantities of a trial. The input ``force_N`` of a trial is a measured
+    force.
     """
 
     offers = frozenset({"coefficients", "force", "flow", "output", "clock"})
@@ -147,10 +148,10 @@ class RigModel(Model):
         self._at = {p.name: i for i, p in enumerate(parameters)}
 
     @property
-    def rig(self) -> Rig:
+    def rig(self) -> RigCoordinate:
         """Displacement channel and speed channel of the rig, with flags for a rotation and a free decay."""
         displacement, speed = self.channels
-        return Rig(displacement, speed, COORDINATES[self.coordinate][2], self.name == "free-decay")
+        return RigCoordinate(displacement, speed, COORDINATES[self.coordinate][2], self.name == "free-decay")
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -203,14 +204,16 @@ class RigModel(Model):
             "v0": self._value(values, "initial_speed"),
         }
 
-    def _moved(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
+    def _simulate_motion(
+        self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks
+    ) -> dict[str, Array]:
         """Simulate a trial and return its displacement and speed.
 
         ``c`` has the coefficients of the equation of motion, the constant force, its drift and the initial
         state.
         """
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
-            return self.broken_down(trial)
+            return self.make_broken(trial)
         time, measured, known = trial.time_s, trial.inputs.get("force_N"), c["force"]
         forced = bool(hooks.force or hooks.flow)
         simple = c["linear"] == c["stiffness"] == c["gravity"] == c["cubic"] == c["v0"] == 0
@@ -234,11 +237,12 @@ class RigModel(Model):
             idle = [(np.zeros(1), no_force)] * (MOST_FORCES - len(acting))
             extra = (np.zeros((3, 3)), len(acting), *acting, *idle)
         equation = tuple(c[name] for name in EQUATION)
-        x, v = integrate(time, release, step, force, c["x0"], c["v0"], equation, water, extra)
+        x, v = integrate_rig(time, release, step, force, c["x0"], c["v0"], equation, water, extra)
         return {self.coordinate: x, self.speed: v}
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return displacement and speed of a trial, simulated with effects (see :meth:`Model.hooked`).
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Return displacement and speed of a trial, simulated with effects (see
+        :meth:`Model.simulate_hooked`).
 
         ``coefficients`` hooks change the values of :meth:`equation`. Forces of effects are added afterwards.
 
@@ -249,19 +253,19 @@ class RigModel(Model):
         """
         late = trial
         if hooks.late:
-            time = hooks.happened(trial.time_s)
+            time = hooks.compute_event_times(trial.time_s)
             inputs = {name: np.interp(time, trial.time_s, data) for name, data in trial.inputs.items()}
             late = replace(trial, time_s=time, inputs=inputs)
         if not np.isfinite(values).all():
-            return self.broken_down(trial)
+            return self.make_broken(trial)
         if len(hooks.force) > MOST_FORCES:
             raise ValueError(f"{len(hooks.force)} forces act at once, at most {MOST_FORCES} may")
         release = trial.rig.begin_s + self._value(values, "clock_offset")
-        equation = hooks.changed(self.equation(values, trial), "coefficients")
-        moved = self._moved(equation, late, release, hooks)
-        return hooks.seen(moved, trial.time_s)
+        equation = hooks.change_values(self.equation(values, trial), "coefficients")
+        moved = self._simulate_motion(equation, late, release, hooks)
+        return hooks.sense(moved, trial.time_s)
 
-    def refined(self) -> RigModel:
+    def refine(self) -> RigModel:
         """Return a copy of the model with half the integration step."""
         other = copy.copy(self)
         other.max_step = 0.5 * self.max_step
@@ -279,7 +283,7 @@ class RigModel(Model):
         return {self.coordinate: simulated[self.speed], self.speed: rate}
 
 
-def terminal_speed(c: Mapping[str, float], force: float) -> float:
+def compute_terminal_speed(c: Mapping[str, float], force: float) -> float:
     """Return the terminal speed of a body under a constant force, m/s.
 
     At this speed drag and friction balance the force. Return NaN if the force does not exceed the friction,
@@ -297,7 +301,7 @@ def _parameter(
     return Parameter(name, unit, lower, math.inf, start, scale, meaning=meaning, **more)
 
 
-def _signed(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Parameter:
+def _free_parameter(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Parameter:
     """Return a parameter of a rig model without bounds and with the start value zero."""
     return _parameter(name, unit, 0.0, scale, meaning, lower=-math.inf, **more)
 
@@ -319,15 +323,15 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
     unit, speed_unit, _ = COORDINATES[coordinate]
     own: dict[str, Any] = {"per_trial": True}
     return (
-        _signed("start_offset", unit, length, "displacement at release", free=free, **own),
-        _signed("initial_speed", speed_unit, speed, "speed at release", free=free, **own),
-        _signed("clock_offset", "s", 0.1, "release against the log's clock", free=False, **own),
+        _free_parameter("start_offset", unit, length, "displacement at release", free=free, **own),
+        _free_parameter("initial_speed", speed_unit, speed, "speed at release", free=free, **own),
+        _free_parameter("clock_offset", "s", 0.1, "release against the log's clock", free=False, **own),
     )
 
 
 def _drag_deviation() -> Parameter:
     meaning = "drag of a trial against the common one, as a fraction"
-    return _signed("relative_drag_deviation", "1", 0.05, meaning, free=False, per_trial=True)
+    return _free_parameter("relative_drag_deviation", "1", 0.05, meaning, free=False, per_trial=True)
 
 
 def falling_weight(
@@ -354,14 +358,14 @@ def falling_weight(
             "pulley_friction", "N", friction, 0.2 * force_N, "pulley friction f_c", free=pulley, source="Eq 7"
         ),
         _parameter("linear_drag", "N s/m", 0.0, 0.1 * force_N / speed_m_s, "linear drag", free=False),
-        _signed("friction_deviation", "N", 0.05 * force_N, common, free=False, per_trial=True),
+        _free_parameter("friction_deviation", "N", 0.05 * force_N, common, free=False, per_trial=True),
         _drag_deviation(),
         *_start("x_m", length=0.01, speed=0.05, free=False),
     )
     return RigModel("falling-weight", parameters, "x_m")
 
 
-def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
+def make_towed_model(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
     """Return the model of a body towed by a measured force, with added mass and drag as free parameters."""
     half = 0.5 * max(mass_kg, 0.1)
     parameters = (
@@ -369,8 +373,8 @@ def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float 
         _parameter("added_mass", "kg", half, half, "added mass"),
         _parameter("linear_drag", "N s/m", 0.0, 0.1 * force_N / speed_m_s, "linear drag", free=False),
         _parameter("dry_friction", "N", 0.0, 0.2 * force_N, "dry friction", free=False, kinked=True),
-        _signed("force_offset", "N", 0.1 * force_N, "force added to the measured one", free=False),
-        _signed("force_drift", "N/s", 0.01 * force_N, "rate of the force added to it", free=False),
+        _free_parameter("force_offset", "N", 0.1 * force_N, "force added to the measured one", free=False),
+        _free_parameter("force_drift", "N/s", 0.01 * force_N, "rate of the force added to it", free=False),
         _drag_deviation(),
         *_start("x_m", length=0.01, speed=0.05, free=True),
     )
@@ -426,12 +430,12 @@ def free_decay(
         _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),
         _parameter(f"linear_{loss}", f"{force} s/{unit}", damping, damping, "linear damping"),
         _parameter("stiffness", restoring, spring, guess, "stiffness of a linear spring", free=not known),
-        _signed("cubic_stiffness", f"{restoring}^3", cubic, "cubic restoring stiffness", free=False),
+        _free_parameter("cubic_stiffness", f"{restoring}^3", cubic, "cubic restoring stiffness", free=False),
         *[pendulum] * (coordinate in ("roll_rad", "pitch_rad")),
         _parameter(
             "dry_friction", force, 0.0, 0.01 * guess * amplitude, "dry friction", free=False, kinked=True
         ),
-        _signed("rest_position", unit, 0.05 * amplitude, "rest position", per_trial=True),
+        _free_parameter("rest_position", unit, 0.05 * amplitude, "rest position", per_trial=True),
         *_start(coordinate, length=amplitude, speed=speed, free=True),
     )
     return RigModel("free-decay", parameters, coordinate)
@@ -577,7 +581,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True)
-def integrate(  # type: ignore[no-untyped-def]
+def integrate_rig(  # type: ignore[no-untyped-def]
     time, start, max_step, force, x0, v0, c, water=None, extra=None
 ):
     """Integrate the equation of motion of a rig with the fourth-order Runge-Kutta method and fixed steps.
@@ -602,8 +606,8 @@ def integrate(  # type: ignore[no-untyped-def]
         Velocity of the water at :func:`step_ends`, between which it is interpolated linearly.
     extra : tuple or None
         Working memory of shape (3, 3), number of forces that act on the body, and :data:`MOST_FORCES` pairs
-        of constants and compiled function of a force (:class:`swimid.fitting.model.Force`). It is None in
-        still water without further forces.
+        of constants and compiled function of a force (:class:`swimid.fitting.model.ExternalForce`). It is
+        None in still water without further forces.
 
     Returns
     -------
@@ -648,7 +652,7 @@ def integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
-    """Return the times at which the integration steps of :func:`integrate` begin and end, s.
+    """Return the times at which the integration steps of :func:`integrate_rig` begin and end, s.
 
     >>> step_ends(np.array([-1.0, 0.1, 0.15]), 0.0, 0.05)
     array([0.  , 0.05, 0.1 , 0.15])
@@ -717,5 +721,5 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
 def warm_up() -> None:
     """Compile the numba functions of this module before their first use."""
     time = np.array([0.0, 0.1])
-    integrate(time, 0.0, 0.1, np.array([1.0]), 0.0, 0.0, (1.0, 1.0, 1.0, 0.1, 1.0, 0.0, 0.0, 0.0))
+    integrate_rig(time, 0.0, 0.1, np.array([1.0]), 0.0, 0.0, (1.0, 1.0, 1.0, 0.1, 1.0, 0.0, 0.0, 0.0))
     falling_weight_closed_form(time, 0.0, 1.0, 1.0, 1.0)

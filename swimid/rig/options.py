@@ -9,7 +9,7 @@ import swimid.options as fits
 from swimid.options import Options, StartState, option
 
 
-class FitDragOptions(Options, command="fit-drag", section="Identify", makes="parameters"):
+class FitDragOptions(Options, makes="parameters"):
     """Identify drag, added mass and friction from a rig.
 
     TRIALS is a trials file of a falling-weight, towed or free-decay experiment.
@@ -27,8 +27,8 @@ class FitDragOptions(Options, command="fit-drag", section="Identify", makes="par
         "auto",
         help="Start of the trials. auto: at rest at their first sample, unless the data clearly contradict.",
     )
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()
     bounds: Mapping[str, tuple[float, float]] = fits.bounds()
     points_m: tuple[float, float] | None = option(
         None,

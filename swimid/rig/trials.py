@@ -16,7 +16,7 @@ from swimid.logs.experiments import TrialEntry
 from swimid.logs.sampling import step_of
 from swimid.robots.file import Robot
 
-MASS = "inertial_mass_kg"
+MASS_KEY = "inertial_mass_kg"
 
 
 class RigTrial(TrialEntry):
@@ -42,7 +42,7 @@ def mass_of(entry: RigTrial, robot: Robot, path: Path) -> float:
         raise InputError(
             f"the trial '{entry.id}' has no inertial mass",
             file=path,
-            column=MASS,
+            column=MASS_KEY,
             hint=f"give it in the trial, or as body.inertial_mass_kg of the robot '{robot.name}'",
         )
     return mass

@@ -18,12 +18,12 @@ from swimid.errors import InputError, UsageError, nearest
 from swimid.files import yamlio
 
 if TYPE_CHECKING:
-    from swimid.robots.planar import Multilink
-    from swimid.robots.spatial import Multibody
+    from swimid.robots.planar import MultilinkRobot
+    from swimid.robots.spatial import MultibodyRobot
 else:
     # The function schema_of replaces these types of the fields multilink and multibody. It imports the
     # modules of the types only if a robot file has the field.
-    Multilink = Multibody = Any
+    MultilinkRobot = MultibodyRobot = Any
 
 FORMAT = "swimid-robot/1"
 NonNegative = Annotated[float, Field(ge=0)]
@@ -40,7 +40,9 @@ class Body(yamlio.Document):
     """Masses, dimensions and moments of inertia of a robot that is regarded as a single rigid body."""
 
     inertial_mass_kg: PositiveFloat | None = None
+    #: Without it a fit estimates the coefficient of quadratic drag in place of the drag coefficient.
     frontal_area_m2: PositiveFloat | None = None
+    #: Length, width and height give the added mass of a box, with which reports compare.
     length_m: PositiveFloat | None = None
     width_m: PositiveFloat | None = None
     height_m: PositiveFloat | None = None
@@ -49,7 +51,7 @@ class Body(yamlio.Document):
     yaw_inertia_kg_m2: PositiveFloat | None = None
 
 
-class Rig(yamlio.Document):
+class TestRig(yamlio.Document):
     """Properties of the test rig that pulls the robot or holds it by a spring."""
 
     pulley_inertia_kg: NonNegative = 0.0
@@ -109,7 +111,7 @@ class Reading(yamlio.Document):
     options: dict[str, ReadingOption]
 
     @model_validator(mode="after")
-    def _known(self) -> Reading:
+    def _check_choice(self) -> Reading:
         if self.chosen not in self.options:
             raise ValueError(f"'{self.chosen}' is none of its options: {', '.join(self.options)}")
         return self
@@ -117,6 +119,15 @@ class Reading(yamlio.Document):
 
 class Robot(yamlio.Document):
     """Content of a robot file: the known properties of a robot before any fit.
+
+    Example::
+
+        format: swimid-robot/1
+        name: my-fish
+        sources: ["weighed and measured, 3 May"]
+        body: {inertial_mass_kg: 1.2, length_m: 0.26, width_m: 0.1, height_m: 0.14}
+        rig: {pulley_inertia_kg: 0.02, encoder_resolution_m: 0.00785}
+        fins: {large: {shape: rectangle, height_m: 0.0875, length_m: 0.0437, axle_gap_m: 0.007}}
 
     Attributes
     ----------
@@ -132,7 +143,7 @@ class Robot(yamlio.Document):
     fins : dict of str to Fin
     theory : list of Theory
         Values from theory, for comparison with estimates.
-    multilink, multibody : Multilink, Multibody or None
+    multilink, multibody : MultilinkRobot, MultibodyRobot or None
         Links, joints and elements of a robot in a plane, and of a robot in 3-D.
     readings : dict of str to Reading
         Ambiguities of the sources, each with its chosen interpretation.
@@ -144,13 +155,13 @@ class Robot(yamlio.Document):
     sources: list[str] = []
     fluid: Fluid = Fluid()
     body: Body = Body()
-    rig: Rig = Rig()
+    rig: TestRig = TestRig()
     fins: dict[str, Fin] = {}
     theory: list[Theory] = []
     #: Links, joints and hydrodynamic elements of a robot that moves in a plane.
-    multilink: Multilink | None = None
+    multilink: MultilinkRobot | None = None
     #: Links, hinges and hydrodynamic elements of a robot that moves in 3-D.
-    multibody: Multibody | None = None
+    multibody: MultibodyRobot | None = None
     #: Ambiguities in the sources of the robot file, each with its chosen interpretation.
     readings: dict[str, Reading] = {}
 
@@ -190,22 +201,22 @@ def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> 
     """
     fields: dict[str, Any] = {}
     if "multilink" in parts:
-        from swimid.robots.planar import Multilink
+        from swimid.robots.planar import MultilinkRobot
 
-        fields["multilink"] = Multilink | None, None
+        fields["multilink"] = MultilinkRobot | None, None
     if "multibody" in parts:
-        from swimid.robots.spatial import Multibody
+        from swimid.robots.spatial import MultibodyRobot
 
-        fields["multibody"] = Multibody | None, None
+        fields["multibody"] = MultibodyRobot | None, None
     return create_model("Robot", __base__=Robot, __doc__=Robot.__doc__, **fields)
 
 
-def _validated(data: Mapping[str, Any], path: Path) -> Robot:
+def _validate(data: Mapping[str, Any], path: Path) -> Robot:
     """Validate the content of a robot file, and return it as a robot."""
     return yamlio.validate(data, schema_of(frozenset(data) & {"multilink", "multibody"}), path)
 
 
-def built_in() -> list[str]:
+def list_built_in_robots() -> list[str]:
     """Return the names of the built-in robots."""
     folder = resources.files("swimid") / "robots"
     return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
@@ -221,17 +232,17 @@ def locate(name: str, relative_to: Path | None = None, said: Mapping[str, Any] |
     InputError
         If no such robot exists.
     """
-    if name in built_in():
+    if name in list_built_in_robots():
         return Path(str(resources.files("swimid") / "robots" / f"{name}.yaml"))
     path = Path(name) if relative_to is None or Path(name).is_absolute() else relative_to / name
     if path.is_file() or path.is_dir():
         return path
-    close = nearest(name, built_in())
+    close = nearest(name, list_built_in_robots())
     hint = f"did you mean '{close}'? " if close else ""
     raise InputError(
         f"there is no robot '{name}'",
         **(said or {"file": path if path.suffix in (".yaml", ".yml") else None}),
-        hint=f"{hint}built-in robots: {', '.join(built_in())}; or give the path of a robot file",
+        hint=f"{hint}built-in robots: {', '.join(list_built_in_robots())}; or give the path of a robot file",
     )
 
 
@@ -266,7 +277,7 @@ class RobotFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._data = yamlio.load(path)
-        self._written = _validated(self._data, path)
+        self._written = _validate(self._data, path)
 
     def read(self, readings: Mapping[str, str]) -> Robot:
         """Return the robot, with some interpretations of the sources replaced (see :func:`read`)."""
@@ -290,7 +301,7 @@ class RobotFile:
             for place, value in written[key].options[option].set.items():
                 _put(patched, place, value, f"readings.{key}.options.{option}", path)
             patched["readings"][key]["chosen"] = option
-        return _validated(patched, path)
+        return _validate(patched, path)
 
 
 def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
@@ -303,7 +314,7 @@ def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
     def key_of(part: str) -> Any:
         key = _member(data, part)
         if key is None:
-            raise located(
+            raise add_location(
                 InputError(f"a reading changes '{place}', but there is no '{part}'", column=where), path
             )
         return key
@@ -334,7 +345,7 @@ def _member(data: Any, part: str) -> Any:
     return None
 
 
-def located(error: InputError, path: Path) -> InputError:
+def add_location(error: InputError, path: Path) -> InputError:
     """Return a copy of an error that also names the robot file and the line of its cause.
 
     The line is that of the entry to which the dotted path in the ``column`` of the error points.

@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from concurrent.futures import as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any, NotRequired
+from typing import Any
 
-from swimid import executors
 from swimid.errors import Interrupted, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import is_own
 from swimid.notices import Progress, show, silent
 from swimid.options import takes
-from swimid.results.result import Result, Text
-from swimid.runs import item, slurm, status, summary
+from swimid.results.result import Result
+from swimid.runs import item, status, summary
 from swimid.runs.options import BatchOptions
 from swimid.runs.plan import Item, Resolved, folder_of, resolve
 
@@ -39,11 +38,6 @@ class Batch(Result):
     """
 
     next_step = "python -m webbrowser {file}"
-    keys = {
-        "items": NotRequired[int | list[dict[str, Any]]], "states": NotRequired[dict[str, int]],
-        "entries": NotRequired[list[dict[str, Any]]], "jobs": NotRequired[int],
-        "collected": NotRequired[bool],
-    }  # fmt: skip
 
     @property
     def exit_status(self) -> int:
@@ -64,12 +58,11 @@ def batch(
     options: BatchOptions,
     force: bool = False,
     progress: Progress = silent,
-) -> Batch | Text:
+) -> Batch:
     """Take many films, logs or trials files through chains of commands.
 
-    Each item is done in a process of its own and leaves its results and its state in
-    ``output/items/<name>``. Items that are done with these inputs, options and version are not repeated. A
-    killed run loses the items in progress only.
+    Each item is done in a process of its own, and leaves results and state in ``output/items/<name>``. Items
+    that are done with these inputs, options and version are not repeated.
 
     Parameters
     ----------
@@ -80,7 +73,6 @@ def batch(
     force : bool
         Whether the folder may have files that are not of a run.
     progress : Progress
-        Progress over the items.
 
     Returns
     -------
@@ -90,7 +82,7 @@ def batch(
     Raises
     ------
     InputError
-        If the plan is invalid, or if the cluster does not answer.
+        If the plan is invalid.
     UsageError
         If the folder is not empty and not that of a run.
     Interrupted
@@ -102,31 +94,27 @@ def batch(
     >>> [item["id"] for item in planned.data["items"]]
     ['pool_pool.mp4', 'rig_trials.yaml', 'tfish_trials.yaml']
     """
-    path, run = Path(plan), Path(output).resolve()
+    run = Path(output).resolve()
     if not force:
         _insist_own(Path(output))
-    resolved = resolve(path, run)
+    resolved = resolve(Path(plan), run)
     if not force:
         _insist_same(run, resolved)
-    first, step = options.part
-    mine = resolved.items[first::step]
+    mine = resolved.items[options.part]
     if options.dry_run:
-        return _listed(resolved, mine, run, options)
-    if options.slurm is not None:
-        return slurm.write(options.slurm, path, Path(output), options, len(mine), force)
+        return _list_items(mine, run, options)
     run.mkdir(parents=True, exist_ok=True)
     atomic.write_text(run / "plan.json", resolved.model_dump_json(indent=1) + "\n")
-    problems: dict[str, str] = {}
+    problems = {}
     if not options.collect:
-        wanted = {*UNFINISHED, *options.retry}
-        todo = [one.id for one in mine if status.state_of(one, folder_of(run, one.id))[0] in wanted]
-        problems = _do(run, todo, len(mine), options, progress)
+        problems = _do(run, mine, options, progress)
         _insist_same(run, resolved)
-    found = summary.of_run(resolved, run, problems)
-    outputs: list[Path] = []
-    if options.shard is None:
-        outputs = [Path(output) / path.name for path in summary.write(found, run)]
-    return _answer(found, mine, outputs, collected=options.collect)
+    return _summarise(summary.of_run(resolved, run, problems), mine, Path(output), options)
+
+
+def _states_of(items: list[Item], run: Path) -> dict[str, str]:
+    """Return the states of items by name."""
+    return {one.id: status.state_of(one, folder_of(run, one.id))[0] for one in items}
 
 
 def _insist_own(run: Path) -> None:
@@ -153,19 +141,18 @@ def _insist_same(run: Path, resolved: Resolved) -> None:
         )
 
 
-def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress: Progress) -> dict[str, str]:
-    """Do the items with the given names. Return the errors of those whose status cannot be written."""
+def _do(run: Path, mine: list[Item], options: BatchOptions, progress: Progress) -> dict[str, str]:
+    """Do the items that are not done. Return the errors of those whose status cannot be written."""
     problems: dict[str, str] = {}
+    wanted = {*UNFINISHED, *options.retry}
+    todo = [name for name, state in _states_of(mine, run).items() if state in wanted]
     if not todo:
         return problems
     item.stopping.clear()
     jobs = options.jobs or os.cpu_count() or 1
-    counts: Counter[str] = Counter(before=total - len(todo))
+    counts: Counter[str] = Counter(before=len(mine) - len(todo))
     try:
-        with (
-            progress("items", total=len(todo)) as step,
-            executors.opened(jobs, options.cluster) as pool,
-        ):
+        with progress("items", total=len(todo)) as step, ThreadPoolExecutor(jobs) as pool:
             futures = {pool.submit(item.run_item, str(run), ident): ident for ident in todo}
             try:
                 for future in as_completed(futures):
@@ -174,7 +161,7 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
                     except OSError as error:
                         problems[futures[future]] = f"{error}".replace(f"{run}/", "")
                         counts["failed"] += 1
-                    show(step, ", ".join(f"{count} {state}" for state, count in counts.items()))
+                    show(step, _count_text(counts))
                     step()
             finally:
                 if not all(future.done() for future in futures):
@@ -190,36 +177,43 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
     return problems
 
 
-def _listed(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptions) -> Batch:
+def _count_text(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {state}" for state, count in counts.items())
+
+
+def _list_items(mine: list[Item], run: Path, options: BatchOptions) -> Batch:
     """Return the list of items with their states and commands, for a dry run."""
     lines: list[str] = []
     items: list[dict[str, Any]] = []
     shown: set[str] = set()
-    wanted = {*UNFINISHED, *options.retry}
+    states, wanted = _states_of(mine, run), {*UNFINISHED, *options.retry}
     for one in mine:
-        state = status.state_of(one, folder_of(run, one.id))[0]
+        state = states[one.id]
         verb = "run" if state in wanted else "keep"
         lines.append(f"{verb:5s} {state:9s} {one.id}")
-        items.append({"id": one.id, "state": state, "run": verb == "run", "files": one.files})
+        items.append({"id": one.id, "state": state, "run": state in wanted, "files": one.files})
         if one.group not in shown:
             shown.add(one.group)
             lines += [f"      $ swimid {' '.join(argv)}" for step in one.steps for argv in step.argv[:1]]
     count = sum(entry["run"] for entry in items)
-    lines.append(
-        f"{count} of {len(items)} items would be run. Commands are shown for the first item of each group."
-    )
+    text = f"{count} of {len(items)} items would be run."
+    lines.append(f"{text} Commands are shown for the first item of each group.")
     return Batch("batch", "\n".join(lines), {"items": items})
 
 
-def _answer(found: summary.Summary, mine: list[Item], outputs: list[Path], *, collected: bool) -> Batch:
-    """Return the result of a run for the terminal."""
+def _summarise(found: summary.Summary, mine: list[Item], output: Path, options: BatchOptions) -> Batch:
+    """Write the summary of a run, unless it is a shard, and return the result for the terminal."""
+    outputs: list[Path] = []
+    if options.shard is None:
+        summary.write(found, output.resolve())
+        outputs = [output / name for name in summary.NAMES]
     names = {one.id for one in mine}
     entries = [entry for entry in found.entries if entry.id in names]
     counts = Counter(entry.state for entry in entries)
     data: dict[str, Any] = {
         "items": len(entries),
         "states": dict(counts),
-        "collected": collected,
+        "collected": options.collect,
         "entries": [entry.plain() for entry in entries],
     }
     return Batch("batch", summary.text(entries), data, outputs, document=found)

@@ -23,17 +23,17 @@ from swimid.runs.plan import Resolved, folder_of
 from swimid.runs.status import Metric
 
 #: Maximum number of panels of the figure, and of rows of the table of estimates that is not folded.
-MAX_PANELS, MAX_ROWS = 12, 12
+MAX_COMPARISON_PANELS, MAX_COMPARISON_ROWS = 12, 12
 
 
-class Quantity(yamlio.Document):
+class ComparedQuantity(yamlio.Document):
     """Estimates of one quantity of one item in all runs. An estimate that a run lacks is null."""
 
     item: str
     quantity: str
     unit: str
-    values: list[float | None]
-    stderr: list[float | None]
+    values: yamlio.Numbers
+    stderr: yamlio.Numbers
     #: Probability of differences this large if the quantity were the same in all runs (chi-squared test). It
     #: is null if a standard error is unknown, and if all values are equal.
     p: float | None = None
@@ -47,7 +47,7 @@ class RunComparison(yamlio.ResultFile):
     format: Literal["swimid-run-comparison/1"] = "swimid-run-comparison/1"
     runs: list[str]
     false_discovery_rate: float
-    quantities: list[Quantity]
+    quantities: list[ComparedQuantity]
     #: For each item that is not the same in all runs: what differs between the runs.
     differences: dict[str, list[str]] = {}
     provenance: yamlio.Provenance = Field(default_factory=dict)
@@ -71,7 +71,7 @@ class _Found:
 
     metrics: Mapping[str, Metric]
     state: str
-    version: str
+    version: str = "unknown"
     inputs: Mapping[str, str] = field(default_factory=dict)
     steps: str = ""
 
@@ -119,15 +119,8 @@ def compare_runs(
     if not quantities:
         have = ", ".join(sorted({item or "one result" for run in found for item in run}))
         raise InputError("the runs have no estimate in common", file=paths[0], hint=f"their items: {have}")
-    tested = [q for q in quantities if q.p is not None]
-    if tested:
-        from scipy import stats
-
-        adjusted = stats.false_discovery_control([q.p for q in tested])
-        for quantity, p in zip(tested, adjusted, strict=True):
-            quantity.changed = bool(p <= options.false_discovery_rate)
-    order = {id(q): k for k, q in enumerate(quantities)}
-    quantities.sort(key=lambda q: (not q.changed, 2.0 if q.p is None else q.p, order[id(q)]))
+    _mark_changes(quantities, options.false_discovery_rate)
+    quantities.sort(key=lambda q: (not q.changed, 2.0 if q.p is None else q.p))
     inputs = [path / "plan.json" if path.is_dir() else path for path in paths]
     origin = provenance.collect(inputs, settings=options.settings())
     file = RunComparison(
@@ -137,7 +130,7 @@ def compare_runs(
         differences=_differences(found, names),
         provenance=origin,
     )
-    return ComparedRuns.of(file, _evidence(file)).saved(output)
+    return ComparedRuns.of(file, _evidence(file)).write_output(output)
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -155,12 +148,12 @@ def _read(path: Path) -> dict[str, _Found]:
         data = result.data or {}
         origin = getattr(result.document, "provenance", {})
         metrics = status.metrics_of(data, ["channels.*.nrmse"])
-        return {"": _Found(metrics, "done", str(origin.get("version", "")))}
+        return {"": _Found(metrics, "done", str(origin.get("version", "unknown")))}
     items = {}
     for item in Resolved.of_run(path).items:
         shown = status.read(folder_of(path, item.id))
         if shown is None:
-            items[item.id] = _Found({}, "missing", "")
+            items[item.id] = _Found({}, "missing")
         else:
             items[item.id] = _Found(
                 shown.metrics, shown.state, shown.version, shown.inputs, shown.steps_sha256
@@ -168,29 +161,42 @@ def _read(path: Path) -> dict[str, _Found]:
     return items
 
 
-def _quantities(found: Sequence[Mapping[str, _Found]]) -> list[Quantity]:
-    """Return the estimates that two or more runs have, with the test of their equality."""
-    rows = []
-    for item in dict.fromkeys(name for run in found for name in run):
-        having = [run.get(item) for run in found]
-        for name in dict.fromkeys(n for one in having if one for n in one.metrics):
-            metrics = [one.metrics.get(name) if one else None for one in having]
-            known = [m for m in metrics if m is not None]
-            units = {m.unit for m in known}
-            if len(known) < 2 or len(units) > 1:
-                continue
-            stderr = [None if m is None or not math.isfinite(m.stderr) else m.stderr for m in metrics]
-            rows.append(
-                Quantity(
-                    item=item,
-                    quantity=name,
-                    unit=units.pop(),
-                    values=[m and m.value for m in metrics],
-                    stderr=stderr,
-                    p=_p_value(known),
-                )
-            )
-    return rows
+def _quantities(runs: Sequence[Mapping[str, _Found]]) -> list[ComparedQuantity]:
+    """Return the estimates that two or more runs have in one unit, with the test of their equality."""
+    quantities = []
+    for item in dict.fromkeys(name for run in runs for name in run):
+        metrics = [run[item].metrics if item in run else {} for run in runs]
+        for name in dict.fromkeys(name for entries in metrics for name in entries):
+            quantities.append(_quantity(item, name, [entries.get(name) for entries in metrics]))
+    return [quantity for quantity in quantities if quantity is not None]
+
+
+def _quantity(item: str, name: str, estimates: Sequence[Metric | None]) -> ComparedQuantity | None:
+    """Return a quantity with its estimates in all runs; None unless two runs have it in one unit."""
+    known = [estimate for estimate in estimates if estimate is not None]
+    units = {estimate.unit for estimate in known}
+    if len(known) < 2 or len(units) > 1:
+        return None
+    return ComparedQuantity(
+        item=item,
+        quantity=name,
+        unit=units.pop(),
+        values=[estimate and estimate.value for estimate in estimates],
+        stderr=[estimate and estimate.stderr for estimate in estimates],
+        p=_p_value(known),
+    )
+
+
+def _mark_changes(quantities: Sequence[ComparedQuantity], rate: float) -> None:
+    """Mark the quantities that differ between the runs, with the given false discovery rate."""
+    tested = [quantity for quantity in quantities if quantity.p is not None]
+    if not tested:
+        return
+    from scipy import stats
+
+    adjusted = stats.false_discovery_control([quantity.p for quantity in tested])
+    for quantity, p in zip(tested, adjusted, strict=True):
+        quantity.changed = bool(p <= rate)
 
 
 def _p_value(known: Sequence[Metric]) -> float | None:
@@ -206,72 +212,93 @@ def _p_value(known: Sequence[Metric]) -> float | None:
     return float(stats.chi2.sf((weights * (values - mean) ** 2).sum(), len(values) - 1))
 
 
-def _differences(found: Sequence[Mapping[str, _Found]], names: Sequence[str]) -> dict[str, list[str]]:
+def _differences(runs: Sequence[Mapping[str, _Found]], names: Sequence[str]) -> dict[str, list[str]]:
     """Return for each item what is not the same in all runs: presence, state, version, steps, inputs."""
-    said: dict[str, list[str]] = {}
-    for item in dict.fromkeys(name for run in found for name in run):
-        having = {name: run[item] for name, run in zip(names, found, strict=True) if item in run}
-        texts = []
-        if len(having) < len(names):
-            texts.append(f"only in {', '.join(having)}")
-        for what in ("state", "version"):
-            values = {name: getattr(one, what) or "unknown" for name, one in having.items()}
-            if len(set(values.values())) > 1:
-                texts.append(f"{what}: " + ", ".join(f"{value} in {name}" for name, value in values.items()))
-        if len({one.steps for one in having.values()}) > 1:
-            texts.append("other steps, options or version")
-        contents = [{Path(n).name: digest for n, digest in one.inputs.items()} for one in having.values()]
-        changed = {n for one in contents for n in one if any(other.get(n) != one[n] for other in contents)}
-        if changed:
-            texts.append(f"other content of {', '.join(sorted(changed))}")
+    differences = {}
+    for item in dict.fromkeys(name for run in runs for name in run):
+        entries = {name: run[item] for name, run in zip(names, runs, strict=True) if item in run}
+        texts = _item_differences(entries)
+        if len(entries) < len(names):
+            texts.insert(0, f"only in {', '.join(entries)}")
         if texts:
-            said[item] = texts
-    return said
+            differences[item] = texts
+    return differences
 
 
-def _evidence(file: RunComparison) -> ev.Evidence:
-    changed = [q for q in file.quantities if q.changed]
-    tested = [q for q in file.quantities if q.p is not None]
-    rate = f"{100 * file.false_discovery_rate:g} %"
-    equal = sum(len(set(q.values)) == 1 for q in file.quantities)
+def _item_differences(entries: Mapping[str, _Found]) -> list[str]:
+    """Return what is not the same in the runs that have an item, by the name of the run."""
+    texts = []
+    for what in ("state", "version"):
+        values = [getattr(entry, what) for entry in entries.values()]
+        if len(set(values)) > 1:
+            stated = map("{1} in {0}".format, entries, values)
+            texts.append(f"{what}: {', '.join(stated)}")
+    if len({entry.steps for entry in entries.values()}) > 1:
+        texts.append("other steps, options or version")
+    inputs = [{Path(path).name: sha for path, sha in entry.inputs.items()} for entry in entries.values()]
+    names = sorted({name for digests in inputs for name in digests})
+    changed = [name for name in names if len({digests.get(name) for digests in inputs}) > 1]
+    if changed:
+        texts.append(f"other content of {', '.join(changed)}")
+    return texts
+
+
+def _answer(file: RunComparison) -> ev.Verdict:
+    """Return the verdict on a comparison: number of estimates that changed, and of equal ones."""
+    changed, tested = _count_changes(file)
+    equal = sum(len(set(quantity.values)) == 1 for quantity in file.quantities)
     sentences = []
     if tested:
         differ = "tested estimates differ between the runs by more than their errors."
-        sentences.append(f"{len(changed)} of {len(tested)} {differ}")
+        sentences.append(f"{changed} of {tested} {differ}")
     if equal:
         sentences.append(f"{equal} of {len(file.quantities)} estimates are equal to the last digit.")
     if not sentences:
         sentences.append("No estimate has a standard error in two runs, so no change can be tested.")
-    text = " ".join(sentences)
-    check = ev.check(
-        "Estimates that differ", f"{len(changed)} of {len(tested)}", None, f"false discovery rate {rate}",
-        "Chi-squared test of each estimate, with the false discovery rate of Benjamini and Hochberg.",
-    )  # fmt: skip
+    if changed:
+        return ev.Verdict(level="caution", text=" ".join(sentences), word="changed")
+    return ev.Verdict(level="good" if tested or equal else "caution", text=" ".join(sentences))
+
+
+def _count_changes(file: RunComparison) -> tuple[int, int]:
+    """Return the number of quantities that changed, and of those that were tested."""
+    tested = [quantity for quantity in file.quantities if quantity.p is not None]
+    return sum(quantity.changed for quantity in tested), len(tested)
+
+
+def _tables(file: RunComparison) -> list[ev.Table]:
     rows = [[_label(q), _finding(q), *_cells(q)] for q in file.quantities]
     columns = ["estimate", "finding", *file.runs]
-    first = max(len(changed), min(len(rows), MAX_ROWS))
+    first = max(_count_changes(file)[0], min(len(rows), MAX_COMPARISON_ROWS))
     tables = [ev.Table(id="estimates", title="Estimates", columns=columns, rows=rows[:first])]
     if rows[first:]:
         title = f"{len(rows) - first} more estimates"
         tables.append(ev.Table(id="more", title=title, columns=columns, rows=rows[first:], folded=True))
-    if file.differences:
-        lines: list[list[Any]] = [
-            [item or "result", said] for item, texts in file.differences.items() for said in texts
-        ]
+    lines: list[list[Any]] = []
+    for item, texts in file.differences.items():
+        lines += [[item or "result", text] for text in texts]
+    if lines:
         title = "Items that are not the same"
         tables.append(ev.Table(id="differences", title=title, columns=["item", "difference"], rows=lines))
-    level: Any = "good"
-    if changed or not (tested or equal):
-        level = "caution"
-    panels = [_panel(q, file.runs) for q in file.quantities[:MAX_PANELS]]
+    return tables
+
+
+def _evidence(file: RunComparison) -> ev.Evidence:
+    changed, tested = _count_changes(file)
+    rate = f"{100 * file.false_discovery_rate:g} %"
+    check = ev.make_check(
+        "Estimates that differ", f"{changed} of {tested}", None, f"false discovery rate {rate}",
+        "Chi-squared test of each estimate, with the false discovery rate of Benjamini and Hochberg.",
+    )  # fmt: skip
+    panels = [_panel(q, file.runs) for q in file.quantities[:MAX_COMPARISON_PANELS]]
     caption = "Estimates in the order of the runs; bars are 95 % intervals."
     return ev.Evidence(
         command="compare-runs",
         title=f"Comparison of {len(file.runs)} runs",
-        verdict=ev.Verdict(level=level, text=text, word="changed" if changed else ""),
+        verdict=_answer(file),
         facts={"Runs": ", ".join(file.runs), "False discovery rate": rate},
         checks=[check],
-        tables=tables,
+        tables=_tables(file),
         figures=[ev.panels("runs", "Estimates over the runs", caption, panels)],
         methods=[
             "Estimates of the runs were compared with a chi-squared test of homogeneity each, with the false "
@@ -285,18 +312,18 @@ def _evidence(file: RunComparison) -> ev.Evidence:
     )
 
 
-def _label(quantity: Quantity) -> str:
+def _label(quantity: ComparedQuantity) -> str:
     return ", ".join(filter(None, [quantity.item, quantity.quantity]))
 
 
-def _cells(quantity: Quantity) -> list[str]:
+def _cells(quantity: ComparedQuantity) -> list[str]:
     return [
-        numbers.measured(value, error, quantity.unit)
+        numbers.format_estimate(value, error, quantity.unit)
         for value, error in zip(quantity.values, quantity.stderr, strict=True)
     ]
 
 
-def _finding(quantity: Quantity) -> str:
+def _finding(quantity: ComparedQuantity) -> str:
     if len(set(quantity.values)) == 1:
         return "equal"
     if quantity.p is None:
@@ -306,7 +333,7 @@ def _finding(quantity: Quantity) -> str:
     return f"p {numbers.probability_text(quantity.p)}"
 
 
-def _panel(quantity: Quantity, runs: Sequence[str]) -> ev.Panel:
+def _panel(quantity: ComparedQuantity, runs: Sequence[str]) -> ev.Panel:
     known = [k for k, value in enumerate(quantity.values) if value is not None]
     half = [numbers.Z95 * (quantity.stderr[k] or math.nan) for k in known]
     points = ev.Trace(x=known, y=[quantity.values[k] for k in known], y_error=half, style="points")

@@ -1,7 +1,6 @@
 """One item of a batch, in a process of its own.
 
-:func:`run_item` starts the process, tries an item again after a crash, and records an item that fails. Its
-arguments are texts, so that any executor can send it to any machine. The module run as a program is that
+:func:`run_item` starts the process, and records an item that fails. The module run as a program is that
 process.
 """
 
@@ -12,12 +11,10 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
@@ -28,11 +25,9 @@ from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.results import evidence as ev
 from swimid.runs import status as states
-from swimid.runs.plan import TRIALS, Item, Step, folder_of, is_linked, item_of
-from swimid.runs.status import LOG, STATUS, USAGE, Status, StepStatus
+from swimid.runs.plan import TRIALS, Item, ItemStep, folder_of, is_linked, item_of
+from swimid.runs.status import LOG, STAMPS, STATUS_FILE, Status, StepStatus
 
-#: Number of times that an item is tried again after a crash.
-RETRIES = 2
 #: Exit status of the process of an item that another process does (EX_TEMPFAIL), and after Ctrl-C.
 BUSY, INTERRUPTED = 75, 130
 #: Size of the end of the log that is kept, bytes, and number of its lines that an error shows.
@@ -42,7 +37,7 @@ ONE_THREAD = dict.fromkeys(
     [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["OPENCV_FOR_THREADS_NUM"], "1"
 )
 #: Endings of files that are no outputs of an item, and that stay when the item is repeated.
-KEPT = (".partial", ".lock")
+KEPT_ENDINGS = (".partial", ".lock")
 
 #: Set when the run was interrupted: no item is started or tried again.
 stopping = threading.Event()
@@ -59,9 +54,8 @@ def stop() -> None:
 def run_item(run: str, ident: str) -> str:
     """Do one item of a run, and return its state.
 
-    After a crash the item is tried twice more. Then it is ``failed``, and its status has the end of its log.
-    An item beyond its time or memory limit fails at once. An item whose folder is a symbolic link is left
-    alone.
+    An item that crashes or exceeds its time limit is ``failed``, and its status has the end of its log. An
+    item whose folder is a symbolic link is left alone.
 
     Parameters
     ----------
@@ -80,38 +74,36 @@ def run_item(run: str, ident: str) -> str:
     if is_linked(folder):
         return "failed"
     folder.mkdir(parents=True, exist_ok=True)
-    for attempt in range(1, RETRIES + 2):
-        if stopping.is_set():
-            return "missing"
-        code, log = _process(folder, run, ident, attempt, limits.time_s)
-        if code == BUSY:
-            return "busy"
-        if stopping.is_set() or code == INTERRUPTED:
-            return "missing"
-        (folder / LOG).write_text(log, encoding="utf-8")
-        found = states.read(folder)
-        if code == 0 and found is not None:
-            return found.state
-        if code is None:
-            message = f"it took longer than the limit of {limits.time_s:g} s"
-            break
-        message = f"it ended with status {code} in each of {attempt} attempts"
-        if code < 0:
-            with suppress(ValueError):
-                message = f"{signal.Signals(-code).name} ended it in each of {attempt} attempts"
+    if stopping.is_set():
+        return "missing"
+    code, log = _process(folder, run, ident, limits.time_s)
+    if code == BUSY:
+        return "busy"
+    if stopping.is_set() or code == INTERRUPTED:
+        return "missing"
+    (folder / LOG).write_text(log, encoding="utf-8")
+    status = states.read(folder)
+    if code == 0 and status is not None:
+        return status.state
+    message = f"it ended with status {code}"
+    if code is None:
+        message = f"it took longer than the limit of {limits.time_s:g} s"
+    elif code < 0:
+        with suppress(ValueError):
+            message = f"{signal.Signals(-code).name} ended it"
     error = {"type": "Failed", "message": message, "log": "\n".join(log.splitlines()[-MAX_LINES:])}
     with reading.record():
         _status(item, folder, "failed", [], error).write(folder)
     return "failed"
 
 
-def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | None, str]:
+def _process(folder: Path, run: str, ident: str, limit_s: float) -> tuple[int | None, str]:
     """Do an item in a new process. Return its exit status and the end of its log.
 
     The exit status is None if the item took longer than its time limit. Locks that the process leaves are
     removed.
     """
-    command = [sys.executable, "-m", "swimid.runs.item", str(Path(run).resolve()), ident, str(attempt)]
+    command = [sys.executable, "-m", "swimid.runs.item", str(Path(run).resolve()), ident]
     package = str(Path(swimid.__file__).parents[1])
     paths = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
     with tempfile.TemporaryFile() as log:
@@ -139,7 +131,7 @@ def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -
                 if not atomic.holder_of(lock):
                     lock.unlink(missing_ok=True)
         log.seek(max(log.seek(0, os.SEEK_END) - MAX_LOG, 0))
-        return code, reading.without_places(log.read().decode("utf-8", "replace"))
+        return code, reading.remove_folders(log.read().decode("utf-8", "replace"))
 
 
 def _status(
@@ -150,8 +142,10 @@ def _status(
     error: dict[str, Any],
     sketch: states.Sketch | None = None,
 ) -> Status:
-    files = [path for path in folder.iterdir() if path.is_file() and path.suffix not in KEPT]
-    outputs = [path.name for path in files if path.name not in (STATUS, USAGE, LOG) and path.name[0] != "."]
+    files = [path for path in folder.iterdir() if path.is_file() and path.suffix not in KEPT_ENDINGS]
+    outputs = [
+        path.name for path in files if path.name not in (STATUS_FILE, STAMPS, LOG) and path.name[0] != "."
+    ]
     return Status(
         id=item.id,
         state=state,
@@ -173,9 +167,9 @@ def _read(item: Item, folder: Path) -> dict[str, reading.Opened]:
     for name in item.inputs:
         reading.note(folder / name, at_once=True)
     own = tuple(f"{place}{os.sep}" for place in (folder, Path(swimid.__file__).parent))
-    names = {path: Path(os.path.relpath(path, folder)).as_posix() for path in sorted(reading.known())}
+    names = {path: Path(os.path.relpath(path, folder)).as_posix() for path in sorted(reading.list_files())}
     return {
-        name: reading.known()[path]
+        name: reading.list_files()[path]
         for path, name in names.items()
         if name in item.inputs or (os.path.isfile(path) and not path.startswith(own))
     }
@@ -184,27 +178,19 @@ def _read(item: Item, folder: Path) -> dict[str, reading.Opened]:
 # ---------------------------------------------------------------- process of an item
 
 
-def _main(run: str, ident: str, attempt: str) -> int:
-    began = time.monotonic()
-    item, limits = item_of(run, ident)
+def _main(run: str, ident: str) -> int:
+    item, _ = item_of(run, ident)
     folder = folder_of(Path(run), ident)
-    _limit_memory(limits.memory_mb)
     os.chdir(folder)
     try:
-        with atomic.locked(folder / STATUS), reading.record():
+        with atomic.hold_lock(folder / STATUS_FILE), reading.record():
             _clear(folder)
             _read(item, folder)
-            status = _done(item, folder, limits.memory_mb)
+            status = _run_steps(item, folder)
             if status is None:
                 return INTERRUPTED
-            costs = {
-                "seconds": round(time.monotonic() - began, 2),
-                "memory_mb": _peak_mb(),
-                "attempts": int(attempt),
-                "host": socket.gethostname(),
-                "inputs": {name: opened.stamp for name, opened in _read(item, folder).items()},
-            }
-            atomic.write_text(folder / USAGE, json.dumps(costs, indent=1) + "\n")
+            stamps = {name: opened.stamp for name, opened in _read(item, folder).items()}
+            atomic.write_text(folder / STAMPS, json.dumps(stamps, indent=1) + "\n")
             status.write(folder)
     except UsageError as error:
         if "is being written by" not in str(error):
@@ -217,13 +203,13 @@ def _main(run: str, ident: str, attempt: str) -> int:
 def _clear(folder: Path) -> None:
     """Remove everything from the folder of an item except its lock and the checkpoints of its commands."""
     for path in folder.iterdir():
-        if path.is_dir() and not path.is_symlink() and path.suffix not in KEPT:
+        if path.is_dir() and not path.is_symlink() and path.suffix not in KEPT_ENDINGS:
             shutil.rmtree(path)
-        elif path.suffix not in KEPT:
+        elif path.suffix not in KEPT_ENDINGS:
             path.unlink()
 
 
-def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
+def _run_steps(item: Item, folder: Path) -> Status | None:
     """Run the steps of an item, and return its status; None after Ctrl-C."""
     steps: list[StepStatus] = []
     state = "done"
@@ -246,14 +232,13 @@ def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
         if "cannot be written" in error.get("message", ""):  # The disk may be full, and the input is sound.
             state = "failed"
         if error.get("type") == "NotEnoughMemory":
-            error["message"] += f" (limit of an item: {memory_mb:g} MB)"
             state = "failed"
         error["step"] = step.name
         break
     return _status(item, folder, state, steps, error, sketch)
 
 
-def _step(step: Step) -> tuple[StepStatus, states.Sketch | None, int, dict[str, Any]]:
+def _step(step: ItemStep) -> tuple[StepStatus, states.Sketch | None, int, dict[str, Any]]:
     """Run the command lines of a step. Return its status and sketch, its exit status and its error."""
     shown, sketch = StepStatus(name=step.name), None
     for argv, output in zip(step.argv, step.outputs, strict=True):
@@ -262,7 +247,7 @@ def _step(step: Step) -> tuple[StepStatus, states.Sketch | None, int, dict[str, 
             return shown, None, code, answer.get("error", {})
         if ev.sidecar(output).is_file():
             evidence = ev.read(ev.sidecar(output))
-            if states.LEVELS.index(evidence.verdict.level) < states.LEVELS.index(shown.level):
+            if states.VERDICT_LEVELS.index(evidence.verdict.level) < states.VERDICT_LEVELS.index(shown.level):
                 shown.level, shown.text = evidence.verdict.level, evidence.verdict.text
             if output == step.outputs[0]:
                 sketch = states.sketch_of(evidence)
@@ -289,27 +274,6 @@ def _command(argv: list[str]) -> tuple[int, dict[str, Any]]:
     with suppress(ValueError):
         return code, json.loads(out.getvalue())
     return code or 1, {"error": {"type": "UsageError", "message": "the command gave no answer; see log.txt"}}
-
-
-def _limit_memory(limit_mb: float) -> None:
-    """Limit the memory of this process. Only Linux counts private memory in this limit."""
-    if sys.platform == "linux":
-        import resource
-
-        size = int(limit_mb * 1e6)
-        resource.setrlimit(resource.RLIMIT_DATA, (size, size))
-
-
-def _peak_mb() -> float | None:
-    """Return the maximum memory that this process has used, MB; None on Windows."""
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    if sys.platform == "darwin":
-        return round(peak / 1e6, 1)
-    return round(peak / 1e3, 1)
 
 
 def _end_with_parent() -> None:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import model_validator
 
 from swimid.errors import UsageError
-from swimid.options import Options, cluster, option
+from swimid.options import Options, option
 
 Retry = Literal["failed", "refused", "no result"]
 
 
 class BatchOptions(
     Options,
-    command="batch",
-    section="Many at once",
     argument="PLAN",
     output="Folder of the run. The same folder again does what is missing or changed.",
     required=True,
@@ -35,44 +32,35 @@ class BatchOptions(
       swimid batch plan.yaml -o run --dry-run
       swimid batch plan.yaml -o run --jobs 8
       swimid batch plan.yaml -o run --retry failed
-      swimid batch plan.yaml -o run --slurm jobs --jobs 100
       swimid batch plan.yaml -o run --shard 3/100
     """
 
-    jobs: int | None = option(
-        None, ge=1, recorded=False,
-        help="Items at a time; default one per processor. With --slurm the number of jobs of the array.",
-    )  # fmt: skip
+    jobs: int | None = option(None, ge=1, recorded=False, help="Items at a time; default one per processor.")
     retry: tuple[Retry, ...] = option((), recorded=False, help="Also repeat items of this state. Repeatable.")
     shard: str | None = option(
         None, metavar="K/N", recorded=False, help="Do every N-th item only, from the K-th; no summary."
     )
     collect: bool = option(False, recorded=False, help="Do no item. Write the summary of what is there.")
     dry_run: bool = option(False, recorded=False, help="List the items and their states. Write nothing.")
-    cluster: str | None = cluster()
-    slurm: Path | None = option(
-        None, written=True, recorded=False, metavar="FOLDER", help="Write the scripts of a Slurm job array."
-    )
 
     @property
-    def part(self) -> tuple[int, int]:
-        """Number of the shard, counted from 0, and number of shards."""
+    def part(self) -> slice:
+        """Items of the shard."""
         if self.shard is None:
-            return 0, 1
+            return slice(None)
         number, _, count = self.shard.partition("/")
-        return int(number) - 1, int(count)
+        return slice(int(number) - 1, None, int(count))
 
     @model_validator(mode="after")
     def _can_be_meant(self) -> Self:
         if self.shard is not None:
             form = re.fullmatch(r"\d{1,9}/\d{1,9}", self.shard)
-            if form is None or not 0 <= self.part[0] < self.part[1]:
+            if form is None or not 0 <= self.part.start < self.part.step:
                 raise UsageError(f"--shard {self.shard} must be K/N with 1 <= K <= N, such as 3/100")
         modes = {
             "--shard": self.shard,
             "--collect": self.collect,
             "--dry-run": self.dry_run,
-            "--slurm": self.slurm,
         }
         given = [flag for flag, value in modes.items() if value]
         if len(given) > 1 and given != ["--shard", "--dry-run"]:
@@ -81,12 +69,7 @@ class BatchOptions(
 
 
 class CompareRunsOptions(
-    Options,
-    command="compare-runs",
-    section="Many at once",
-    argument="RUN...",
-    output="Comparison of runs to write (YAML).",
-    makes="run-comparison",
+    Options, argument="RUN...", output="Comparison of runs to write (YAML).", makes="run-comparison"
 ):
     """Compare runs, or results of one robot from several days.
 

@@ -25,7 +25,7 @@ from pydantic import BaseModel, Field, field_validator
 
 import swimid
 from swimid.cli.main import check_words
-from swimid.commands import CommandSpec, found
+from swimid.commands import COMMAND_SPECS, CommandSpec
 from swimid.errors import InputError, SwimidError, UsageError, suggestion
 from swimid.files import atomic, yamlio
 from swimid.options import Declared
@@ -33,7 +33,7 @@ from swimid.options import Declared
 #: Name of the step that writes a trials file for the logs of an item.
 TRIALS = "trials"
 #: Ending of the output of a command by the kind of file that it makes.
-ENDINGS = {
+OUTPUT_ENDINGS = {
     "log": ".csv",
     "parameters": ".yaml",
     "setup": ".yaml",
@@ -69,15 +69,14 @@ def _steps(value: Any) -> Any:
     return value and [_step(one) for one in value]
 
 
-class Limits(yamlio.Document):
-    """Maximum time and memory of one item."""
+class ItemLimits(yamlio.Document):
+    """Limit of one item."""
 
+    #: Maximum time of an item, s.
     time_s: float = Field(default=14400.0, gt=0, le=1e8)
-    #: Memory of the process of an item, MB. Only Linux enforces it.
-    memory_mb: float = Field(default=4000.0, gt=0, le=1e9)
 
 
-class Group(yamlio.Document):
+class ItemGroup(yamlio.Document):
     """Files that go through the same steps. Each file is an item, or each folder of files is one."""
 
     files: list[str] = Field(min_length=1)
@@ -90,7 +89,7 @@ class Group(yamlio.Document):
 
     @field_validator("files", "exclude", mode="before")
     @classmethod
-    def _listed(cls, value: Any) -> Any:
+    def _as_list(cls, value: Any) -> Any:
         return [value] if isinstance(value, str) else value
 
     _read_steps = field_validator("steps", mode="before")(_steps)
@@ -102,19 +101,19 @@ class PlanFile(yamlio.Document):
     kind: ClassVar[str] = "plan file"
 
     format: Literal["swimid-plan/1"]
-    limits: Limits = Limits()
+    limits: ItemLimits = ItemLimits()
     #: Options of a command in every group.
     defaults: dict[str, dict[str, Any]] = {}
     #: Steps of the groups that state none.
     steps: Steps = []
-    items: list[Group] = Field(min_length=1)
+    items: list[ItemGroup] = Field(min_length=1)
     #: Options of a command for the files whose path matches a pattern. Later entries win.
     overrides: dict[str, dict[str, dict[str, Any]]] = {}
 
     _read_steps = field_validator("steps", mode="before")(_steps)
 
 
-class Step(BaseModel):
+class ItemStep(BaseModel):
     """Step of an item: command lines to run, or the text of a file to write.
 
     The command lines name files relative to the folder of the item.
@@ -141,7 +140,7 @@ class Item(BaseModel):
     group: str
     files: list[str]
     inputs: list[str]
-    steps: list[Step]
+    steps: list[ItemStep]
 
     def digest(self) -> str:
         """Return the SHA-256 of the steps and of the version of swimid."""
@@ -157,7 +156,7 @@ class Resolved(BaseModel):
     plan: str
     #: Path of the plan relative to the folder of the run.
     place: str = ""
-    limits: Limits
+    limits: ItemLimits
     items: list[Item]
 
     @classmethod
@@ -180,7 +179,7 @@ class Resolved(BaseModel):
             raise InputError("is not the plan of a run", file=path, hint="run swimid batch again") from error
 
 
-def item_of(run: str | Path, ident: str) -> tuple[Item, Limits]:
+def item_of(run: str | Path, ident: str) -> tuple[Item, ItemLimits]:
     """Read one item of the resolved plan of a run, and the limits of the run.
 
     The other items are not validated, because that takes long in a large run.
@@ -194,7 +193,7 @@ def item_of(run: str | Path, ident: str) -> tuple[Item, Limits]:
     found = next((item for item in plan["items"] if item["id"] == ident), None)
     if found is None:
         raise UsageError(f"the plan of {run} was replaced while this run went on: {ident} is not in it")
-    return Item.model_validate(found), Limits.model_validate(plan["limits"])
+    return Item.model_validate(found), ItemLimits.model_validate(plan["limits"])
 
 
 def folder_of(run: Path, ident: str) -> Path:
@@ -228,7 +227,7 @@ def resolve(path: Path, run: Path, data: Any = None) -> Resolved:
     if data is None:
         data = yamlio.load(path)
     plan = yamlio.validate(data, PlanFile, path)
-    return _Resolution(path, data, plan, run.resolve(), path.parent.resolve()).resolved()
+    return _Resolution(path, data, plan, run.resolve(), path.parent.resolve()).resolve_items()
 
 
 @dataclass
@@ -251,10 +250,10 @@ class _Resolution:
         line = yamlio.line_of(self.data, place)
         return InputError(message, file=self.path, line=line, hint=hint)
 
-    def resolved(self) -> Resolved:
+    def resolve_items(self) -> Resolved:
         named: list[tuple[int, str, list[str]]] = []
         for number, group in enumerate(self.plan.items):
-            for files in self.sorted_files(number, group):
+            for files in self.find_files(number, group):
                 what = files[0]
                 if group.together:
                     what = os.path.dirname(files[0]) or "."
@@ -300,7 +299,7 @@ class _Resolution:
                 hint = suggestion(command, sorted(self.commands), "the steps are")
                 raise self.error(f"no step is '{command}'", *place, command, hint=hint)
 
-    def sorted_files(self, number: int, group: Group) -> Iterator[list[str]]:
+    def find_files(self, number: int, group: ItemGroup) -> Iterator[list[str]]:
         """Yield the files of each item of a group, relative to the folder of the plan.
 
         A pattern that ends with ``/`` matches folders, for instance of the pictures of a film.
@@ -436,7 +435,7 @@ class _Chain:
     plan: _Resolution
     folder: Path
     files: list[str]
-    steps: list[Step] = field(default_factory=list)
+    steps: list[ItemStep] = field(default_factory=list)
     made: dict[str, list[str]] = field(default_factory=dict)
     inputs: set[str] = field(default_factory=set)
     #: Names of all outputs so far.
@@ -463,38 +462,38 @@ class _Chain:
         if command == TRIALS:
             self.add_trials(options)
             return
-        specs = {name: spec for name, spec in found().items() if spec.section != "Many at once"}
+        specs = {name: spec for name, spec in COMMAND_SPECS.items() if spec.section != "Many at once"}
         if command not in specs:
-            known = [TRIALS, *(name for name, spec in specs.items() if spec.kind)]
+            known = [TRIALS, *(name for name, spec in specs.items() if spec.usage.kind)]
             raise self.plan.error(f"there is no command '{command}'", *place, hint=suggestion(command, known))
         spec = specs[command]
         name = str(options.get("as", command.replace(" ", "-")))
-        step = Step(name=name, command=command, outputs=[], metrics=list(spec.metrics))
+        step = ItemStep(name=name, command=command, outputs=[], metrics=list(spec.usage.metrics))
         words, stems = [(self.argument(spec, place), self.what)], [name]
-        if spec.argument in EACH:
+        if spec.usage.argument in EACH:
             words = [([source], file) for source, file in zip(words[0][0], self.files, strict=True)]
             stems = _file_names([Path(file).stem for file in self.files], self.files)
         for (files, file), stem in zip(words, stems, strict=True):
             typed = self.plan.options(command, options, file)
-            output = self.named(spec, stem, typed.pop("as", None), place)
-            flag = spec.output_flags[0]
-            argv = [*command.split(), *files, *self.typed(spec, typed, place), flag, str(output)]
+            output = self.name_output(spec, stem, typed.pop("as", None), place)
+            flag = spec.usage.output_flags[0]
+            argv = [*command.split(), *files, *self.option_words(spec, typed, place), flag, str(output)]
             self.check(spec, argv[len(command.split()) :], typed, place)
             step.argv.append(argv)
             step.outputs.append(str(output))
         self.steps.append(step)
-        self.made.setdefault(spec.kind, []).extend(step.outputs)
+        self.made.setdefault(spec.usage.kind, []).extend(step.outputs)
 
-    def named(self, spec: CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
+    def name_output(self, spec: CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
         """Return the name of the output of a step, with the usual ending if the stated name has none."""
         name = str(stated or stem)
         if Path(name).name != name or name.startswith("."):
             raise self.plan.error(f"'as: {name}' must be the name of a file without a folder", *place)
         if stated is None or not Path(name).suffix:
-            if spec.kind not in ENDINGS:
+            if spec.usage.kind not in OUTPUT_ENDINGS:
                 hint = "add as: NAME.ENDING"
                 raise self.plan.error(f"'{spec.command}' needs a name for its file", *place, hint=hint)
-            name += ENDINGS[spec.kind]
+            name += OUTPUT_ENDINGS[spec.usage.kind]
         if name in self.written:
             raise self.plan.error(f"two files would be named {name}", *place, hint="as: NAME names a file")
         self.written.add(name)
@@ -508,7 +507,7 @@ class _Chain:
         An import takes the logs that tracking has made, to which a mapping joins other files.
         """
         made = self.made
-        if spec.argument == "FILE" and len(made.get("log", [])) == len(self.sources):
+        if spec.usage.argument == "FILE" and len(made.get("log", [])) == len(self.sources):
             return made.pop("log")
         chosen = {
             **dict.fromkeys(EACH, self.sources),
@@ -516,8 +515,8 @@ class _Chain:
             "LOG...": made.get("log", self.sources),
             "RESULT...": [p for kind in ("log", "parameters", "result") for p in made.get(kind, [])],
             "PARAMS": made.get("parameters", self.sources)[-1:],
-        }.get(spec.argument, [])
-        if spec.argument == "TRIALS" and TRIALS not in made:
+        }.get(spec.usage.argument, [])
+        if spec.usage.argument == "TRIALS" and TRIALS not in made:
             if "log" in made:
                 hint = "a step 'trials: {experiment: ..., robot: ...}' before it writes one"
                 raise self.plan.error(f"'{spec.command}' needs a trials file of the logs", *place, hint=hint)
@@ -525,13 +524,15 @@ class _Chain:
                 raise self.plan.error(
                     f"'{spec.command}' takes one trials file", *place, hint="together: false"
                 )
-        if spec.argument == "RESULT..." and not chosen:
+        if spec.usage.argument == "RESULT..." and not chosen:
             raise self.plan.error(f"no step before '{spec.command}' makes a result", *place)
         return chosen
 
-    def typed(self, spec: CommandSpec, options: Mapping[str, Any], place: tuple[Any, ...]) -> list[str]:
+    def option_words(
+        self, spec: CommandSpec, options: Mapping[str, Any], place: tuple[Any, ...]
+    ) -> list[str]:
         """Return the options of a step as words of a command line."""
-        declared = spec.model().declared()
+        declared = spec.model().declarations()
         by_key: dict[str, Declared] = {}
         for entry in declared.values():
             by_key |= dict.fromkeys([entry.name, *re.findall(r"--([\w-]+)", entry.flags)], entry)
@@ -553,10 +554,10 @@ class _Chain:
             if entry.name == "jobs" and "jobs" not in stated:
                 words += [entry.flag, "1"]
             if entry.required and entry.name not in stated:
-                words += [entry.flag, self.taken(entry, spec, place)]
+                words += [entry.flag, self.take_output(entry, spec, place)]
         return words
 
-    def taken(self, entry: Declared, spec: CommandSpec, place: tuple[Any, ...]) -> str:
+    def take_output(self, entry: Declared, spec: CommandSpec, place: tuple[Any, ...]) -> str:
         """Return the file that a required option takes from an earlier step."""
         made = self.made.get(TAKEN.get(entry.name, ""), [])
         if not made:
@@ -622,29 +623,26 @@ class _Chain:
             trials.append({"id": ident, "log": log, **each, **own})
         content = {"format": "swimid-trials/1", **merged, "trials": trials}
         name = "trials.yaml"
-        self.steps.append(Step(name=TRIALS, command=TRIALS, outputs=[name], text=yamlio.dumps(content)))
+        self.steps.append(ItemStep(name=TRIALS, command=TRIALS, outputs=[name], text=yamlio.dumps(content)))
         self.made[TRIALS] = [name]
 
 
 def _words(entry: Declared, key: str, value: Any) -> list[str]:
     """Return the words of a command line for an option and its value in a plan."""
     on, _, off = entry.flags.partition("/")
-    if entry.kind is bool:
-        if key in off:
-            value = not value
-        flag = on if value else off
-        return [flag] if flag else []
     if value is None:
         return []
+    if entry.kind is bool:
+        return list(filter(None, [on if value is not (key in off) else off]))
+    is_pair = get_origin(entry.kind) is tuple and get_args(entry.kind)[-1] is not Ellipsis
+    values = value
     if isinstance(value, Mapping):
-        return [word for name, one in value.items() for word in (entry.flag, f"{name}={_word(one)}")]
-    if isinstance(value, list) and not entry.separated:
-        if get_origin(entry.kind) is tuple and get_args(entry.kind)[-1] is not Ellipsis:
-            if "," in (entry.metavar or ""):
-                return [entry.flag, _word(value)]
-            return [entry.flag, *map(_word, value)]
-        return [word for one in value for word in (entry.flag, _word(one))]
-    return [entry.flag, _word(value)]
+        values = [f"{name}={_word(one)}" for name, one in value.items()]
+    elif not isinstance(value, list) or entry.separated or (is_pair and "," in (entry.metavar or "")):
+        values = [value]
+    elif is_pair:
+        return [entry.flag, *map(_word, value)]
+    return [word for one in values for word in (entry.flag, _word(one))]
 
 
 def _word(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Files that an item leaves in its folder: ``status.json`` with its state, and ``usage.json`` with its costs.
+"""Files that an item leaves in its folder: ``status.json`` with its state, and ``stamps.json`` of its inputs.
 
 The status is written last. It has the state, the SHA-256 of every input and output, and the verdicts and
 estimates that the summary of the run shows. An item whose steps, inputs or version are not those of its
@@ -27,8 +27,8 @@ State = Literal["done", "no result", "refused", "failed"]
 #: while another process does it. The states ``outdated`` and ``missing`` have no results that count.
 STATES = ("failed", "refused", "no result", "busy", "missing", "outdated", "done")
 #: Levels of a verdict from the worst to the best; empty for a result without a verdict.
-LEVELS = ("bad", "caution", "good", "")
-STATUS, USAGE, LOG = "status.json", "usage.json", "log.txt"
+VERDICT_LEVELS = ("bad", "caution", "good", "")
+STATUS_FILE, STAMPS, LOG = "status.json", "stamps.json", "log.txt"
 #: Maximum number of traces, and of points of each, in the sketch of a figure.
 MAX_TRACES, MAX_SKETCHED = 3, 48
 
@@ -96,7 +96,7 @@ class Status(BaseModel):
     @property
     def level(self) -> str:
         """Worst verdict of the steps; empty if no step has one."""
-        return min((step.level for step in self.steps), key=LEVELS.index, default="")
+        return min((step.level for step in self.steps), key=VERDICT_LEVELS.index, default="")
 
     @property
     def reason(self) -> str:
@@ -114,24 +114,23 @@ class Status(BaseModel):
         """Write the status into the folder of the item."""
         text = json.dumps([self.steps_sha256, self.inputs], sort_keys=True)
         keyed = self.model_copy(update={"key": hashlib.sha256(text.encode()).hexdigest()})
-        atomic.write_text(folder / STATUS, keyed.model_dump_json() + "\n")
+        atomic.write_text(folder / STATUS_FILE, keyed.model_dump_json() + "\n")
 
 
 def read(folder: Path) -> Status | None:
     """Read the status of an item; None if it has none or a damaged one."""
     try:
-        return Status.model_validate_json((folder / STATUS).read_bytes())
+        return Status.model_validate_json((folder / STATUS_FILE).read_bytes())
     except (OSError, ValidationError):
         return None
 
 
-def usage(folder: Path) -> dict[str, Any]:
-    """Read time, memory, attempts and host of an item; empty if they are not known."""
+def read_stamps(folder: Path) -> dict[str, Any]:
+    """Read size and time of modification of each input of an item; empty if they are not known."""
     try:
-        found: dict[str, Any] = json.loads((folder / USAGE).read_bytes())
-    except (OSError, ValueError):
+        return dict(json.loads((folder / STAMPS).read_bytes()))
+    except (OSError, ValueError, TypeError):
         return {}
-    return found
 
 
 def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
@@ -150,7 +149,7 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
         return "missing", None
     if status.steps_sha256 != item.digest():
         return "outdated", status
-    stated = usage(folder).get("inputs", {})
+    stated = read_stamps(folder)
     for name, digest in status.inputs.items():
         # As in other tools, an unchanged size and time of modification stand for unchanged content.
         files = reading.files_of(folder / name)
@@ -175,10 +174,10 @@ def metrics_of(answer: Mapping[str, Any], patterns: list[str]) -> dict[str, Metr
     found = dict(_estimates(answer))
     for pattern in patterns:
         place, _, interval = pattern.partition("|")
-        ends: list[float | None] = [value for _, value in _named(answer, interval.split("."))]
+        ends: list[float | None] = [value for _, value in _find_numbers(answer, interval.split("."))]
         if len(ends) != 2:
             ends = [None, None]
-        for name, value in _named(answer, place.split(".")):
+        for name, value in _find_numbers(answer, place.split(".")):
             unit = numbers.split_unit(name)[1] or "1"
             found[name] = Metric(value=value, low=ends[0], high=ends[1], unit=unit)
     return found
@@ -202,7 +201,7 @@ def _is_known(value: Any) -> bool:
     return number and math.isfinite(value)
 
 
-def _named(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
+def _find_numbers(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
     """Yield dotted name and value of the numbers that a pattern of keys names, alone or in a list."""
     if not keys:
         values = data if isinstance(data, list) else [data]
@@ -212,7 +211,7 @@ def _named(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
         return
     for key in data:
         if keys[0] in ("*", key):
-            for rest, value in _named(data[key], keys[1:]):
+            for rest, value in _find_numbers(data[key], keys[1:]):
                 yield f"{key}.{rest}".rstrip("."), value
 
 
@@ -234,7 +233,7 @@ def sketch_of(evidence: ev.Evidence) -> Sketch | None:
 
 
 def _points(trace: ev.Trace) -> tuple[list[float | None], list[float | None]]:
-    x, y = ev.thinned(
+    x, y = ev.thin_curve(
         [math.nan if v is None else v for v in trace.x],
         [math.nan if v is None else v for v in trace.y],
         MAX_SKETCHED,

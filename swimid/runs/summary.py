@@ -1,8 +1,7 @@
-"""Summary of a run: ``summary.csv``, ``metrics.csv`` and ``usage.csv``, and the page ``index.html``.
+"""Summary of a run: ``summary.csv``, ``metrics.csv``, and the page ``index.html``.
 
 The summary depends on the statuses of the items only, so that it is the same however the run was done.
-``usage.csv`` is the exception: it has times, memory, attempts and hosts. Estimates of items that are not done
-with the present plan and version are left out.
+Estimates of items that are not done with the present plan and version are left out.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 import swimid
@@ -24,7 +24,7 @@ from swimid.files import atomic, tabular
 from swimid.files.templates import environment
 from swimid.results import numbers
 from swimid.runs import status as states
-from swimid.runs.plan import Resolved, folder_of
+from swimid.runs.plan import Item, Resolved, folder_of
 from swimid.runs.status import Metric, Sketch
 
 #: Robust z score beyond which an estimate is an outlier (Iglewicz and Hoaglin, How to Detect and Handle
@@ -32,13 +32,15 @@ from swimid.runs.status import Metric, Sketch
 #: and minimum number of items of a group for a score.
 MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
 #: Maximum number of metrics that the page draws unfolded for a group, and of items listed on the terminal.
-MAX_PANELS, MAX_LISTED = 8, 10
+MAX_STRIPS, MAX_LISTED = 8, 10
 #: Maximum number of rows, of sketches of a group, and of points of a strip on the page. The tables have all.
-MAX_ROWS, MAX_SKETCHES, MAX_POINTS = 2000, 500, 1000
+MAX_TABLE_ROWS, MAX_SKETCHES, MAX_STRIP_POINTS = 2000, 500, 1000
 #: Pattern of characters that no table and no page can hold.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+#: Names of the files of a summary.
+NAMES = ("index.html", "summary.csv", "metrics.csv")
 #: First line of the tables, by which swimid recognises them as its own.
-MADE_BY = "# made_by: swimid batch\n"
+MADE_BY_LINE = "# made_by: swimid batch\n"
 
 
 @dataclass
@@ -56,7 +58,6 @@ class Entry:
     warnings: list[str] = field(default_factory=list)
     sketch: Sketch | None = None
     outputs: list[str] = field(default_factory=list)
-    usage: dict[str, Any] = field(default_factory=dict)
     log: str = ""
     hint: str = ""
     #: Robust z score of each estimate that is an outlier in its group.
@@ -69,7 +70,7 @@ class Entry:
         return (
             states.STATES.index(self.state),
             -bool(self.outliers),
-            states.LEVELS.index(self.level),
+            states.VERDICT_LEVELS.index(self.level),
             -largest,
             self.id,
         )
@@ -80,8 +81,8 @@ class Entry:
         return self.state not in ("done", "missing") or self.level == "bad" or bool(self.outliers)
 
     def plain(self) -> dict[str, Any]:
-        """Return the entry as plain data, without sketch and costs."""
-        kept = {k: v for k, v in vars(self).items() if k not in ("metrics", "sketch", "usage", "log")}
+        """Return the entry as plain data, without sketch."""
+        kept = {k: v for k, v in vars(self).items() if k not in ("metrics", "sketch", "log")}
         return kept | {"metrics": {name: one.model_dump() for name, one in self.metrics.items()}}
 
 
@@ -93,7 +94,7 @@ class Summary:
     entries: list[Entry]
 
     @property
-    def ranked(self) -> list[Entry]:
+    def ranking(self) -> list[Entry]:
         """Items, those that need attention first."""
         return sorted(self.entries, key=lambda entry: entry.rank)
 
@@ -111,38 +112,40 @@ def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None)
 
     ``problems`` has errors of items that just failed without a status.
     """
-    entries = []
-    for item in plan.items:
-        folder = folder_of(run, item.id)
-        state, status = states.state_of(item, folder)
-        entry = Entry(item.id, item.group, item.files, state)
-        if status is not None:
-            entry.version = status.version
-        if status is not None and state not in ("outdated", "missing"):
-            entry.level, entry.metrics = status.level, status.metrics
-            entry.reason = status.reason.replace(f"{item.root}/", "")
-            entry.warnings = sorted({code for step in status.steps for code in step.warnings})
-            entry.sketch, entry.outputs = status.sketch, sorted(status.outputs)
-            entry.usage = states.usage(folder)
-            entry.log, entry.hint = status.error.get("log", ""), status.error.get("hint") or ""
-        elif state == "outdated" and entry.version != swimid.__version__:
-            entry.reason = f"done by swimid {entry.version}; its results are not used"
-        elif state == "outdated":
-            entry.reason = "its steps or inputs have changed; its results are not used"
-        lock = folder / f"{states.STATUS}.lock"
-        if state in ("missing", "outdated") and (holder := atomic.holder_of(lock)):
-            entry.state = "busy"
-            name = f"items/{item.id}/{lock.name}"
-            entry.reason = f"is done by {holder}; if there is no such process, delete {name}"
-        if state in ("missing", "outdated") and item.id in (problems or {}):
-            entry.state, entry.reason = "failed", (problems or {})[item.id]
-        for name in ("reason", "hint", "log"):
-            setattr(entry, name, _UNPRINTABLE.sub("\ufffd", getattr(entry, name)))
-        entries.append(entry)
+    entries = [_entry_of(item, folder_of(run, item.id), (problems or {}).get(item.id)) for item in plan.items]
     found = Summary(plan.plan, entries)
     for members in found.groups.values():
         _find_outliers(members)
     return found
+
+
+def _entry_of(item: Item, folder: Path, problem: str | None) -> Entry:
+    """Return the entry of an item. ``problem`` is its error, if it just failed without a status."""
+    state, status = states.state_of(item, folder)
+    entry = Entry(item.id, item.group, item.files, state)
+    if status is not None:
+        entry.version = status.version
+    if state == "outdated":
+        entry.reason = "its steps or inputs have changed; its results are not used"
+        if entry.version != swimid.__version__:
+            entry.reason = f"done by swimid {entry.version}; its results are not used"
+    elif status is not None and state != "missing":
+        entry.level, entry.metrics = status.level, status.metrics
+        entry.reason = status.reason.replace(f"{item.root}/", "")
+        entry.warnings = sorted({code for step in status.steps for code in step.warnings})
+        entry.sketch, entry.outputs = status.sketch, sorted(status.outputs)
+        entry.log, entry.hint = status.error.get("log", ""), status.error.get("hint") or ""
+    lock = folder / f"{states.STATUS_FILE}.lock"
+    if state in ("missing", "outdated"):
+        if holder := atomic.holder_of(lock):
+            entry.state = "busy"
+            name = f"items/{item.id}/{lock.name}"
+            entry.reason = f"is done by {holder}; if there is no such process, delete {name}"
+        if problem is not None:
+            entry.state, entry.reason = "failed", problem
+    for name in ("reason", "hint", "log"):
+        setattr(entry, name, _UNPRINTABLE.sub("\ufffd", getattr(entry, name)))
+    return entry
 
 
 def _find_outliers(members: Sequence[Entry]) -> None:
@@ -153,17 +156,15 @@ def _find_outliers(members: Sequence[Entry]) -> None:
     """
     for name in metric_names(members):
         having = [entry for entry in members if name in entry.metrics]
-        values = [entry.metrics[name].value for entry in having]
+        values = np.array([entry.metrics[name].value for entry in having])
         if len(values) < MIN_ITEMS:
             continue
-        middle = statistics.median(values)
-        spread = SD_OF_MAD * statistics.median(abs(v - middle) for v in values)
-        for entry in having:
-            one = entry.metrics[name]
-            own = one.stderr if math.isfinite(one.stderr) else 0.0
-            scale = math.hypot(spread, own)
-            if scale > 0 and abs(one.value - middle) > MAX_Z * scale:
-                entry.outliers[name] = (one.value - middle) / scale
+        deviations = values - np.median(values)
+        spread = SD_OF_MAD * np.median(np.abs(deviations))
+        scales = np.hypot(spread, np.nan_to_num([entry.metrics[name].stderr for entry in having], posinf=0.0))
+        for entry, deviation, scale in zip(having, deviations, scales, strict=True):
+            if scale > 0 and abs(deviation) > MAX_Z * scale:
+                entry.outliers[name] = float(deviation / scale)
 
 
 def metric_names(members: Sequence[Entry]) -> list[str]:
@@ -176,40 +177,30 @@ def metric_names(members: Sequence[Entry]) -> list[str]:
 # ---------------------------------------------------------------- tables
 
 
-def write(found: Summary, run: Path) -> list[Path]:
-    """Write page and tables of a summary into the folder of the run, and return their paths."""
+def write(found: Summary, run: Path) -> None:
+    """Write page and tables of a summary into the folder of the run."""
     rows = [
         {
             "item": e.id, "group": e.group, "state": e.state, "verdict": e.level, "reason": e.reason,
             "outliers": "; ".join(f"{name} (z {z:.1f})" for name, z in e.outliers.items()),
             "warnings": " ".join(e.warnings), "version": e.version, "files": "; ".join(e.files),
         }
-        for e in found.ranked
+        for e in found.ranking
     ]  # fmt: skip
     values = [
         {"item": e.id, "group": e.group, "quantity": name, **m.model_dump()}
         for e in found.entries
         for name, m in e.metrics.items()
     ]
-    costs = [
-        {"item": e.id, **{key: e.usage.get(key) for key in ("seconds", "memory_mb", "attempts", "host")}}
-        for e in found.entries
-    ]
     columns = ["item", "group", "quantity", "value", "low", "high", "unit"]
-    texts = {
-        "index.html": page(found),
-        "summary.csv": _csv(pd.DataFrame(rows)),
-        "metrics.csv": _csv(pd.DataFrame(values, columns=columns)),
-        "usage.csv": _csv(pd.DataFrame(costs)),
-    }
-    with atomic.together():
-        for name, text in texts.items():
+    texts = page(found), _csv(pd.DataFrame(rows)), _csv(pd.DataFrame(values, columns=columns))
+    with atomic.write_together():
+        for name, text in zip(NAMES, texts, strict=True):
             atomic.write_text(run / name, text)
-    return [run / name for name in texts]
 
 
 def _csv(table: pd.DataFrame) -> str:
-    return MADE_BY + table.map(tabular.plain_text).to_csv(index=False, lineterminator="\n")
+    return MADE_BY_LINE + table.map(tabular.plain_text).to_csv(index=False, lineterminator="\n")
 
 
 def text(entries: Sequence[Entry]) -> str:
@@ -246,15 +237,15 @@ def page(found: Summary) -> str:
         plan=found.plan,
         version=swimid.__version__,
         style=style,
-        entries=found.ranked[:MAX_ROWS],
+        entries=found.ranking[:MAX_TABLE_ROWS],
         total=len(found.entries),
         counts=Counter(entry.state for entry in found.entries),
         levels=Counter(entry.level for entry in found.entries if entry.state == "done"),
         states=states.STATES,
-        doubtful=[entry for entry in found.ranked if entry.is_doubtful],
-        orders=_orders(found.ranked[:MAX_ROWS]),
+        doubtful=[entry for entry in found.ranking if entry.is_doubtful],
+        orders=_orders(found.ranking[:MAX_TABLE_ROWS]),
         groups=groups,
-        number=numbers.number,
+        number=numbers.format_number,
         unit=numbers.unit_text,
     )
 
@@ -265,7 +256,7 @@ def _orders(entries: Sequence[Entry]) -> dict[str, dict[str, int]]:
         "attention": lambda e: e.rank,
         "item": lambda e: e.id,
         "group": lambda e: (e.group, e.rank),
-        "verdict": lambda e: (states.LEVELS.index(e.level), e.rank),
+        "verdict": lambda e: (states.VERDICT_LEVELS.index(e.level), e.rank),
         "outlier": lambda e: (-max(map(abs, e.outliers.values()), default=0.0), e.rank),
     }
     return {
@@ -290,7 +281,7 @@ def _group(name: str, members: list[Entry]) -> dict[str, Any]:
         first = next(entry.sketch for entry in members if entry.sketch is not None)
         axes = f"{first.title}: {first.y_label} over {first.x_label}"
     return {
-        "name": name, "count": len(members), "strips": strips[:MAX_PANELS], "more": strips[MAX_PANELS:],
+        "name": name, "count": len(members), "strips": strips[:MAX_STRIPS], "more": strips[MAX_STRIPS:],
         "sketches": sketches, "drawn": len(drawn), "axes": axes,
     }  # fmt: skip
 
@@ -315,7 +306,7 @@ def _strip(name: str, members: Sequence[Entry]) -> dict[str, Any] | None:
 
     step = WIDE / max(len(members), 1)
     points = []
-    every = math.ceil(len(shown) / MAX_POINTS)
+    every = math.ceil(len(shown) / MAX_STRIP_POINTS)
     for k, entry, one in shown:
         if k % every and name not in entry.outliers:
             continue
@@ -337,23 +328,20 @@ def _sketch(entry: Entry) -> dict[str, Any]:
     """Return the lines of the sketch of an item, scaled to the size of the drawing."""
     sketch = entry.sketch
     assert sketch is not None
-    x = [v for xs, _ in sketch.traces for v in xs if v is not None]
-    y = [v for _, ys in sketch.traces for v in ys if v is not None]
-    if not x or not y:
+    traces = [np.array(trace, dtype=float) for trace in sketch.traces]
+    points = np.hstack(traces) if traces else np.empty((2, 0))
+    if not np.isfinite(points).any(axis=1).all():
         return {"entry": entry, "lines": []}
-    wide, high = SMALL_WIDE / (max(x) - min(x) or 1.0), SMALL_HIGH / (max(y) - min(y) or 1.0)
+    low = np.nanmin(points, axis=1)
+    span = np.nanmax(points, axis=1) - low
+    scale = np.array([SMALL_WIDE, SMALL_HIGH]) / np.where(span > 0, span, 1.0)
     if sketch.equal_aspect:
-        wide = high = min(wide, high)
+        scale[:] = scale.min()
     lines = []
-    for (xs, ys), style in zip(sketch.traces, sketch.styles, strict=True):
-        parts: list[str] = []
-        drawing = False
-        for a, b in zip(xs, ys, strict=True):
-            if a is None or b is None:
-                drawing = False
-                continue
-            word = "L" if drawing else "M"
-            parts.append(f"{word}{(a - min(x)) * wide:.0f} {SMALL_HIGH - (b - min(y)) * high:.0f}")
-            drawing = True
+    for trace, style in zip(traces, sketch.styles, strict=True):
+        x, y = (trace - low[:, None]) * scale[:, None]
+        known = np.isfinite(x) & np.isfinite(y)
+        words = np.where(np.r_[False, known[:-1]], "L", "M")
+        parts = [f"{words[k]}{x[k]:.0f} {SMALL_HIGH - y[k]:.0f}" for k in np.flatnonzero(known)]
         lines.append({"path": "".join(parts), "dots": style in ("points", "stems", "arrows")})
     return {"entry": entry, "lines": lines}

@@ -17,7 +17,7 @@ from swimid.notices import Progress, silent
 #: Maximum fraction of the model evaluations that may break down. The analysis is refused above it.
 MAX_BROKEN_SHARE = 0.01
 #: Number of points of the Sobol design that are evaluated in one call of the model function.
-BATCH = 8
+ROWS_PER_BATCH = 8
 #: Maximum number of independently scrambled parts of the design. The intervals follow from their differences.
 MAX_PARTS = 8
 
@@ -101,7 +101,6 @@ def sobol(
         If more than :data:`MAX_BROKEN_SHARE` of the evaluations break down.
     """
     from scipy import stats
-    from scipy.stats import qmc
 
     d = len(lower)
     if d < 2:
@@ -109,36 +108,9 @@ def sobol(
     if samples < 2 or samples & (samples - 1):
         raise UsageError(f"the number of samples must be a power of two, not {samples}")
     number = min(MAX_PARTS, samples)
-    unit = np.concatenate([
-        qmc.Sobol(2 * d, scramble=True, bits=64, rng=rng).random(samples // number)
-        for rng in np.random.default_rng(seed).spawn(number)
-    ])  # fmt: skip
-    a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
-    design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
-    design[:, 2 + np.arange(d), np.arange(d)] = b
-    points, keep, broken = design.reshape(-1, d), checkpoint or Checkpoint(), 0
-    parts = [points[k : k + BATCH] for k in range(0, len(points), BATCH)]
-
-    def one(k: int) -> Array:
-        found = keep.kept(f"points {k}", lambda: evaluate(parts[k]).ravel())
-        return found.reshape(len(parts[k]), -1)
-
-    done: list[Array] = []
-    with (
-        progress("sensitivity", total=len(parts)) as step,
-        map_in_threads(one, range(len(parts)), jobs) as results,
-    ):
-        for found in results:
-            done.append(found)
-            broken += int((~np.isfinite(found).all(axis=1)).sum())
-            if broken > MAX_BROKEN_SHARE * len(points):
-                raise NoTrustworthyResult(
-                    f"{broken} of the first {sum(map(len, done))} simulations break down, more than "
-                    f"{100 * MAX_BROKEN_SHARE:g} % of all",
-                    hint="narrow the ranges (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
-                )
-            step()
-    values = np.concatenate(done).reshape(samples, d + 2, -1)
+    points = _make_design(lower, upper, samples, number, seed)
+    results, broken = _evaluate_design(evaluate, points, jobs, checkpoint or Checkpoint(), progress)
+    values = results.reshape(samples, d + 2, -1)
     sound = np.isfinite(values).all(axis=(1, 2))
     outputs = np.moveaxis(values[sound], 0, -1)  # shape (d + 2, s, rows)
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
@@ -151,6 +123,49 @@ def sobol(
     ends = np.stack([found - half, found + half], axis=1)
     left_out = samples - outputs.shape[-1]
     return Sobol(mean, sd, len(points), broken, left_out, *found, *ends)
+
+
+def _make_design(lower: Array, upper: Array, samples: int, parts: int, seed: int) -> Array:
+    """Return the points of the design, shape (samples (d + 2), d), from scrambled Sobol sequences."""
+    from scipy.stats import qmc
+
+    d = len(lower)
+    unit = np.concatenate([
+        qmc.Sobol(2 * d, scramble=True, bits=64, rng=rng).random(samples // parts)
+        for rng in np.random.default_rng(seed).spawn(parts)
+    ])  # fmt: skip
+    a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
+    design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
+    design[:, 2 + np.arange(d), np.arange(d)] = b
+    return design.reshape(-1, d)
+
+
+def _evaluate_design(
+    evaluate: Evaluate, points: Array, jobs: int, keep: Checkpoint, progress: Progress
+) -> tuple[Array, int]:
+    """Return the outputs at all points of the design, and how many evaluations broke down."""
+    parts = [points[k : k + ROWS_PER_BATCH] for k in range(0, len(points), ROWS_PER_BATCH)]
+    broken, done = 0, list[Array]()
+
+    def compute_part(k: int) -> Array:
+        outputs = keep.get_or_compute(f"points {k}", lambda: evaluate(parts[k]).ravel())
+        return outputs.reshape(len(parts[k]), -1)
+
+    with (
+        progress("sensitivity", total=len(parts)) as step,
+        map_in_threads(compute_part, range(len(parts)), jobs) as results,
+    ):
+        for outputs in results:
+            done.append(outputs)
+            broken += int((~np.isfinite(outputs).all(axis=1)).sum())
+            if broken > MAX_BROKEN_SHARE * len(points):
+                raise NoTrustworthyResult(
+                    f"{broken} of the first {sum(map(len, done))} simulations break down, more than "
+                    f"{100 * MAX_BROKEN_SHARE:g} % of all",
+                    hint="narrow the ranges (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
+                )
+            step()
+    return np.concatenate(done), broken
 
 
 def _jackknife_error(outputs: Array, part: NDArray[np.int64], groups: Sequence[Sequence[int]]) -> Array:

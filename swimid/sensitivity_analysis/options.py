@@ -11,7 +11,7 @@ from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers
 
 
-class SensitivityOptions(Options, command="sensitivity", section="Diagnose", makes="sensitivity"):
+class SensitivityOptions(Options, makes="sensitivity"):
     """Rank the coefficients of a model by their effect on each output.
 
     TRIALS is a trials file of any experiment. All coefficients vary at once over their ranges. Outputs are
@@ -25,7 +25,7 @@ class SensitivityOptions(Options, command="sensitivity", section="Diagnose", mak
     """
 
     params: Source = option(None, help="Parameter file of these trials' robot.", recorded=False)
-    robot: str | None = simulations.robot()
+    robot: str | None = simulations.other_robot()
     samples: int = option(256, ge=2, help="Rows of the Sobol design, a power of two.")
     ranges: tuple[str, ...] = option(
         (),
@@ -36,7 +36,7 @@ class SensitivityOptions(Options, command="sensitivity", section="Diagnose", mak
         "coefficient. Repeatable.",
     )
     coefficients: tuple[str, ...] = option((), separated=True, metavar="A,B", help="Vary these only.")
-    chosen: Mapping[str, float] = simulations.chosen("Hold a parameter at this value. Repeatable.")
+    chosen: Mapping[str, float] = simulations.parameter_values("Hold a parameter at this value. Repeatable.")
     own_effects: tuple[Path, ...] = simulations.own_effects()
     readings: Mapping[str, str] = swimmers.readings()
     seed: int = option(0, ge=0, help="Seed of the design.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
@@ -19,11 +19,11 @@ from swimid.files import atomic, provenance, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.steps import choose_step
-from swimid.logs.kinematics import CYCLE_QUANTITIES
+from swimid.kinematics.cycles import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Notice, Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -48,7 +48,7 @@ MAX_WIDTH = 0.3
 MAX_STEP_CHANGE = 0.05
 #: Maximum correlation between the estimates of two coefficients that are varied independently. A stronger
 #: correlation gives a warning.
-MAX_CORRELATION = 0.5
+MAX_ESTIMATE_CORRELATION = 0.5
 REFERENCES = [
     "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
     "model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
@@ -87,7 +87,7 @@ class Shares(yamlio.Document):
     total: Index
 
 
-class Output(yamlio.Document):
+class OutputIndices(yamlio.Document):
     """Simulated output with its Sobol indices.
 
     The output belongs to one trial or, if ``trial`` is None, to all trials together.
@@ -128,7 +128,7 @@ class SensitivityFile(yamlio.ResultFile):
     samples: int
     trials: list[str]
     ranges: dict[str, Range]
-    outputs: list[Output]
+    outputs: list[OutputIndices]
     simulations: Simulations
     provenance: yamlio.Provenance = Field(default_factory=dict)
 
@@ -174,7 +174,7 @@ class MeasuredChannel(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Run:
+class StudyRun:
     """Trial that is simulated at each point of the design, with the data for its outputs.
 
     Attributes
@@ -225,7 +225,7 @@ def _swim_outputs(model: Swimmer, swim: SwimRun) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Study:
+class SensitivityStudy:
     """Setup of a sensitivity analysis: model, ranges of the coefficients, trials to simulate, and outputs.
 
     Attributes
@@ -236,7 +236,7 @@ class Study:
 
     model: Model
     ranges: Mapping[str, Range]
-    runs: Sequence[Run]
+    runs: Sequence[StudyRun]
     columns: Sequence[tuple[str, str, str]]
 
     @property
@@ -266,6 +266,33 @@ class Study:
         results = np.full((len(points), len(self.columns)), np.nan)
         results[possible] = np.reshape(values, (-1, len(self.columns)))
         return results
+
+    def compute_indices(self, options: SensitivityOptions, keep: Checkpoint, progress: Progress) -> Sobol:
+        """Return the Sobol indices of the outputs."""
+        return sobol(
+            self.outputs,
+            np.array([r.low for r in self.ranges.values()]),
+            np.array([r.high for r in self.ranges.values()]),
+            samples=options.samples,
+            seed=options.seed,
+            groups=list(self.groups.values()),
+            jobs=options.jobs or os.cpu_count() or 1,
+            checkpoint=keep,
+            progress=progress,
+        )
+
+    def test_step(self, estimates: Sobol) -> tuple[Array, float]:
+        """Return the outputs at the given values, and their largest change when the step is halved.
+
+        The change is divided by the standard deviation of the output over the ranges.
+        """
+        given = np.array([[r.value for r in self.ranges.values()]])
+        (centre,), finer = self.outputs(given), self.model.refine()
+        if finer is None:
+            return centre, 0.0
+        vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
+        change = np.abs(replace(self, model=finer).outputs(given)[0] - centre)
+        return centre, float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
 
 
 @takes(SensitivityOptions)
@@ -304,12 +331,6 @@ def sensitivity(
     NoTrustworthyResult
         If more than one in a hundred simulations breaks down.
 
-    References
-    ----------
-    .. [1] Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010), doi:10.1016/j.cpc.2009.09.018: Sobol
-       indices.
-    .. [2] Gamboa, Janon, Klein, Lagnoux (2014), doi:10.1214/14-EJS895: indices of several outputs together.
-
     Examples
     --------
     Compare the effect of two coefficients of the tendon fish on its heading:
@@ -324,46 +345,30 @@ def sensitivity(
     >>> max(zip(one["total"].str["value"], one["coefficient"]))[1]
     'c_d4'
     """
-    count, params = options.samples, options.params
-    with recorded(repeat=True) as notices:
+    params = options.params
+    with record_warnings(repeat=True) as notices:
         if params is None and options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
         experiment, applied = catalogue.load(trials, options)
-        model = applied.model
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        model.prepare(progress)
+        keep = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
+        applied.model.prepare(progress)
         runs = [(applied.values(trial), trial) for trial in experiment.trials]
         chosen = choose_step(applied.model, runs, [applied.noise()] * len(runs))
-        applied, model = applied.at_step(chosen.model), chosen.model
+        applied = applied.at_step(chosen.model)
         study = _study(experiment, applied, over)
-        estimates = sobol(
-            study.outputs,
-            np.array([r.low for r in over.values()]),
-            np.array([r.high for r in over.values()]),
-            samples=count,
-            seed=options.seed,
-            groups=list(study.groups.values()),
-            jobs=options.jobs or os.cpu_count() or 1,
-            checkpoint=keep,
-            progress=progress,
-        )
-        given = np.array([[r.value for r in over.values()]])
-        (centre,), step_change, finer = study.outputs(given), 0.0, model.refined()
-        if finer is not None:
-            vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
-            change = np.abs(replace(study, model=finer).outputs(given)[0] - centre)
-            step_change = float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
+        estimates = study.compute_indices(options, keep, progress)
+        centre, step_change = study.test_step(estimates)
         file = SensitivityFile(
             verdict="caution",
-            model=model.name,
+            model=applied.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
-            params=parameters_format.place(params).name if params is not None else None,
-            samples=count,
+            params=parameters_format.source_path(params).name if params is not None else None,
+            samples=options.samples,
             trials=[t.id for t in experiment.trials],
             ranges=over,
             outputs=_outputs(study, centre, estimates),
@@ -372,29 +377,52 @@ def sensitivity(
             ),
             provenance=origin,
         )
-    checks = _checks(file, step_change, _correlated(applied, over))
-    evidence = ev.Evidence(
+    strongest, source = _find_correlation(applied, over), f"those of {experiment.values_from}"
+    evidence = _make_evidence(file, step_change, strongest, source, notices)
+    evidence.references += experiment.robot.sources
+    file.verdict = evidence.verdict.level
+    saved = Sensitivity.of(file, evidence).write_output(output)
+    keep.finish()
+    return saved
+
+
+def _make_evidence(
+    file: SensitivityFile,
+    step_change: float,
+    strongest: tuple[float, str, str] | None,
+    source: str,
+    notices: Sequence[Notice],
+) -> ev.Evidence:
+    """Return the evidence of a sensitivity analysis.
+
+    Parameters
+    ----------
+    step_change : float
+        Largest change of an output when the integration step is halved, in its standard deviations.
+    strongest : (float, str, str) or None
+        Strongest correlation between two estimates.
+    source : str
+        Source of the values without a parameter file.
+    """
+    checks = _checks(file, step_change, strongest)
+    return ev.Evidence(
         command="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
-        verdict=ev.judged(_answer(file), checks),
+        verdict=ev.make_verdict(_answer(file), checks),
         facts={
             "Robot": file.robot,
-            "Parameters": file.params or f"those of {experiment.values_from}",
+            "Parameters": file.params or source,
             "Trials": str(len(file.trials)),
             "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
         },
         checks=checks,
         tables=[_totals(file), _range_table(file)],
         figures=[_map(file)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=[_method(file)],
-        references=[*REFERENCES, *experiment.robot.sources],
-        provenance=origin,
+        references=[*REFERENCES],
+        provenance=file.provenance,
     )
-    file.verdict = evidence.verdict.level
-    saved = Sensitivity.of(file, evidence).saved(output)
-    keep.done()
-    return saved
 
 
 # ------------------------------------------------------------ ranges
@@ -402,47 +430,49 @@ def sensitivity(
 
 def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
     """Return the range of every coefficient that the analysis varies."""
-    own: dict[str, tuple[float, float]] = {}
-    rule = "bounds"
-    for text in texts:
-        name, equals, ends = text.partition("=")
-        if equals:
-            own[name.strip()] = _ends(name.strip(), ends)
-        else:
-            rule = text.strip()
+    rules = [text.strip() for text in texts if "=" not in text]
+    pairs = [text.partition("=") for text in texts if "=" in text]
+    own = {name.strip(): _ends(name.strip(), ends) for name, _, ends in pairs}
     shared = {p.name: p for p in applied.model.parameters if not p.per_trial}
-    for name in (*own, *coefficients):
-        if name not in shared:
-            raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
-        if name in applied.chosen:
-            raise UsageError(f"{name} is held by --set and cannot be varied")
-    varied = coefficients or [p.name for p in shared.values() if p.free or p.name in own]
-    values = applied.values()
+    _refuse_names((*own, *coefficients), shared, applied.chosen)
     names, covariance = applied.uncertain()
     errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     ranges = {}
-    for name, p in shared.items():
-        if name not in varied or name in applied.chosen:
+    for name in coefficients or [p.name for p in shared.values() if p.free or p.name in own]:
+        if name in applied.chosen:
             continue
-        value = float(values[applied.model.index(name)])
-        half, source = _half_width(rule, value, errors.get(name, math.nan))
-        low, high = max(value - half, p.lower), min(value + half, p.upper)
+        value = float(applied.values()[applied.model.index(name)])
+        half, source = _half_width((rules or ["bounds"])[-1], value, errors.get(name, math.nan))
+        ends = max(value - half, shared[name].lower), min(value + half, shared[name].upper)
         if name in own:
-            low, high, source = *own[name], "given"
-        elif math.isnan(half):
-            if coefficients:
-                raise UsageError(f"{name} has no standard error to make a range of")
-            continue
-        if not (math.isfinite(low) and math.isfinite(high)):
-            raise UsageError(f"{name} has no bounds", hint=f"give them: --range {name}=LOW,HIGH")
-        if not low < high:
-            hint = f"give another one, --range {name}=LOW,HIGH, or hold it, --set {name}={value:g}"
-            raise UsageError(f"the range of {name} is empty: {low:g} to {high:g}", hint=hint)
-        ranges[name] = Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
+            ends, source = own[name], "given"
+        elif math.isnan(half) and coefficients:
+            raise UsageError(f"{name} has no standard error to make a range of")
+        if name in own or not math.isnan(half):
+            ranges[name] = _make_range(shared[name], value, *ends, source)
     if not ranges:
         hint = "name one, --range NAME=LOW,HIGH, or give a parameter file with standard errors: --params"
         raise UsageError("there is no coefficient to vary", hint=hint)
-    return ranges
+    return {name: ranges[name] for name in shared if name in ranges}
+
+
+def _refuse_names(names: Sequence[str], shared: Collection[str], held: Collection[str]) -> None:
+    """Refuse coefficients that the model does not have, or that ``--set`` holds."""
+    for name in names:
+        if name not in shared:
+            raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
+        if name in held:
+            raise UsageError(f"{name} is held by --set and cannot be varied")
+
+
+def _make_range(p: Parameter, value: float, low: float, high: float, source: str) -> Range:
+    """Return the range of a coefficient."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
+    if not low < high:
+        hint = f"give another one, --range {p.name}=LOW,HIGH, or hold it, --set {p.name}={value:g}"
+        raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}", hint=hint)
+    return Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
 
 
 def _ends(name: str, text: str) -> tuple[float, float]:
@@ -472,7 +502,7 @@ def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
     return share * abs(value), "share"
 
 
-def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
+def _find_correlation(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
     """Return the strongest correlation between the estimates of two coefficients, and their names.
 
     Only coefficients whose ranges follow from their standard errors are compared. The result is None for
@@ -491,7 +521,7 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
 # ------------------------------------------------------------ outputs
 
 
-def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
+def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> SensitivityStudy:
     """Return the setup of an analysis: the trials with their initial states, and the outputs of each trial.
 
     An error is raised if a simulation with the given coefficients breaks down.
@@ -511,10 +541,10 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
         columns += [(name, trial.id, q.unit) for name, q in quantities.items()]
     if not columns:
         raise NoTrustworthyResult("these trials have no output: the base is fixed and no joint is passive")
-    return Study(model, over, runs, columns)
+    return SensitivityStudy(model, over, runs, columns)
 
 
-def _run(applied: Applied, model: Model, trial: Trial) -> Run:
+def _run(applied: Applied, model: Model, trial: Trial) -> StudyRun:
     """Return a trial prepared for simulation, with its initial state and its measured channels."""
     values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
     swim, times = None, trial.time_s
@@ -533,19 +563,19 @@ def _run(applied: Applied, model: Model, trial: Trial) -> Run:
         measured[name] = MeasuredChannel(trial.time_s[known], samples[known], scale, unit)
     if swim is not None:
         trial = replace(trial, time_s=times, measured={}, inputs={})
-    return Run(trial, swim, measured, values)
+    return StudyRun(trial, swim, measured, values)
 
 
-def _outputs(study: Study, centre: Array, estimates: Sobol) -> list[Output]:
+def _outputs(study: SensitivityStudy, centre: Array, estimates: Sobol) -> list[OutputIndices]:
     """Return the outputs of each trial, and then those of all trials together, with their Sobol indices."""
     statistics = np.column_stack([centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
-        Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
+        OutputIndices(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
         for (quantity, trial, unit), (value, mean, sd) in zip(study.columns, statistics, strict=True)
     ]
     for quantity, members in study.groups.items():
         sd = float(np.sqrt(np.mean(estimates.sd[members] ** 2)))
-        outputs.append(Output(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
+        outputs.append(OutputIndices(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
     for row, one in enumerate(outputs):
         assert one.sd is not None
         if one.sd > CONSTANT_SHARE * abs(one.mean or 0.0):
@@ -563,16 +593,16 @@ def _shares(sobol: Sobol, row: int, k: int) -> Shares:
 # ------------------------------------------------------------ evidence
 
 
-def _headline(file: SensitivityFile) -> list[Output]:
+def _headline(file: SensitivityFile) -> list[OutputIndices]:
     """Return one output for each quantity: that of all trials together, or that of the only trial."""
-    outputs: dict[str, Output] = {}
+    outputs: dict[str, OutputIndices] = {}
     for one in file.outputs:
         if one.trial is None or one.quantity not in outputs:
             outputs[one.quantity] = one
     return list(outputs.values())
 
 
-def _ranked(output: Output) -> list[tuple[str, Index]]:
+def _rank_coefficients(output: OutputIndices) -> list[tuple[str, Index]]:
     """Return the coefficients with their total indices for an output, largest index first."""
     entries = [(name, shares.total) for name, shares in output.shares.items()]
     return sorted(entries, key=lambda item: -item[1].value)
@@ -593,26 +623,31 @@ def _checks(
         standard errors, and the names of the two.
     """
     runs = file.simulations
-    totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _ranked(o)]
+    totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _rank_coefficients(o)]
     widths = [(index.ci95[1] - index.ci95[0], f"{name} in {output}") for name, output, index in totals]
     width, where = max(widths, default=(0.0, ""))
     left_out = f"{runs.left_out} rows of the design left out" * bool(runs.broken)
     samples = f"{where}: take more --samples" * bool(width > MAX_WIDTH)
-    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.number(width, 2)} wide"
-    change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
+    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.format_number(width, 2)} wide"
+    change, steady = f"{numbers.format_number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
     halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
     none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
+    lost = f"{broken} simulations broke down"
+    unclear = f"the interval of the index of {where} is {numbers.format_number(width, 2)} wide"
+    coarse = f"halving the integration step changes an output by {change} over the ranges"
     checks = [
-        ev.check("simulations that broke down", broken, not runs.broken, none, left_out),
-        ev.check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
-        ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
+        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out, reason=lost),
+        ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples, reason=unclear),
+        ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved, reason=coarse),
     ]
     if strongest is not None:
         size, one, other = strongest
-        value = f"correlation up to {numbers.number(size, 2)} ({one}, {other})"
-        sound = abs(size) <= MAX_CORRELATION
+        value = f"correlation up to {numbers.format_number(size, 2)} ({one}, {other})"
+        sound = abs(size) <= MAX_ESTIMATE_CORRELATION
         text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
-        checks.append(ev.check("ranges independent", value, sound, f"≤ {MAX_CORRELATION:g} in size", text))
+        limit = f"≤ {MAX_ESTIMATE_CORRELATION:g} in size"
+        reason = f"the estimates of {one} and {other} are correlated, and their ranges are not"
+        checks.append(ev.make_check("ranges independent", value, sound, limit, text, reason=reason))
     return checks
 
 
@@ -620,7 +655,9 @@ def _answer(file: SensitivityFile) -> str:
     """Return a sentence with the most influential coefficients of the first three outputs."""
     parts = []
     for o in _headline(file)[:3]:
-        named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
+        named = [
+            f"{name} ({numbers.format_number(index.value, 2)})" for name, index in _rank_coefficients(o)[:2]
+        ]
         if named:
             parts.append(f"{o.quantity} is most sensitive to {', '.join(named)}")
     return "; ".join(parts) + "."
@@ -635,27 +672,27 @@ def _totals(file: SensitivityFile) -> ev.Table:
     rows: list[dict[str, ev.Cell]] = []
     for o in _headline(file):
         row: dict[str, ev.Cell] = {"output": o.quantity, **dict.fromkeys(ranks, "")}
-        for rank, (name, index) in zip(ranks, _ranked(o), strict=False):
-            low, high = (numbers.number(end, 2) for end in index.ci95)
-            row[rank] = f"{name} {numbers.number(index.value, 2)} ({low} … {high})"
+        for rank, (name, index) in zip(ranks, _rank_coefficients(o), strict=False):
+            low, high = (numbers.format_number(end, 2) for end in index.ci95)
+            row[rank] = f"{name} {numbers.format_number(index.value, 2)} ({low} … {high})"
         rows.append(row)
-    return ev.table("totals", "Total indices, 95 %", rows)
+    return ev.make_table("totals", "Total indices, 95 %", rows)
 
 
 def _range_table(file: SensitivityFile) -> ev.Table:
     rows: list[dict[str, ev.Cell]] = [
         {
             "coefficient": name,
-            "given": numbers.number(r.value),
-            "from": numbers.number(r.low),
-            "to": numbers.number(r.high),
+            "given": numbers.format_number(r.value),
+            "from": numbers.format_number(r.low),
+            "to": numbers.format_number(r.high),
             "unit": numbers.unit_text(r.unit),
             "range": r.source,
         }
         for name, r in file.ranges.items()
     ]
     caption = "Uniform and independent of each other; a wider range of a coefficient raises its share."
-    return ev.table("ranges", "Ranges of the coefficients", rows, caption)
+    return ev.make_table("ranges", "Ranges of the coefficients", rows, caption)
 
 
 # ------------------------------------------------------------ figures

@@ -3,6 +3,6 @@
 ``catalogue`` combines trials with a parameter file: it gives the parameters of each trial and their
 covariance. ``draws`` draws random samples from this covariance. ``simulate`` has the command ``swimid
 simulate``, and ``cases`` has the simulations that it can compute. ``compare`` has the command ``swimid
-compare``, ``compare_series`` has the channels of each trial and the comparison file, and ``compare_wave`` the
-body wave. ``options`` has the options of the two commands.
+compare``, and ``compare_series`` has the channels of each trial and the comparison file. ``options`` has the
+options of the two commands.
 """

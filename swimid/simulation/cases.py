@@ -1,8 +1,8 @@
 """Cases of the command ``simulate``: a robot driven by a beat, a weight or a log, and recorded trials.
 
-The quantities of simulated swimming are defined in :mod:`swimid.logs.kinematics`. :class:`SwimRun` samples a
-simulation so that it ends in whole cycles. It adds the quantities that need the model: amplitudes of passive
-joints, tail excursion and power.
+The quantities of simulated swimming are defined in :mod:`swimid.kinematics.cycles`. :class:`SwimRun` samples
+a simulation so that it ends in whole cycles. It adds the quantities that need the model: amplitudes of
+passive joints, tail excursion and power.
 """
 
 from __future__ import annotations
@@ -20,11 +20,21 @@ from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import Cycle
 from swimid.fitting.model import Array, Model, SwimInput, Trial
-from swimid.logs import kinematics
+from swimid.kinematics.cycles import (
+    PER_CYCLE,
+    QUANTITIES,
+    Window,
+    cycle_quantities,
+    is_straight,
+    last_cycles,
+    plane_quantities,
+    settling_time,
+    tail_excursion,
+    whole_cycles,
+)
+from swimid.kinematics.frequency import find_beat
 from swimid.logs import log as log_format
-from swimid.logs.beat import find_beat
 from swimid.logs.experiments import StrokeDrive, read_experiments
-from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.logs.sampling import DURATION_S, even_times
 from swimid.notices import warn
 from swimid.propulsion.trials import table_columns
@@ -36,7 +46,7 @@ from swimid.simulation.catalogue import Applied
 from swimid.simulation.options import DriveOptions, SimulateOptions
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Energetics, Swimmer
-from swimid.swimmer.planar.model import Body
+from swimid.swimmer.planar.model import PlanarBody
 
 #: Default sample rate of a simulation, Hz.
 RATE_HZ = 50.0
@@ -90,14 +100,14 @@ class Case:
         return replace(self, applied=self.applied.at_step(model), metadata=metadata)
 
 
-def place(options: SimulateOptions) -> Path | None:
+def describe_point(options: SimulateOptions) -> Path | None:
     """Return the path of the parameter file for messages and logs; None if the options name none."""
-    return None if options.params is None else parameters_format.place(options.params)
+    return None if options.params is None else parameters_format.source_path(options.params)
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
     """Return the metadata of a simulated log: the entries that every log has, and those in ``more``."""
-    path = place(options)
+    path = describe_point(options)
     lines: dict[str, Any] = {"robot": robot}
     if path is not None:
         lines["params"] = path.name
@@ -129,7 +139,7 @@ def case_of_options(options: SimulateOptions) -> Case:
     InputError
         If a file is invalid.
     """
-    path = place(options)
+    path = describe_point(options)
     if path is None:
         return _swim(options, None)
     own = read_experiments(*options.own_experiments)
@@ -204,13 +214,13 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
     kind = "multibody"
     if model.free_base and not model.in_space:
         kind = "free-swim"
-    metadata, drive = _metadata(options, model.robot.name, experiment=kind), given_drive(options)
+    metadata, drive = _metadata(options, model.robot.name, experiment=kind), list_drive_options(options)
     if options.input is not None:
         if "frequency_hz" in drive or "amplitude_deg" in drive:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
-        time, swim = _recorded(options.input, options, model)
+        time, swim = _read_inputs(options.input, options, model)
         metadata["input"] = options.input.name
     elif model.inputs:
         columns = ", ".join(law.column for law in model.inputs.values())
@@ -234,7 +244,7 @@ def rest_pose(model: Swimmer) -> tuple[float, ...] | None:
     return (0.0,) * len(model.pose) if model.free_base else None
 
 
-def given_drive(options: DriveOptions) -> dict[str, float]:
+def list_drive_options(options: DriveOptions) -> dict[str, float]:
     """Return the drive parameters that the options state.
 
     They are those of a stroke if the options name a stroke, otherwise those of a beat.
@@ -275,7 +285,7 @@ def swim_input(
     """Return the input of a simulation from rest under a stroke or a beat with the given parameters."""
     if options.stroke is not None:
         # the default ramp is for beats only: a stroke has no ramp unless one is given
-        ramp = options.ramp_s * (options.ramp_s != options.declared()["ramp_s"].default)
+        ramp = options.ramp_s * (options.ramp_s != options.declarations()["ramp_s"].default)
         command = StrokeDrive(
             stroke=options.stroke,
             frequency_hz=drive.get("frequency_hz"),
@@ -284,7 +294,7 @@ def swim_input(
             cycles=cycles,
         )
         return SwimInput(stroke=swimmer.cycle_of(command, model), pose=rest_pose(model))
-    beat = drives.Beat(
+    beat = drives.TailBeat(
         options.waveform,
         drive["frequency_hz"],
         math.radians(drive["amplitude_deg"]),
@@ -334,14 +344,14 @@ def setting_text(key: str, value: float | str) -> str:
     """
     name, unit = numbers.split_unit(key)
     if not isinstance(value, str):
-        value = numbers.number(value, 4, unit)
+        value = numbers.format_number(value, 4, unit)
     return f"{name} {value}"
 
 
-def _recorded(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, SwimInput]:
+def _read_inputs(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, SwimInput]:
     """Return the sample times of a simulation, and the input of the model from the columns of a log."""
     log = log_format.read(path, optional=tuple(swimmer.input_columns(model)))
-    swim = SwimInput(inputs=swimmer.logged_inputs(model, log), pose=rest_pose(model))
+    swim = SwimInput(inputs=swimmer.read_inputs(model, log), pose=rest_pose(model))
     swim = swimmer.with_logged_joints(swim, model, log)
     begin, end = float(log.time_s[0]), float(log.time_s[-1])
     if options.duration_s is not None:
@@ -401,17 +411,17 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
 # ------------------------------------------------------------ quantities of a run
 
 
-def value_text(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
+def format_quantity(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
     """Return a quantity as text, with its unit and, if known, its standard deviation.
 
     Angles are in degrees.
     """
     factor, shown = numbers.in_degrees(unit)
     if value is None:
-        return numbers.number(None)
+        return numbers.format_number(None)
     if sd:
-        return numbers.measured(factor * value, factor * sd, shown)
-    return numbers.number(factor * value, digits, shown)
+        return numbers.format_estimate(factor * value, factor * sd, shown)
+    return numbers.format_number(factor * value, digits, shown)
 
 
 def units_of(model: Swimmer) -> dict[str, str]:
@@ -438,7 +448,7 @@ class SwimRun:
     Attributes
     ----------
     trial : Trial
-        Trial with :data:`~swimid.logs.kinematics.PER_CYCLE` samples per cycle, from the start of the
+        Trial with :data:`~swimid.kinematics.cycles.PER_CYCLE` samples per cycle, from the start of the
         simulation on.
     window : Window
         Last whole beats of the simulation; for a robot that moves in 3-D, its last cycle.
@@ -463,10 +473,10 @@ class SwimRun:
             if stroke is not None:
                 # end with the last cycle of the stroke, because its joints rest afterwards
                 ends = np.minimum(ends, stroke.cycles / frequency_hz)
-            window: Window | None = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
+            window: Window | None = next(reversed(whole_cycles(ends, frequency_hz)), None)
         else:
             ramp = 0.0 if beat is None else beat.ramp_s
-            window = kinematics.last_cycles(max(begin, ramp), end, frequency_hz)
+            window = last_cycles(max(begin, ramp), end, frequency_hz)
         if window is None:
             return None
         times = window.times()
@@ -476,7 +486,7 @@ class SwimRun:
         return cls(sampled, window, beat is not None and bool(beat.bias_rad or beat.asymmetry))
 
     @classmethod
-    def driven(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
+    def simulate_drive(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
         """Return a simulation from rest under a drive.
 
         It is longer than ``duration_s`` if no whole beat after the ramp fits into that time.
@@ -517,7 +527,7 @@ class SwimRun:
         """
         body, time = model.body, self.trial.time_s
         if body is None:
-            found = kinematics.cycle_quantities(time, columns, self.window)
+            found = cycle_quantities(time, columns, self.window)
         else:
             count = self.window.cycles * PER_CYCLE + 1
             last = {name: series[-count:] for name, series in columns.items()}
@@ -528,11 +538,13 @@ class SwimRun:
             found |= _power_quantities(energetics, found.get("mean_speed_m_s"))
         return found
 
-    def _of_last_cycles(self, body: Body, values: Array, columns: Mapping[str, Array]) -> dict[str, float]:
+    def _of_last_cycles(
+        self, body: PlanarBody, values: Array, columns: Mapping[str, Array]
+    ) -> dict[str, float]:
         """Return the quantities of the last whole cycles of a simulation, from the channels in the window."""
         length = body.length(values)
         pose = [columns[name] for name in body.pose]
-        found = kinematics.plane_quantities(
+        found = plane_quantities(
             pose,
             [columns[name] for name in body.velocity],
             self.window,
@@ -541,20 +553,20 @@ class SwimRun:
             commanded_turn=self.commanded_turn,
         )
         speed = found["mean_speed_m_s"]
-        if kinematics.is_straight(pose[2], speed, length):
+        if is_straight(pose[2], speed, length):
             rear = int(np.argmax(body.straight(values)[1]))
             x, y = body.rear_ends(body.frames(values, columns))
-            excursion = kinematics.tail_excursion(x[rear], y[rear])
+            excursion = tail_excursion(x[rear], y[rear])
             found["tail_excursion_m"] = excursion
             found["strouhal"] = self.window.frequency_hz * excursion / speed
         return found
 
-    def _of_whole_run(self, body: Body, columns: Mapping[str, Array]) -> dict[str, float]:
+    def _of_whole_run(self, body: PlanarBody, columns: Mapping[str, Array]) -> dict[str, float]:
         """Return mean surge speed, settling time and extent of the path, which need the whole simulation."""
         time, surge = self.trial.time_s, columns[body.velocity[0]]
         return {
             "mean_surge_from_start_m_s": float(np.trapezoid(surge, time) / (time[-1] - time[0])),
-            "settling_time_s": kinematics.settling_time(time, surge, self.window.frequency_hz),
+            "settling_time_s": settling_time(time, surge, self.window.frequency_hz),
             "path_extent_m": max(float(np.ptp(columns[name])) for name in body.pose[:2]),
         }
 

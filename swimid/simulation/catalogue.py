@@ -27,7 +27,7 @@ from swimid.robots import file as robot_format
 #: fraction of the absolute value or the typical scale of the parameter, whichever is larger.
 STEP_SHARE, MAX_STEP_SHARE = 0.05, 1e-3
 #: Largest change of a quantity, as a fraction of it, that is a rounding error.
-ROUNDING = 1e-12
+COVARIANCE_RTOL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Applied:
         if self.file is not None and self.file.effects:
             self.model = with_effects(self.model, self.file, self.path, self.trials, self.own_effects)
         names = [p.name for p in self.model.parameters]
-        self.stated = self.model.stated()
+        self.stated = self.model.get_file_values()
         self.known = {} if self.file is None else self.file.parameters
         for name, value in self.chosen.items():
             if name not in names:
@@ -180,7 +180,7 @@ class Applied:
             return self.known[label].value
         return self.stated.get(p.name, p.start)
 
-    def fitted_per_trial(self) -> set[str]:
+    def list_per_trial(self) -> set[str]:
         """Return the names of the parameters that have values for single trials in the parameter file."""
         return {n.split("[")[0] for n in self.known if "[" in n}
 
@@ -262,7 +262,7 @@ class Applied:
             return table[0], np.full(table.shape[1], np.nan)
         width = np.array(widths)[:, None]
         change = table[2::2] - table[1::2]
-        change[np.abs(change) < ROUNDING * np.abs(table[0])] = 0.0
+        change[np.abs(change) < COVARIANCE_RTOL * np.abs(table[0])] = 0.0
         slopes = np.where(width > 0, change / np.maximum(width, 1e-300), 0.0)
         return table[0], np.sqrt(np.maximum(np.sum(slopes * (covariance @ slopes), axis=0), 0.0))
 
@@ -284,7 +284,7 @@ def with_effects(
     """
     own = [e for place in own_effects for e in effect_catalogue.from_file(place)]
     acting = []
-    for effect in named_effects(file, path, own):
+    for effect in load_effects(file, path, own):
         form = form_of(effect, file, path, model, trials)
         name = effect.name
         sizes = [n for n, v in effect_catalogue.constants(form).items() if isinstance(v, float)]
@@ -298,11 +298,14 @@ def with_effects(
         acting.append(form)
     affected = model.with_effects(acting, trials)
     count = len(model.parameters)
-    affected.parameters = (*model.parameters, *(_stated(p, file) for p in affected.parameters[count:]))
+    affected.parameters = (
+        *model.parameters,
+        *(_fill_parameter(p, file) for p in affected.parameters[count:]),
+    )
     return affected
 
 
-def named_effects(file: ParameterFile, path: Path | None, own: Sequence[Effect] = ()) -> list[Effect]:
+def load_effects(file: ParameterFile, path: Path | None, own: Sequence[Effect] = ()) -> list[Effect]:
     """Return the effects that a parameter file names, in the order in which they act.
 
     Parameters
@@ -315,7 +318,7 @@ def named_effects(file: ParameterFile, path: Path | None, own: Sequence[Effect] 
     InputError
         If there is no such effect.
     """
-    known = {e.name: e for e in (*effect_catalogue.catalogue(), *own)}
+    known = {e.name: e for e in (*effect_catalogue.list_effects(), *own)}
     for name in file.effects:
         if name not in known:
             hint = suggestion(name, list(known))
@@ -340,7 +343,7 @@ def form_of(
     """
     name = effect.name
     names = list(file.of_effect(name))
-    form = effect_catalogue.restored(effect, names, constants_of(file, name), model, trials)
+    form = effect_catalogue.restore_form(effect, names, constants_of(file, name), model, trials)
     if form is None or file.effects.count(name) > 1:
         hint = "name each effect once, and give all of its parameters as 'effect/parameter'"
         first = next(iter(effect_catalogue.forms(effect, model, trials)), None)
@@ -356,7 +359,7 @@ def form_of(
     return form
 
 
-def _stated(p: Parameter, file: ParameterFile) -> Parameter:
+def _fill_parameter(p: Parameter, file: ParameterFile) -> Parameter:
     """Return the parameter of an effect with its value and bounds in a parameter file."""
     estimate = file.parameters[p.name]
     lower, upper = estimate.limits
@@ -393,7 +396,7 @@ def read_parameters(
         models = dict.fromkeys(model for kind in known.values() for model in kind.models)
         raise InputError(
             f"holds parameters of the model '{file.model}', not of {' or '.join(models)}",
-            file=parameters_format.place(source),
+            file=parameters_format.source_path(source),
             column="model",
             hint="give the Python file of an experiment of your own with --experiment",
         )
@@ -433,7 +436,7 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
     if parameters is None:
         experiment = load_experiment(trials, **given)
         return Loaded(experiment, Applied(experiment.model, chosen=chosen))
-    path = parameters_format.place(parameters)
+    path = parameters_format.source_path(parameters)
     file, described = read_parameters(parameters, [*own, type(trials.entries)])
     if trials.experiment not in described:
         raise InputError(
@@ -469,7 +472,7 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
     """
     path, folder, readings = None, None, dict(options.readings)
     if file is not None:
-        path = parameters_format.place(options.params)
+        path = parameters_format.source_path(options.params)
         name, folder = parameters_format.robot_of(file, path, options.robot)
         readings = {**file.settings.get("readings", {}), **readings}
     elif options.robot is None:

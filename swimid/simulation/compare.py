@@ -17,18 +17,23 @@ from swimid.files import atomic, provenance
 from swimid.fitting import fit_common, mistakes
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Trial
-from swimid.logs import kinematics
-from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES
+from swimid.kinematics.cycles import (
+    CYCLE_QUANTITIES,
+    QUANTITIES,
+    cycle_quantities,
+    whole_cycles,
+    world_velocity,
+)
 from swimid.logs.sampling import slope
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.simulation import catalogue, compare_series, compare_wave
-from swimid.simulation.cases import value_text
+from swimid.simulation import catalogue, compare_series
+from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
 from swimid.simulation.options import CompareOptions
@@ -57,7 +62,7 @@ class Comparison(FileResult[ComparisonFile]):
         """Command that usually follows: a report of a good comparison, and a diagnosis of another one."""
         if self.verdict == "good":
             return FileResult.next_step
-        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repaired}"
+        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repair_option}"
 
     @property
     def scores(self) -> pd.DataFrame:
@@ -111,14 +116,6 @@ def compare(
     NoTrustworthyResult
         If a simulation breaks down, or no channel can be compared.
 
-    References
-    ----------
-    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
-       Eqs 13 and 14: errors of speed and turning rate.
-    .. [2] S. Kadapa, N. Marcouiller, A. Drago, J. L. Tangorra, H. G. Kwatny, "Tuning hydrodynamic
-       coefficients using a genetic algorithm for a numerical model of a bio-robotic sea lion".
-       Tables I and II: speeds and angles of each stroke.
-
     Examples
     --------
     >>> import swimid
@@ -127,7 +124,7 @@ def compare(
     >>> bool((against.scores["nrmse"] < 0.002).all()), against.verdict
     (True, 'good')
     """
-    with recorded(repeat=True) as notices:
+    with record_warnings(repeat=True) as notices:
         experiment, applied = catalogue.load(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
@@ -144,59 +141,71 @@ def compare(
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
         profiles = _compare_profiles(experiment, done)
-        file = ComparisonFile(
-            verdict="caution",
-            model=experiment.model.name,
-            robot=experiment.robot.name,
-            experiment=experiment.name,
-            params=parameters_format.place(options.params).name,
-            channels=compare_series.pool(done, experiment.model),
-            trials=[d.record for d in done],
-            profiles=[p.record for p in profiles],
-            provenance=provenance.collect(experiment.inputs, settings=options.settings()),
-        )
-        if file.mean_speeds:
-            _, measured, simulated = zip(*file.mean_speeds, strict=True)
-            file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
-        fitted: Iterable[str] = file.channels
-        if applied.file is not None and applied.file.fit is not None:
-            fitted = applied.file.fit.channels
-        still = [
-            name
-            for name in file.channels
-            if fit_common.is_still(d.own[name].measured for d in done if name in d.own)
+        file = _make_file(experiment, done, profiles, options)
+        checks = [
+            *_channel_checks(file, applied, done),
+            *fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes),
         ]
-        checks = _checks(file, [name for name in fitted if name not in still], still)
-        checks += fit_common.step_check([trial.id for trial in experiment.trials], chosen.changes)
         before = {d.trial.id: d.series for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             checks.append(_mistakes_check(experiment.trials, applied, before))
     evidence = ev.Evidence(
         command="compare",
         title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
-        verdict=ev.judged(_answer(file), checks),
+        verdict=ev.make_verdict(_answer(file), checks),
         facts=_facts(file),
         checks=checks,
         tables=_tables(file),
         figures=_figures(experiment, done, profiles, file),
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(file),
         references=list(experiment.robot.sources),
         provenance=file.provenance,
     )
     file.verdict = evidence.verdict.level
-    return Comparison.of(file, evidence).saved(output)
+    return Comparison.of(file, evidence).write_output(output)
+
+
+def _make_file(
+    experiment: Experiment, done: Sequence[Compared], profiles: Sequence[Profile], options: CompareOptions
+) -> ComparisonFile:
+    """Return the comparison file of compared trials."""
+    file = ComparisonFile(
+        verdict="caution",
+        model=experiment.model.name,
+        robot=experiment.robot.name,
+        experiment=experiment.name,
+        params=parameters_format.source_path(options.params).name,
+        channels=compare_series.pool(done, experiment.model),
+        trials=[d.record for d in done],
+        profiles=[p.record for p in profiles],
+        provenance=provenance.collect(experiment.inputs, settings=options.settings()),
+    )
+    if file.mean_speeds:
+        _, measured, simulated = zip(*file.mean_speeds, strict=True)
+        file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
+    return file
+
+
+def _channel_checks(file: ComparisonFile, applied: Applied, done: Sequence[Compared]) -> list[ev.Check]:
+    """Return the checks of the errors of channels. A channel in which nothing moves is not judged."""
+    fitted: Iterable[str] = file.channels
+    if applied.file is not None and applied.file.fit is not None:
+        fitted = applied.file.fit.channels
+    measured = {name: [d.own[name].measured for d in done if name in d.own] for name in file.channels}
+    still = [name for name, series in measured.items() if fit_common.is_still(series)]
+    return _checks(file, [name for name in fitted if name not in still], still)
 
 
 def _mistakes_check(trials: Sequence[Trial], applied: Applied, before: mistakes.TrialSeries) -> ev.Check:
     """Check whether a common mistake in trials explains the errors, with shared parameters fixed."""
-    known = mistakes.catalogue(applied.model, trials)
+    known = mistakes.list_mistakes(applied.model, trials)
 
     def simulate(trial: Trial) -> list[dict[str, Array]]:
-        values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
+        values, _, _ = compare_series.start_of(applied, trial, True, mistakes.SCREEN_START_RTOL)
         return [applied.model.run(values, trial)]
 
-    return mistakes.check(mistakes.search(trials, known, before, simulate), len(known))
+    return mistakes.check_mistakes(mistakes.search(trials, known, before, simulate), len(known))
 
 
 #: Columns with the errors of a channel in the tables of the evidence.
@@ -257,7 +266,7 @@ def _with_speeds(done: Compared, side: str) -> dict[str, Array]:
     for rate, name in rates.items():
         if name in columns:
             columns.setdefault(rate, slope(time, columns[name], half))
-    velocity = kinematics.world_velocity(time, columns)
+    velocity = world_velocity(time, columns)
     if velocity is not None:
         columns["speed_m_s"] = np.hypot(*velocity)
     return columns
@@ -273,7 +282,7 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
     for n in series[0][0]:
         if all(n in sides[0] for sides in series):
             pairs = zip(times, series, strict=True)
-            channels[n] = np.array([[_resampled(clock, t, c[n]) for c in sides] for t, sides in pairs])
+            channels[n] = np.array([[_resample(clock, t, c[n]) for c in sides] for t, sides in pairs])
     means = {n: values.mean(axis=0) for n, values in channels.items()}
     record = compare_series.ProfileComparison(
         name=name,
@@ -290,7 +299,7 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
     return Profile(clock, channels, record)
 
 
-def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
+def _resample(clock: Array, time_s: Array, values: Array) -> Array:
     """Return the samples of a channel interpolated at the times ``clock``.
 
     The result is NaN outside the range of the valid samples.
@@ -320,8 +329,8 @@ def _cycles(
     each = []
     for done, sides in zip(members, series, strict=True):
         time, stroke = done.trial.time_s, done.trial.swim.stroke
-        windows = [] if stroke is None else kinematics.whole_cycles(time, stroke.frequency_hz)
-        each.append([[kinematics.cycle_quantities(time, c, window) for c in sides] for window in windows])
+        windows = [] if stroke is None else whole_cycles(time, stroke.frequency_hz)
+        each.append([[cycle_quantities(time, c, window) for c in sides] for window in windows])
     comparisons = []
     for k, repeats in enumerate(zip(*each, strict=False), 1):
         one = CycleComparison(cycle=k, measured={}, simulated={})
@@ -341,11 +350,13 @@ def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> lis
     strokes: list[list[Any]] = []
     for p in profiles:
         ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
-        texts = [numbers.number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
-        rows.append([p.name, len(p.trials), *texts, value_text(p.orientation_rmse_rad, "rad")])
+        texts = [numbers.format_number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
+        rows.append([p.name, len(p.trials), *texts, format_quantity(p.orientation_rmse_rad, "rad")])
         for c in p.cycles:
             for side, known, sd in (("measured", c.measured, c.spread), ("simulated", c.simulated, {})):
-                cells = [value_text(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES]
+                cells = [
+                    format_quantity(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES
+                ]
                 strokes.append([p.name, c.cycle, side, *cells])
     sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
     names = [numbers.split_unit(name)[0].replace("_", " ") for name in CYCLE_QUANTITIES]
@@ -432,7 +443,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         )
         reason = f"the model has no steady speed under the drive of {never}"
         limit = "a steady speed"
-        return [ev.check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
+        return [ev.make_check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
     rows = [
         (t.mean_speed.measured, cruise.settled)
         for t, cruise in begun
@@ -445,7 +456,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
     if not rows:
         reason = "no trial swims steadily, so the cruising speed of the model is not tested"
         limit = "steady swimming in a trial"
-        return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
+        return [ev.make_check("cruising speed", "not tested", False, limit, text, reason=reason)]
     measured, settles = np.array(rows, dtype=float).T
     return [_speed_check("cruising speed", _rms(measured - settles) / _rms(measured), text)]
 
@@ -514,8 +525,6 @@ def _methods(file: ComparisonFile) -> list[str]:
             "If the parameter file had no start state of a trial, it was estimated from the whole trial with "
             "all shared parameters held."
         )
-    if file.waves:
-        sentences.append(compare_wave.method())
     return sentences
 
 
@@ -523,7 +532,7 @@ def _methods(file: ComparisonFile) -> list[str]:
 
 
 def _tables(file: ComparisonFile) -> list[ev.Table]:
-    """Return tables of errors by channel, motion profiles, mean speeds, body waves, and errors by trial."""
+    """Return tables of errors by channel, motion profiles, mean speeds, and errors by trial."""
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
@@ -531,8 +540,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    waves = compare_wave.table(file.waves)
-    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), waves, _scores(file)]
+    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), _scores(file)]
     return [table for table in tables if table.rows]
 
 
@@ -543,7 +551,7 @@ def _errors(name: str, s: ChannelScore) -> list[Any]:
         bias = 0.0
     channel = name + " (from pose)" * (s.source == "pose")
     shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
-    return [channel, value_text(s.rmse, s.unit), *shares, value_text(bias, s.unit)]
+    return [channel, format_quantity(s.rmse, s.unit), *shares, format_quantity(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
@@ -551,8 +559,11 @@ def _scores(file: ComparisonFile) -> ev.Table:
     rows: list[list[Any]] = []
     for t in file.trials:
         for name, s in t.channels.items():
-            fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
-            texts = [value_text(s.peak_error, s.unit), value_text(s.phase_error_rad, "rad")]
+            fit, peak = (
+                numbers.format_number(s.fit_percent, 3, "percent"),
+                numbers.percent(s.peak_error_normalised),
+            )
+            texts = [format_quantity(s.peak_error, s.unit), format_quantity(s.phase_error_rad, "rad")]
             rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
         id="scores",
@@ -573,16 +584,16 @@ def _speeds(file: ComparisonFile) -> ev.Table:
         if t.cruise is not None:
             settles = "never"
             if t.cruise.settled is not None:
-                settles = numbers.number(t.cruise.settled, 3, "m/s")
+                settles = numbers.format_number(t.cruise.settled, 3, "m/s")
         if measured:
             share = (simulated - measured) / measured
         texts = [
-            value_text(measured, "m/s"),
-            value_text(simulated, "m/s"),
+            format_quantity(measured, "m/s"),
+            format_quantity(simulated, "m/s"),
             numbers.percent(share, 2),
             settles,
         ]
-        rows.append([t.id, *texts, *(numbers.number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
+        rows.append([t.id, *texts, *(numbers.format_number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
     columns = ["trial", "measured", "simulated", "difference", "model settles at"]
     return ev.Table(
         id="speeds",
@@ -602,8 +613,7 @@ def _figures(
 ) -> list[ev.Figure]:
     """Return the figures of the evidence.
 
-    They show motion profiles, or else time series and mean speeds. Body waves and paths follow for a robot in
-    a plane.
+    They show motion profiles, or else time series and mean speeds. Paths follow for a robot in a plane.
     """
     if experiment.model.timed_runs:
         runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
@@ -612,26 +622,27 @@ def _figures(
     if not drawn:
         drawn.append(_overlay(done))
         if file.mean_speeds:
-            groups: dict[str, tuple[Any, Any]] = {}
-            for name, role in (("fitted", "fit"), ("held out", "validate")):
-                speeds = np.array([(m, s) for t, m, s in file.mean_speeds if t.role == role], dtype=float)
-                if len(speeds):
-                    groups[name] = speeds[:, 0], speeds[:, 1]
-            drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
-    beating = [d for d in done if d.record.wave is not None]
-    if beating:
-        shown = {t: d.record.wave for t, d in _telling(beating).items() if d.record.wave is not None}
-        drawn.append(compare_wave.figure(shown))
+            drawn.append(_speeds_figure(file))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
-        paths = [_path(t, d, *names) for t, d in _telling(done).items() if set(names) <= d.pairs.keys()]
+        paths = [_path(t, d, *names) for t, d in _select_trials(done).items() if set(names) <= d.pairs.keys()]
         caption = "Path of the reference point."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
 
 
-def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
+def _speeds_figure(file: ComparisonFile) -> ev.Figure:
+    """Return the figure of simulated against measured mean speeds of fitted and of held-out trials."""
+    groups: dict[str, tuple[Any, Any]] = {}
+    for name, role in (("fitted", "fit"), ("held out", "validate")):
+        speeds = np.array([(m, s) for t, m, s in file.mean_speeds if t.role == role], dtype=float)
+        if len(speeds):
+            groups[name] = speeds[:, 0], speeds[:, 1]
+    return _agreement("speeds", "Mean speed of the last beats", groups)
+
+
+def _select_trials(done: Sequence[Compared]) -> dict[str, Compared]:
     """Return the trials to plot, by the title of their panel.
 
     They are the trials with the largest and the smallest error, and the held-out trial with the largest
@@ -656,12 +667,12 @@ def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
 
 def _overlay(done: Sequence[Compared]) -> ev.Figure:
     panels = []
-    for title, d in _telling(done).items():
+    for title, d in _select_trials(done).items():
         joints = [n for n in d.pairs if n.startswith("joint")]
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]
             factor, unit = numbers.in_degrees(p.channel.unit)
-            curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
+            curves = [ev.thin_curve(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
             label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
             traces = ev.pair(*zip(*curves, strict=True))
             panels.append(ev.Panel(x_label="time (s)", y_label=label, traces=traces, title=title))

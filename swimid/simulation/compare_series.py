@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -16,13 +17,12 @@ from swimid.files.yamlio import Number
 from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.fitting.output_error import Series
-from swimid.fitting.steps import Step, choose_step
-from swimid.logs import kinematics
+from swimid.fitting.steps import StepChoice, choose_step
+from swimid.kinematics.cycles import body_velocity, cycle_means, cycle_speeds, last_cycles
 from swimid.notices import warn
-from swimid.simulation import compare_wave
 from swimid.simulation.cases import beat_frequency, drive_block
 from swimid.simulation.catalogue import Applied
-from swimid.swimmer.planar.model import Body
+from swimid.swimmer.planar.model import PlanarBody
 
 Start = Literal["file", "estimated", "neutral"]
 
@@ -50,7 +50,7 @@ class ChannelScore(yamlio.Document):
 class Speed(yamlio.Document):
     """Measured and simulated mean speed of a trial over its last whole beats, m/s.
 
-    See :func:`swimid.logs.kinematics.cycle_speeds`.
+    See :func:`swimid.kinematics.cycles.cycle_speeds`.
     """
 
     measured: float
@@ -58,7 +58,7 @@ class Speed(yamlio.Document):
     beats: int
 
 
-class Cruise(yamlio.Document):
+class CruiseSpeed(yamlio.Document):
     """Steady swimming of the model under the drive of a trial that begins in motion.
 
     The start speed of such a trial is estimated from the trial. The simulated speed is therefore a prediction
@@ -85,9 +85,7 @@ class TrialComparison(yamlio.Document):
     drive: dict[str, Any] = {}
     channels: dict[str, ChannelScore]
     mean_speed: Speed | None = None
-    cruise: Cruise | None = None
-    #: Body wave; null without measured joint angles or without a beat.
-    wave: compare_wave.BodyWave | None = None
+    cruise: CruiseSpeed | None = None
 
 
 class CycleComparison(yamlio.Document):
@@ -144,15 +142,10 @@ class ComparisonFile(yamlio.ResultFile):
         """Trials with a mean speed, each with the measured and the simulated mean speed, m/s."""
         return [(t, t.mean_speed.measured, t.mean_speed.simulated) for t in self.trials if t.mean_speed]
 
-    @property
-    def waves(self) -> dict[str, compare_wave.BodyWave]:
-        """Body wave of each trial that has one, by trial."""
-        return {t.id: t.wave for t in self.trials if t.wave is not None}
-
 
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
-SIDES = compare_wave.SIDES
+SIDES = ("measured", "simulated")
 #: Half-width of the window in which a derivative of the pose is computed: in cycles of the beat, and in s for
 #: a trial without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
@@ -160,7 +153,7 @@ HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
 MIN_DERIVATIVES = 9
 #: Assumed standard deviation of the noise of a channel, as a fraction of the range of the channel. It is used
 #: in the estimate of a start state if the noise is unknown.
-NOISE_SHARE = 0.01
+NOISE_RANGE_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -206,7 +199,7 @@ def compare_trials(
     refit: bool,
     channels: Sequence[str] = (),
     advance: Callable[[], Any] = lambda: None,
-) -> tuple[list[Compared], Step]:
+) -> tuple[list[Compared], StepChoice]:
     """Compare trials with their simulations, whose integration step is small enough for all of them.
 
     The step is chosen before the start states are estimated, and tested with the estimates. See
@@ -215,7 +208,7 @@ def compare_trials(
     Returns
     -------
     list of Compared
-    Step
+    StepChoice
         Model with the chosen step, and its accuracy.
     """
     noise = [applied.noise()] * len(trials)
@@ -256,28 +249,19 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         if level:
             start, start_values = "estimated", level
     simulated = model.run(values, trial)
-    pairs = _logged_pairs(model, trial, simulated)
-    frequency, body, drive = None, model.body, {}
-    if trial.swim.beat is not None:
-        drive = drive_block(trial)
+    pairs = _pair_logged(model, trial, simulated)
+    frequency, body = None, model.body
+    drive = drive_block(trial) if trial.swim.beat is not None else {}
     if model.swimmer is not None and body is not None:
         turning = (body.velocity[2], body.pose[2]) if body.free else ()
         series = [pairs[name].measured for name in turning if name in pairs]
         frequency = beat_frequency(model.swimmer, trial, values, series)
         pairs |= _velocity_pairs(model, body, trial, pairs, frequency)
-    for name in channels:
-        if name not in pairs:
-            hint = suggestion(name, list(pairs))
-            raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
-    pairs = {name: p for name, p in pairs.items() if name in channels or not channels}
+    pairs = _select_pairs(pairs, channels, trial)
     speed = None
     if body is not None and frequency is not None:
-        speed = mean_speed(trial, pairs, body, frequency)
-    along = fit_common.own_axes(
-        {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
-    )
-    own = {n: replace(p, measured=along[0][n], simulated=along[1][n]) for n, p in pairs.items()}
-    geometry = _replaced(model, values, trial.swim.coefficients or {})
+        speed = compute_body_speed(trial, pairs, body, frequency)
+    own = _turn_pairs(pairs)
     placed = fit_common.pose_channels(model)
     record = TrialComparison(
         id=trial.id,
@@ -289,12 +273,28 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
         channels={name: _score([p], frequency, own_motion=name in placed) for name, p in own.items()},
         mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
-        wave=compare_wave.compare(model, geometry, trial, simulated, pairs, frequency),
     )
     return Compared(trial, pairs, own, record, values)
 
 
-def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:
+def _select_pairs(pairs: dict[str, Pair], channels: Sequence[str], trial: Trial) -> dict[str, Pair]:
+    """Return the pairs of the channels to compare; all without a choice."""
+    for name in channels:
+        if name not in pairs:
+            hint = suggestion(name, list(pairs))
+            raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
+    return {name: p for name, p in pairs.items() if name in channels or not channels}
+
+
+def _turn_pairs(pairs: Mapping[str, Pair]) -> dict[str, Pair]:
+    """Return the pairs of a trial with positions along and across its mean heading."""
+    measured, simulated = fit_common.own_axes(
+        {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
+    )
+    return {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
+
+
+def _pair_logged(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:
     """Return measured and simulated values of each logged channel that the model simulates.
 
     Channels that drive the model are left out.
@@ -305,7 +305,7 @@ def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) ->
         If the simulation breaks down.
     """
     logged = {name: v for name, v in trial.inputs.items() if name in simulated} | dict(trial.measured)
-    for channel in model.given(trial):
+    for channel in model.list_input_channels(trial):
         logged.pop(channel, None)
     pairs = {
         c.name: Pair(c, "logged", trial.time_s, logged[c.name], simulated[c.name])
@@ -331,7 +331,7 @@ def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) ->
 
 
 def start_of(
-    applied: Applied, trial: Trial, refit: bool, tolerance: float = output_error.START_TOLERANCE
+    applied: Applied, trial: Trial, refit: bool, tolerance: float = output_error.START_RTOL
 ) -> tuple[Array, Start, dict[str, float]]:
     """Return the parameters of a trial, the origin of its start state, and the estimated start values.
 
@@ -344,18 +344,9 @@ def start_of(
     """
     model = applied.model
     values, owner = applied.values(trial), applied.owner(trial)
-    own = [p for p in model.parameters if p.per_trial]
-    if any(f"{p.name}[{owner}]" in applied.known for p in own):
+    if any(f"{p.name}[{owner}]" in applied.known for p in model.parameters if p.per_trial):
         return values, "file", {}
-    estimated = applied.fitted_per_trial()
-    coefficients = model.swimmer.coefficients if model.swimmer is not None else []
-    names = {
-        p.name
-        for p in own
-        if (p.free or p.name in estimated)
-        and (p.name.startswith(START_PARAMETERS) or p.name in coefficients)
-        and p.name not in applied.chosen
-    }
+    names = _name_start_parameters(applied)
     if not refit or not names:
         return values, "neutral", {}
     sd = _noise(applied, trial)
@@ -365,22 +356,29 @@ def start_of(
         first = [{"drive_phase": k * math.pi / 2} for k in range(4)]
     tried = []
     for start in first:
-        at = zip(model.parameters, _replaced(model, values, start), strict=True)
+        at = zip(model.parameters, _replace_values(model, values, start), strict=True)
         held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
-        try:
+        with suppress(NoTrustworthyResult, np.linalg.LinAlgError):
             labelled = output_error.estimate_start(model, held, trial, sd, tolerance=tolerance)
-        except (NoTrustworthyResult, np.linalg.LinAlgError):
-            continue
-        found = {label.split("[")[0]: v for label, v in labelled.items()}
-        tried.append((_cost(model, _replaced(model, values, found), trial, sd), found))
+            found = {label.split("[")[0]: v for label, v in labelled.items()}
+            tried.append((_cost(model, _replace_values(model, values, found), trial, sd), found))
     cost, best = min(tried, key=lambda one: one[0], default=(math.inf, {}))
     if not math.isfinite(cost) or not np.isfinite(list(best.values())).all():
         warn("SWM056", f"{trial.id}: the start state could not be estimated; it is taken as at rest")
         return values, "neutral", {}
-    return _replaced(model, values, best), "estimated", best
+    return _replace_values(model, values, best), "estimated", best
 
 
-def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
+def _name_start_parameters(applied: Applied) -> set[str]:
+    """Return the names of the per-trial parameters that are estimated from a trial alone."""
+    model, estimated = applied.model, applied.list_per_trial()
+    coefficients = model.swimmer.coefficients if model.swimmer is not None else []
+    own = [p for p in model.parameters if p.per_trial and (p.free or p.name in estimated)]
+    names = {p.name for p in own if p.name.startswith(START_PARAMETERS) or p.name in coefficients}
+    return names - set(applied.chosen)
+
+
+def _replace_values(model: Model, values: Array, start: Mapping[str, float]) -> Array:
     """Return a copy of the parameter vector with the given start values."""
     values = values.copy()
     for name, value in start.items():
@@ -404,7 +402,7 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     """Return the standard deviation of the noise of the channels from which a start state is estimated.
 
     These are the channels that the parameters were fitted to. Without such channels, these are all measured
-    channels, each with a noise of :data:`NOISE_SHARE` times its range.
+    channels, each with a noise of :data:`NOISE_RANGE_SHARE` times its range.
     """
     known = applied.noise()
     noise = {name: known[name] for name in trial.measured if name in known}
@@ -419,19 +417,19 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
         finite = values[np.isfinite(values)]
         noise[name] = 1.0
         if len(finite) and np.ptp(finite) > 0:
-            noise[name] = NOISE_SHARE * float(np.ptp(finite))
+            noise[name] = NOISE_RANGE_SHARE * float(np.ptp(finite))
     return noise
 
 
 def _velocity_pairs(
-    model: Model, body: Body, trial: Trial, pairs: Mapping[str, Pair], frequency_hz: float | None
+    model: Model, body: PlanarBody, trial: Trial, pairs: Mapping[str, Pair], frequency_hz: float | None
 ) -> dict[str, Pair]:
     """Return measured and simulated surge, sway and turning rate from the pose, if they are not logged."""
     if not body.free or not all(name in pairs for name in body.pose):
         return {}
     half = HALF_WIDTH_BEATS / frequency_hz if frequency_hz else HALF_WIDTH_S
     measured, simulated = (
-        kinematics.body_velocity(trial.time_s, [getattr(pairs[name], side) for name in body.pose], half)
+        body_velocity(trial.time_s, [getattr(pairs[name], side) for name in body.pose], half)
         for side in ("measured", "simulated")
     )
     channels = {c.name: c for c in model.channels}
@@ -476,10 +474,10 @@ def pool(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
     return {name: _score(pairs, own_motion=name in pose) for name, pairs in parts.items() if pairs}
 
 
-def mean_speed(
+def compute_body_speed(
     trial: Trial,
     pairs: Mapping[str, Pair],
-    body: Body,
+    body: PlanarBody,
     frequency_hz: float,
     between_s: tuple[float, float] = (-math.inf, math.inf),
 ) -> Speed | None:
@@ -509,19 +507,19 @@ def mean_speed(
     begin = float(time[0])
     if beat is not None:
         begin = max(begin, beat.ramp_s)
-    window = kinematics.last_cycles(begin, float(time[-1]), frequency_hz)
+    window = last_cycles(begin, float(time[-1]), frequency_hz)
     if window is None:
         return None
     speeds = {}
     for side, rows in series.items():
-        each = kinematics.cycle_means(time, rows[0][known], window.edges_s)
+        each = cycle_means(time, rows[0][known], window.edges_s)
         if has_path:
-            each = kinematics.cycle_speeds(time, rows[:2, known], window, *rows[2:, known])
+            each = cycle_speeds(time, rows[:2, known], window, *rows[2:, known])
         speeds[side] = float(each.mean())
     return Speed(**speeds, beats=window.cycles)
 
 
-def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, Pair]) -> Cruise | None:
+def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, Pair]) -> CruiseSpeed | None:
     """Return the steady speed of the model for a trial with a start speed; None for other trials."""
     model = applied.model
     swimmer, body, drive = model.swimmer, model.body, trial.swim.drive
@@ -533,8 +531,8 @@ def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, P
         return None
     middle = 0.5 * float(trial.time_s[0] + trial.time_s[-1])
     parts = ((-math.inf, middle), (middle, math.inf))
-    early, late = (mean_speed(trial, pairs, body, drive.frequency_hz, part) for part in parts)
+    early, late = (compute_body_speed(trial, pairs, body, drive.frequency_hz, part) for part in parts)
     steady = False
     if early is not None and late is not None:
         steady = abs(late.measured - early.measured) <= fit_common.GOOD_SPEED * abs(late.measured)
-    return Cruise(settled=settled.speed_m_s, steady=steady)
+    return CruiseSpeed(settled=settled.speed_m_s, steady=steady)

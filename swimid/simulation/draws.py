@@ -13,7 +13,7 @@ from swimid.simulation.catalogue import Applied, is_possible
 BLOCK, MAX_DRAWS = 50_000, 5_000_000
 
 
-def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
+def draw_parameters(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
     """Draw random parameter vectors from the covariance of the coefficients.
 
     The normal distribution is truncated at the bounds of each coefficient, and at physically impossible

@@ -11,12 +11,12 @@ from swimid.options import Options, Source, option
 from swimid.swimmer import options as swimmers
 
 
-def robot(help: str = "Accept the parameters for this robot.") -> Any:
+def other_robot(help: str = "Accept the parameters for this robot.") -> Any:
     """Return the option ``--robot``, which names a robot other than that of the parameter file."""
     return option(None, metavar="NAME|FILE", help=help, recorded=False)
 
 
-def chosen(help: str = "Use this value of a parameter. Repeatable.") -> Any:
+def parameter_values(help: str = "Use this value of a parameter. Repeatable.") -> Any:
     """Return the option ``--set``, whose parameter values replace those of the parameter file."""
     return option({}, flag="--set", metavar="NAME=VALUE", help=help, recorded="set")
 
@@ -27,13 +27,7 @@ def own_effects() -> Any:
     return option((), flag="--effect", metavar="FILE", help=help, recorded=False)
 
 
-class CompareOptions(
-    Options,
-    command="compare",
-    section="Simulate and compare",
-    makes="comparison",
-    metrics=("channels.*.nrmse",),
-):
+class CompareOptions(Options, makes="comparison", metrics=("channels.*.nrmse",)):
     """Compare recorded trials with their simulation.
 
     TRIALS is a trials file of any experiment that the model of the parameter file describes. The result has
@@ -47,7 +41,7 @@ class CompareOptions(
     """
 
     params: Source = option(help="Parameter file, of any model.", recorded=False)
-    robot: str | None = robot()
+    robot: str | None = other_robot()
     channels: tuple[str, ...] = option((), separated=True, metavar="A,B", help="Compare these columns only.")
     refit_start: bool = option(
         True,
@@ -55,7 +49,7 @@ class CompareOptions(
         help="Estimate the start state of trials the parameter file does not know.",
     )
     start_state: swimmers.SwimStart = swimmers.start_state()
-    chosen: Mapping[str, float] = chosen()
+    chosen: Mapping[str, float] = parameter_values()
     own_effects: tuple[Path, ...] = own_effects()
     own_experiments: tuple[Path, ...] = fits.own_experiments()
     readings: Mapping[str, str] = swimmers.readings()
@@ -66,7 +60,7 @@ class DriveOptions(Options):
     """Options of every command that simulates a robot with links under a drive."""
 
     params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
-    robot: str | None = robot("Robot; without --params the values of its file are used.")
+    robot: str | None = other_robot("Robot; without --params the values of its file are used.")
     frequency_hz: float | None = option(None, gt=0, help="Beat frequency.")
     amplitude_deg: float | None = option(None, ge=0, help="Beat amplitude (T-Fish: of the whole tail).")
     waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Waveform of the beat.")
@@ -76,20 +70,14 @@ class DriveOptions(Options):
     ramp_s: float = option(1.0, ge=0, help="Time in which the beat grows to its amplitude.")
     stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
     scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke.")
-    chosen: Mapping[str, float] = chosen("Hold a parameter at this value. Repeatable.")
+    chosen: Mapping[str, float] = parameter_values("Hold a parameter at this value. Repeatable.")
     own_effects: tuple[Path, ...] = own_effects()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()
 
 
 class SimulateOptions(
-    DriveOptions,
-    command="simulate",
-    section="Simulate and compare",
-    argument="",
-    output="Log to write (.csv or .parquet).",
-    beside=(),
-    makes="log",
+    DriveOptions, argument="", output="Log to write (.csv or .parquet).", beside=(), makes="log"
 ):
     """Simulate any robot from any parameter file.
 

@@ -14,21 +14,21 @@ import numpy as np
 
 import swimid
 from swimid.errors import Named, NoTrustworthyResult, UsageError
-from swimid.files import atomic, tabular, yamlio
+from swimid.files import atomic, yamlio
 from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting import fit_common, steps
 from swimid.fitting.model import Array
+from swimid.kinematics.cycles import CYCLE_QUANTITIES, UNSTEADY
 from swimid.logs import log as log_format
-from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import remove_outdated
-from swimid.results.result import Result
+from swimid.results.result import LOG_ENDINGS, Result
 from swimid.simulation import cases
-from swimid.simulation.cases import Case, value_text
+from swimid.simulation.cases import Case, format_quantity
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import SimulateOptions
 
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-#: File name endings of the logs that ``simulate`` can write.
-LOG_ENDINGS = (".csv", *tabular.PARQUET)
 #: Frame rate of a film, Hz, and width of a frame for each file ending, px.
 FILM_RATE_HZ, FILM_PX = 25.0, {".mp4": 960, ".gif": 560}
 #: Width of the view of a film, and drawn width of a link, both in body lengths.
@@ -99,7 +97,7 @@ def simulate_case(case: Case) -> Simulated:
 
 def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
     """Raise an error if a simulation breaks down before its inputs end."""
-    if not steps.is_broken(case.trial, simulated):
+    if not steps.is_broken_down(case.trial, simulated):
         return
     lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
     whole = np.flatnonzero(~lost)
@@ -177,7 +175,6 @@ class Simulation(Result):
 
     ending = ".csv"
     next_step = "swimid plot {file} -o {free[log.svg]}"
-    keys = {"model": str, "robot": str, "runs": list[dict[str, Any]]}
 
     @property
     def runs(self) -> dict[str, Simulated]:
@@ -235,7 +232,7 @@ class Simulation(Result):
         for place in targets:
             if place.parent.is_dir():
                 atomic.check_writable(place, inputs=self.inputs)
-        with atomic.together():
+        with atomic.write_together():
             if targets != [output]:
                 atomic.make_folder(output)
             for place, one in zip(targets, self.document, strict=True):
@@ -294,20 +291,6 @@ def simulate(
     NoTrustworthyResult
         If the simulation breaks down.
 
-    References
-    ----------
-    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
-       Eqs 1 to 7: the model in the horizontal plane; Eq 10: the asymmetric oscillator.
-    .. [2] D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu, "Performance Optimization for Bionic Robotic
-       Dolphin with Active Variable Stiffness Control".
-       Eqs 3 to 9: the model in the vertical plane.
-    .. [3] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
-       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
-       Eqs 3 to 10 and 25 to 27: rig and cruise.
-    .. [4] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic underwater
-       vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159.
-       Eqs 4 to 7: the discrete-time model.
-
     Examples
     --------
     Pull the boxfish, with the drag of its drops, by 20 g:
@@ -321,14 +304,7 @@ def simulate(
     >>> round(terminal.value, 2), terminal.unit
     (0.26, 'm/s')
     """
-    inputs: Sequence[Input] = ()
-    if options.trials is None:
-        if options.trial is not None:
-            raise UsageError("--trial belongs to --trials")
-        asked = [cases.case_of_options(options)]
-    else:
-        _refuse_run_options(options)
-        asked, inputs = cases.cases_of_trials(options)
+    asked, inputs = _list_cases(options)
     targets = places(output, [case.id for case in asked])
     if options.animate is not None:
         _refuse_film(asked, options.animate)
@@ -346,19 +322,29 @@ def simulate(
         done[0].case.applied.warn_without_error("the uncertainties given here")
     notes: list[str] = []
     films = [path for path in [options.animate] if path is not None]
-    with atomic.together():
+    with atomic.write_together():
         for film in films:
             notes = _write_film(film, done[0], progress)
         evidence = _evidence(done, options, notes)
         made = Simulation("simulate", "", _data(done, options), (), evidence, done, inputs)
         if output is not None:
-            made = made.save(output)
+            made = made.write_output(output)
     return replace(made, outputs=[*made.outputs, *films])
+
+
+def _list_cases(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
+    """Return the simulations that the options ask for, and the files of their trials."""
+    if options.trials is not None:
+        _refuse_run_options(options)
+        return cases.cases_of_trials(options)
+    if options.trial is not None:
+        raise UsageError("--trial belongs to --trials")
+    return [cases.case_of_options(options)], ()
 
 
 def _refuse_run_options(options: SimulateOptions) -> None:
     """Refuse options that describe a drive together with recorded trials, which have their own drives."""
-    for name, entry in options.declared().items():
+    for name, entry in options.declarations().items():
         if name not in WITH_TRIALS and getattr(options, name) != entry.default:
             raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
 
@@ -431,7 +417,7 @@ def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
 
     times = np.arange(time_s[0], time_s[-1] + 1e-9, 1.0 / FILM_RATE_HZ)
     check_length(path, len(times), width, height)
-    with atomic.replacing(path) as temporary, progress("animation", total=len(times)) as step:
+    with atomic.replace_file(path) as temporary, progress("animation", total=len(times)) as step:
         writer = open_writer(temporary, FILM_RATE_HZ, width, height)
         try:
             for time in times:
@@ -450,42 +436,46 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
 
     It has the quantities, and the checks of the integration step and of steady swimming.
     """
-    first, path = done[0], cases.place(options)
+    first, path = done[0], cases.describe_point(options)
     facts = {"Parameters": "values of the robot file", "Runs": str(len(done))}
     if path is not None:
         facts["Parameters"] = path.name
     robot = first.case.metadata["robot"]
+    quantities = _quantity_table(done)
+    answer = f"{robot} was simulated in {len(done)} runs."
     if len(done) == 1:
         drive = first.case.metadata.get("drive", {})
         if drive:
             facts["Drive"] = ", ".join(cases.setting_text(*item) for item in drive.items() if item[1])
         if not first.case.applied.model.timed_runs:
-            facts["Duration"] = numbers.number(float(np.ptp(first.case.trial.time_s)), unit="s")
-        columns = ["quantity", "value"]
-        rows: list[list[Any]] = [list(row) for row in _texts(first).items()]
-        answer = f"{robot}: {' '.join(rows[0])}."
-    else:
-        kept: Sequence[str] = TABLE_QUANTITIES
-        if first.case.applied.model.in_space:
-            kept = CYCLE_QUANTITIES
-        shown = {d.case.id: _texts(d, kept) for d in done}
-        names = list(dict.fromkeys(name for row in shown.values() for name in row))
-        columns = ["run", *names]
-        rows = [[run, *(row.get(name, "") for name in names)] for run, row in shown.items()]
-        answer = f"{robot} was simulated in {len(done)} runs."
-    quantities = ev.Table(id="quantities", title="Quantities", columns=columns, rows=rows)
+            facts["Duration"] = numbers.format_number(float(np.ptp(first.case.trial.time_s)), unit="s")
+        answer = f"{robot}: {' '.join(map(str, quantities.rows[0]))}."
     checks = fit_common.step_check([d.case.id for d in done], [d.step for d in done]) + _steady_check(done)
     if first.quantities and not first.case.applied.uncertain()[0]:
         notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
     return ev.Evidence(
         command="simulate",
         title=f"Simulation of {robot}",
-        verdict=ev.judged(answer, checks),
+        verdict=ev.make_verdict(answer, checks),
         facts=facts,
         checks=checks,
         tables=[quantities],
         notes=notes,
     )
+
+
+def _quantity_table(done: Sequence[Simulated]) -> ev.Table:
+    """Return the quantities of a simulation by name, or those of several simulations by run."""
+    if len(done) == 1:
+        rows: list[list[Any]] = [list(row) for row in _texts(done[0]).items()]
+        return ev.Table(id="quantities", title="Quantities", columns=["quantity", "value"], rows=rows)
+    kept: Sequence[str] = TABLE_QUANTITIES
+    if done[0].case.applied.model.in_space:
+        kept = CYCLE_QUANTITIES
+    shown = {d.case.id: _texts(d, kept) for d in done}
+    names = list(dict.fromkeys(name for row in shown.values() for name in row))
+    rows = [[run, *(row.get(name, "") for name in names)] for run, row in shown.items()]
+    return ev.Table(id="quantities", title="Quantities", columns=["run", *names], rows=rows)
 
 
 def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
@@ -495,7 +485,7 @@ def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
         return []
     value = numbers.percent(change.value / speed.value, 2)
     reason = f"the speed still changes by {value} a beat, so the run is not yet steady"
-    return [ev.check("steady", value, False, f"≤ {numbers.percent(UNSTEADY)} a beat", reason=reason)]
+    return [ev.make_check("steady", value, False, f"≤ {numbers.percent(UNSTEADY)} a beat", reason=reason)]
 
 
 def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
@@ -515,13 +505,13 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
         label = f"{numbers.split_unit(name)[0].replace('_', ' ')}{tail}"
         if name == "mean_speed_BL_s":
             label = "mean speed in body lengths"
-        texts[label] = value_text(quantity.value, quantity.unit, quantity.stderr, digits=4)
+        texts[label] = format_quantity(quantity.value, quantity.unit, quantity.stderr, digits=4)
     return texts
 
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
     """Return the result of ``simulate`` as data for ``--json``."""
-    case, place = done[0].case, cases.place(options)
+    case, place = done[0].case, cases.describe_point(options)
     return {
         "model": case.applied.model.name,
         "robot": case.metadata["robot"],

@@ -21,7 +21,7 @@ from swimid.fitting.model import Array, Hooks, Model, Parameter, Request, Scales
 from swimid.simulators.model import SimulatorModel
 
 #: Number of simulations that are in memory at once.
-BATCH = 32
+MAX_BATCH = 32
 #: Number of samples from which the initial velocity of a trial is estimated.
 FIRST_SAMPLES = 8
 #: Slope of a channel over its first samples, in standard errors, above which a trial begins in motion.
@@ -36,7 +36,7 @@ BALL = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
 @dataclass(frozen=True)
-class Place:
+class ArrayEntries:
     """Entries of an array of a compiled model that an attribute of the file sets.
 
     Attributes
@@ -69,7 +69,7 @@ class Attribute:
     """
 
     path: str
-    places: tuple[Place, ...]
+    places: tuple[ArrayEntries, ...]
     unit: str
     inertia_of: int | None = None
 
@@ -119,7 +119,7 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, int | None, str]]] = {
     },
 }
 #: Attributes of joints: array by joint, by degree of freedom or by coordinate.
-JOINT = {
+JOINT_ARRAYS = {
     "stiffness": "jnt_stiffness",
     "damping": "dof_damping",
     "armature": "dof_armature",
@@ -128,7 +128,7 @@ JOINT = {
 }
 
 
-class Output(NamedTuple):
+class SensorOutput(NamedTuple):
     """Output of a model of MuJoCo: entries of the sensor data, and their meaning.
 
     Attributes
@@ -295,7 +295,7 @@ class MjcfModel(SimulatorModel):
             entries = np.ravel(base_array(self.compiled, first.field)[first.index])
             start = float(entries[0]) / first.factor
             self.attributes.append(attribute)
-            made.append(entry.made(name, start=start, unit=attribute.unit, source=attribute.path))
+            made.append(entry.to_parameter(name, start=start, unit=attribute.unit, source=attribute.path))
         self.actuators = [self._element("actuator", name) for name in inputs]
         self._key = -1 if keyframe is None else self._element("key", keyframe)
         data = module.MjData(self.compiled)
@@ -329,9 +329,9 @@ class MjcfModel(SimulatorModel):
         return _Scales(self, trials)
 
     @property
-    def together(self) -> int:
+    def batch_size(self) -> int:
         """Number of simulations in a batch."""
-        return BATCH
+        return MAX_BATCH
 
     def at_step(self, step_s: float) -> MjcfModel:
         """Return the model with another time step."""
@@ -339,31 +339,31 @@ class MjcfModel(SimulatorModel):
         other.step_s = step_s
         return other
 
-    def refined(self) -> Model | None:
+    def refine(self) -> Model | None:
         """Return None, because the time step is part of the user's model."""
         return None
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate a trial (see :meth:`Model.hooked`)."""
-        return self.hooked_many([(values, trial, hooks)])[0]
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate a trial (see :meth:`Model.simulate_hooked`)."""
+        return self.simulate_many([(values, trial, hooks)])[0]
 
-    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
-        """Simulate several trials in batches (see :meth:`Model.hooked_many`)."""
+    def simulate_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
+        """Simulate several trials in batches (see :meth:`Model.simulate_many`)."""
         groups: dict[int, list[int]] = {}
         for k, (_, trial, hooks) in enumerate(runs):
             groups.setdefault(self._steps(trial, hooks), []).append(k)
         found: dict[int, dict[str, Array]] = {}
         for steps, members in groups.items():
-            for first in range(0, len(members), BATCH):
-                part = members[first : first + BATCH]
-                found |= dict(zip(part, self._simulated([runs[k] for k in part], steps), strict=True))
+            for first in range(0, len(members), MAX_BATCH):
+                part = members[first : first + MAX_BATCH]
+                found |= dict(zip(part, self._simulate_batch([runs[k] for k in part], steps), strict=True))
         return [found[k] for k in range(len(runs))]
 
     # -------------------------------------------------------- simulation
 
     def _steps(self, trial: Trial, hooks: Hooks) -> int:
         """Return the number of steps of a trial. A log that is late needs more of them."""
-        last = max(float(trial.time_s[-1]), float(np.max(hooks.happened(trial.time_s[-1:]))))
+        last = max(float(trial.time_s[-1]), float(np.max(hooks.compute_event_times(trial.time_s[-1:]))))
         return math.ceil((last - float(trial.time_s[0])) / self.step_s - 1e-9) + 1
 
     def fields(self, values: Array, hooks: Hooks) -> Fields:
@@ -375,10 +375,10 @@ class MjcfModel(SimulatorModel):
                 found["body_inertia"][attribute.inertia_of] *= ratio
             for place in attribute.places:
                 found[place.field][place.index] = place.factor * value
-        hooks.changed(found, "tables")
+        hooks.change_values(found, "tables")
         return found
 
-    def _simulated(self, runs: Sequence[Request], steps: int) -> list[dict[str, Array]]:
+    def _simulate_batch(self, runs: Sequence[Request], steps: int) -> list[dict[str, Array]]:
         """Simulate runs with the same number of steps as one batch."""
         module = mujoco()
         batch = module.batch.Batch(self.compiled, len(runs), nthread=_threads())
@@ -400,12 +400,12 @@ class MjcfModel(SimulatorModel):
             times: Array = float(trial.time_s[0]) + self.step_s * np.arange(float(steps))
             for number, (actuator, column) in enumerate(zip(self.actuators, self.columns, strict=True)):
                 told: Array = np.array(np.interp(times, trial.time_s, trial.inputs[column]))
-                control[k, :, actuator] = hooks.actuated(times, told, number)
+                control[k, :, actuator] = hooks.actuate(times, told, number)
         batch.forward(stage=0)
         clock = int(module.mjtState.mjSTATE_TIME)
         record = batch.rollout(steps, control, record=("sensordata", clock))
         return [
-            self._seen(record["sensordata"][k], record[clock][k, :, 0], trial, hooks)
+            self._read_outputs(record["sensordata"][k], record[clock][k, :, 0], trial, hooks)
             for k, (_, trial, hooks) in enumerate(runs)
         ]
 
@@ -421,7 +421,7 @@ class MjcfModel(SimulatorModel):
             mujoco().mj_integratePos(self.compiled, place, np.ascontiguousarray(offset), 1.0)
         return place, self._rest[1] + rate
 
-    def _seen(self, data: Array, time: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+    def _read_outputs(self, data: Array, time: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the outputs at the samples of a trial from the sensor data of each step.
 
         The data of a step belong to the state before it.
@@ -430,7 +430,7 @@ class MjcfModel(SimulatorModel):
         grid = begin + self.step_s * np.arange(len(data))
         # a simulation that breaks down stops, and its clock with it
         stopped = np.append(np.diff(time) <= 0.5 * self.step_s, False) | ~np.isfinite(data).all(axis=-1)
-        at = np.clip(hooks.happened(trial.time_s), grid[0], grid[-1])
+        at = np.clip(hooks.compute_event_times(trial.time_s), grid[0], grid[-1])
         found = {}
         for channel, output in self.outputs.items():
             series = output.of(data)
@@ -439,11 +439,11 @@ class MjcfModel(SimulatorModel):
             if stopped.any():
                 series = np.where(np.logical_or.accumulate(stopped), np.nan, series)
             found[channel] = np.interp(at, grid, series)
-        return hooks.seen(found, trial.time_s) if hooks.output else found
+        return hooks.sense(found, trial.time_s) if hooks.output else found
 
     # -------------------------------------------------------- start of a trial
 
-    def started(self, trial: Trial, state: str = "auto") -> Trial:
+    def set_start(self, trial: Trial, state: str = "auto") -> Trial:
         """Return a trial with the start offsets and initial velocities that its log shows.
 
         Parameters
@@ -457,46 +457,53 @@ class MjcfModel(SimulatorModel):
         With the offsets the outputs have their first measured values. Offsets that no measured output shows
         are held at zero.
         """
-        module = mujoco()
-        data = module.MjData(self.compiled)
-        shown = {c: o for c, o in self.outputs.items() if o.place and c in trial.measured}
-        first = {c: _first(trial.time_s, trial.measured[c]) for c in shown}
-        shown = {c: o for c, o in shown.items() if first[c] is not None}
-        known = [begin for begin in first.values() if begin is not None]
+        first = {c: _first(trial.time_s, trial.measured[c]) for c in self.outputs if c in trial.measured}
+        shown = {c: v for c, v in first.items() if v is not None and self.outputs[c].place}
         names = [p.name for p in self.parameters[len(self.attributes) :]]
-        if not known:
+        if not shown:
             return replace(trial, held=tuple(names))
-        rest, count = self._rest[0], len(self.dofs)
-
-        def outputs(offset: Array) -> Array:
-            data.qpos[:] = rest
-            module.mj_integratePos(self.compiled, data.qpos, offset, 1.0)
-            module.mj_forward(self.compiled, data)
-            return np.array([o.of(data.sensordata) for o in shown.values()])
-
-        def slopes(offset: Array) -> Array:
-            size = 1e-5
-            moved = [outputs(offset + size * row) - outputs(offset - size * row) for row in np.eye(count)]
-            return np.array(moved).T / (2.0 * size)
-
-        turning = np.array([o.turns for o in shown.values()])
-        target, offset = np.array([value for value, _, _ in known]), np.zeros(count)
-        chosen = _independent(slopes(offset))
-        for _ in range(6):
-            missing = target - outputs(offset)
-            missing[turning] = np.angle(np.exp(1j * missing[turning]))
-            offset[chosen] += np.linalg.lstsq(slopes(offset)[:, chosen], missing, rcond=NO_EFFECT)[0]
-        at = slopes(offset)
-        rates = np.array([slope for _, slope, _ in known])
-        errors = np.array([error for _, _, error in known])
-        moving = state == "estimate" or (state == "auto" and bool(np.any(np.abs(rates) > MOVES * errors)))
+        target, rates, errors = np.array(list(shown.values())).T
+        pose = _StartPose(self, [self.outputs[channel] for channel in shown])
+        chosen = _independent(pose.slopes(np.zeros(len(self.dofs))))
+        offset = pose.solve(target, chosen)
         starts = {f"start_{self.dofs[k]}": float(offset[k]) for k in chosen}
-        free = {f"start_{self.dofs[k]}" for k in chosen}
-        if moving:
-            speed = np.linalg.lstsq(at[:, chosen], rates, rcond=None)[0]
+        moves = bool(np.any(np.abs(rates) > MOVES * errors))
+        if {"rest": False, "estimate": True}.get(state, moves):
+            speed = np.linalg.lstsq(pose.slopes(offset)[:, chosen], rates, rcond=None)[0]
             starts |= {f"initial_{self.dofs[k]}_s": float(v) for k, v in zip(chosen, speed, strict=True)}
-            free |= {f"initial_{self.dofs[k]}_s" for k in chosen}
-        return replace(trial, starts=starts, held=tuple(name for name in names if name not in free))
+        return replace(trial, starts=starts, held=tuple(name for name in names if name not in starts))
+
+
+class _StartPose:
+    """Outputs of a model at rest as functions of the start offsets of its degrees of freedom."""
+
+    def __init__(self, model: MjcfModel, outputs: Sequence[SensorOutput]) -> None:
+        self._compiled, self._rest, self._outputs = model.compiled, model._rest[0], outputs
+        self._data, self._count = mujoco().MjData(model.compiled), len(model.dofs)
+
+    def outputs(self, offset: Array) -> Array:
+        """Return the outputs at an offset."""
+        self._data.qpos[:] = self._rest
+        mujoco().mj_integratePos(self._compiled, self._data.qpos, offset, 1.0)
+        mujoco().mj_forward(self._compiled, self._data)
+        return np.array([output.of(self._data.sensordata) for output in self._outputs])
+
+    def slopes(self, offset: Array) -> Array:
+        """Return the derivatives of the outputs with respect to the offset, shape (outputs, offsets)."""
+        size = 1e-5
+        rows = size * np.eye(self._count)
+        moved = [self.outputs(offset + row) - self.outputs(offset - row) for row in rows]
+        return np.array(moved).T / (2.0 * size)
+
+    def solve(self, target: Array, chosen: NDArray[np.intp]) -> Array:
+        """Return the offset with which the outputs have given values; only chosen elements differ from 0."""
+        turning, offset = np.array([output.turns for output in self._outputs]), np.zeros(self._count)
+        for _ in range(6):
+            missing = target - self.outputs(offset)
+            missing[turning] = np.angle(np.exp(1j * missing[turning]))
+            slopes = self.slopes(offset)[:, chosen]
+            offset[chosen] += np.linalg.lstsq(slopes, missing, rcond=NO_EFFECT)[0]
+        return offset
 
 
 class _Scales(Scales):
@@ -581,45 +588,49 @@ def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool
     InputError
         If the file has no such element, or the attribute cannot be a parameter.
     """
-    module = mujoco()
     parts = place.split("/")
     kind, name, word = parts[0], "/".join(parts[1:-1]), parts[-1]
     bracket = re.fullmatch(r"(\w+)\[(\d)\]", word)
     key, part = (bracket[1], int(bracket[2])) if bracket else (word, None)
-    table = {**dict.fromkeys(JOINT), "kp": None, "kv": None} if kind in ("joint", "actuator") else {}
-    table |= ATTRIBUTES.get(kind, {})
     if kind not in (*ATTRIBUTES, "joint"):
-        raise InputError(
-            f"'{place}' names no kind of element", file=path, hint=suggestion(kind, [*ATTRIBUTES, "joint"])
-        )
-    if key not in table or (kind == "joint" and key not in JOINT):
+        hint = suggestion(kind, [*ATTRIBUTES, "joint"])
+        raise InputError(f"'{place}' names no kind of element", file=path, hint=hint)
+    allowed = list(JOINT_ARRAYS if kind == "joint" else ATTRIBUTES[kind])
+    if kind == "actuator":
+        allowed = ["kp", "kv", *allowed]
+    if key not in allowed:
         text = f"'{key}' of {place} cannot be a parameter"
-        raise InputError(text, file=path, hint=suggestion(key, [*(JOINT if kind == "joint" else table)]))
+        raise InputError(text, file=path, hint=suggestion(key, allowed))
     if kind == "option":
         field, column, unit = ATTRIBUTES[kind][key]
-        return Attribute(place, (Place(field, (_component(column, part, place, path) or 0,)),), unit)
+        return Attribute(place, (ArrayEntries(field, (_component(column, part, place, path) or 0,)),), unit)
     number = find_element(compiled, kind, name, path)
     if kind == "joint":
-        angular = compiled.jnt_type[number] != module.mjtJoint.mjJNT_SLIDE
-        at: Any = number
-        if JOINT[key].startswith("dof"):
-            begin = int(compiled.jnt_dofadr[number])
-            wide = {0: 6, 1: 3}.get(int(compiled.jnt_type[number]), 1)
-            at = slice(begin, begin + wide) if part is None and wide > 1 else begin + (part or 0)
-        elif key == "springref":
-            at = int(compiled.jnt_qposadr[number])
-        return Attribute(place, (Place(JOINT[key], (at,)),), UNITS[key][int(angular)])
+        return _joint_attribute(compiled, number, place, key, part)
     if key == "kp":
         return Attribute(place, _servo(compiled, number, place, path), "1")
     if key == "kv":
-        return Attribute(place, (Place("actuator_biasprm", (number, 2), -1.0),), "1")
+        return Attribute(place, (ArrayEntries("actuator_biasprm", (number, 2), -1.0),), "1")
     field, column, unit = ATTRIBUTES[kind][key]
     entry = _component(column, part, place, path)
     index: tuple[Any, ...] = (number,) if entry is None else (number, entry)
     if key == "timeconst":
         index = (number, 0)
     inertia = number if (kind, key) == ("body", "mass") and scale_inertia else None
-    return Attribute(place, (Place(field, index),), unit, inertia)
+    return Attribute(place, (ArrayEntries(field, index),), unit, inertia)
+
+
+def _joint_attribute(compiled: Any, number: int, place: str, key: str, part: int | None) -> Attribute:
+    """Return an attribute of a joint, for its component ``part`` or for all its degrees of freedom."""
+    angular = compiled.jnt_type[number] != SLIDE
+    at: Any = number
+    if JOINT_ARRAYS[key].startswith("dof"):
+        begin = int(compiled.jnt_dofadr[number])
+        wide = {0: 6, 1: 3}.get(int(compiled.jnt_type[number]), 1)
+        at = slice(begin, begin + wide) if part is None and wide > 1 else begin + (part or 0)
+    elif key == "springref":
+        at = int(compiled.jnt_qposadr[number])
+    return Attribute(place, (ArrayEntries(JOINT_ARRAYS[key], (at,)),), UNITS[key][int(angular)])
 
 
 def _component(column: int | None, part: int | None, place: str, path: Path) -> int | None:
@@ -633,12 +644,12 @@ def _component(column: int | None, part: int | None, place: str, path: Path) -> 
     return column + part
 
 
-def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[Place, ...]:
+def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[ArrayEntries, ...]:
     """Return the entries of the gain of a position servo."""
     gain, bias = compiled.actuator_gainprm[number, 0], compiled.actuator_biasprm[number, 1]
     if not gain or bias != -gain:
         raise InputError(f"'{place}': the actuator is no position servo", file=path, hint="use gainprm[0]")
-    return Place("actuator_gainprm", (number, 0)), Place("actuator_biasprm", (number, 1), -1.0)
+    return ArrayEntries("actuator_gainprm", (number, 0)), ArrayEntries("actuator_biasprm", (number, 1), -1.0)
 
 
 def base_joints(compiled: Any) -> list[int]:
@@ -718,11 +729,11 @@ def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
     return own, component, component != "rate"
 
 
-def _output(compiled: Any, sensor: str, component: str, place: bool) -> Output:
+def _output(compiled: Any, sensor: str, component: str, place: bool) -> SensorOutput:
     """Return the output of a sensor of a compiled model."""
     module = mujoco()
     number = module.mj_name2id(compiled, module.mjtObj.mjOBJ_SENSOR, sensor)
     first, count = int(compiled.sensor_adr[number]), int(compiled.sensor_dim[number])
     if component.isdigit():
-        return Output(first + int(component), 1, "value", place)
-    return Output(first, count, component, place)
+        return SensorOutput(first + int(component), 1, "value", place)
+    return SensorOutput(first, count, component, place)

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Input
-from swimid.fitting.fit_common import TRIALS_FILE, Experiment, read_log
+from swimid.fitting.fit_common import TRIALS_FILE, Experiment, read_trial_log
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial
 from swimid.logs import log as log_format
 from swimid.logs.experiments import Trials
@@ -53,7 +53,9 @@ class SimulatorParameter(yamlio.Document):
             raise ValueError(f"the start {self.start:g} lies outside the bounds {list(self.bounds)}")
         return self
 
-    def made(self, name: str, *, start: float | None = None, unit: str = "1", source: str = "") -> Parameter:
+    def to_parameter(
+        self, name: str, *, start: float | None = None, unit: str = "1", source: str = ""
+    ) -> Parameter:
         """Return the parameter of a model.
 
         Parameters
@@ -114,7 +116,7 @@ class SimulatorModel(Model):
         names = {channel.name for channel in self.channels}
         return tuple(name[0] for name in POSITIONS if name in names) or ("x",)
 
-    def commanded(self, trial: Trial) -> bool:
+    def is_commanded(self, trial: Trial) -> bool:
         """Return whether the simulator has inputs. They are commands."""
         return bool(self.columns)
 
@@ -181,17 +183,22 @@ class SimulatorTrials(Trials):
         """
         trials, sources = [], []
         for entry in self.trials:
-            log = read_log(entry, path.parent, required=tuple(inputs), optional=tuple(outputs))
+            log = read_trial_log(entry, path.parent, required=tuple(inputs), optional=tuple(outputs))
             sources.append(log.source)
             measured = {name: log[name] for name in outputs if name in log}
             if not measured:
                 hint = f"the model simulates: {', '.join(outputs)}"
                 raise InputError("has no column that the model simulates", file=log.path, hint=hint)
-            given = {name: _bridged(log, name) for name in inputs}
+            given = {name: _fill_gaps(log, name) for name in inputs}
             trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
         return trials, sources
 
-    def posed(
+    def error_at(self, path: Path, keys: Sequence[str], text: object, hint: str | None = None) -> InputError:
+        """Return the error of a key of the trials file, with file and line."""
+        line = None if self._data is None else yamlio.line_of(self._data, list(keys))
+        return InputError(str(text), file=path, line=line, column=".".join(keys), hint=hint)
+
+    def make_experiment(
         self, path: Path, model: SimulatorModel, trials: list[Trial], sources: Sequence[Input]
     ) -> Experiment:
         """Return the experiment of the model with its trials."""
@@ -200,7 +207,7 @@ class SimulatorTrials(Trials):
         return Experiment(self.experiment, robot, model, trials, inputs, values_from=TRIALS_FILE)
 
 
-def _bridged(log: log_format.Log, name: str) -> Array:
+def _fill_gaps(log: log_format.Log, name: str) -> Array:
     """Return an input of a log, with short gaps filled by a line."""
     values = log[name]
     missing = np.isnan(values)
@@ -212,9 +219,3 @@ def _bridged(log: log_format.Log, name: str) -> Array:
         raise InputError(text, file=log.path, line=log.line(first), column=name)
     warn("SWM058", f"{log.path.name}: {int(missing.sum())} missing samples of {name} are interpolated")
     return np.interp(log.time_s, log.time_s[~missing], values[~missing])
-
-
-def at_key(path: Path, data: Any, keys: Sequence[Any], error: ValueError) -> InputError:
-    """Return the error of a key of a trials file, with file and line."""
-    line = yamlio.line_of(data, list(keys)) if data is not None else None
-    return InputError(str(error), file=path, line=line, column=".".join(map(str, keys)))

@@ -55,8 +55,8 @@ class PythonModel(SimulatorModel):
         super().__init__(parameters, inputs, outputs)
         self._simulate = simulate
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate a trial (see :meth:`Model.hooked`).
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate a trial (see :meth:`Model.simulate_hooked`).
 
         Raises
         ------
@@ -64,9 +64,9 @@ class PythonModel(SimulatorModel):
             If the function lacks an output, or an output has another length than the times.
         """
         time = trial.time_s
-        inputs = {name: hooks.actuated(time, trial.inputs[name], k) for k, name in enumerate(self.columns)}
+        inputs = {name: hooks.actuate(time, trial.inputs[name], k) for k, name in enumerate(self.columns)}
         if hooks.late:
-            time = hooks.happened(time)
+            time = hooks.compute_event_times(time)
             inputs = {name: np.interp(time, trial.time_s, column) for name, column in inputs.items()}
         named = {p.name: float(value) for p, value in zip(self.parameters, values, strict=False)}
         outputs = self._simulate(named, inputs, time)
@@ -81,7 +81,7 @@ class PythonModel(SimulatorModel):
             if found[channel.name].shape != time.shape:
                 shapes = f"{found[channel.name].shape}; the times have {time.shape}"
                 raise UsageError(f"the simulator returns '{channel.name}' with the shape {shapes}")
-        return hooks.seen(found, trial.time_s) if hooks.output else found
+        return hooks.sense(found, trial.time_s) if hooks.output else found
 
 
 def find_function(name: str, folder: Path) -> tuple[Simulate, Path | None]:

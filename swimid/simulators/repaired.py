@@ -17,7 +17,7 @@ from swimid.fitting.model import Array, Hooks, Trial
 from swimid.simulators.mjcf import MjcfModel, base_array, element_name, mujoco
 
 #: Relative difference of an array of the changed file to the wanted one that counts as none.
-SAME = 1e-7
+ARRAY_RTOL = 1e-7
 
 
 class SimulatorFile(NamedTuple):
@@ -51,7 +51,7 @@ class Edited(NamedTuple):
     left_out: list[str]
 
 
-class Element(NamedTuple):
+class XmlElement(NamedTuple):
     """Element of an XML text: its tag, its name, the tags around it, and the place of its start tag."""
 
     tag: str
@@ -85,7 +85,7 @@ AROUND = dict.fromkeys(("joint", "body", "geom", "site"), "worldbody") | {
     "tendon": "tendon",
 }
 #: Tags of actuators that have the gains of a servo as attributes.
-SERVOS = {"kp": ("position",), "kv": ("position", "velocity", "intvelocity")}
+SERVO_TAGS = {"kp": ("position",), "kv": ("position", "velocity", "intvelocity")}
 #: Attribute and columns of an array, by kind of element. None stands for all columns.
 WRITTEN: tuple[tuple[str, str, str, slice | None], ...] = (
     ("jnt_stiffness", "joint", "stiffness", None),
@@ -190,14 +190,14 @@ def _words(values: Sequence[float] | Array) -> str:
     return " ".join(f"{value:.9g}" for value in np.atleast_1d(values))
 
 
-def elements(text: str) -> list[Element]:
+def elements(text: str) -> list[XmlElement]:
     """Return the elements of an XML text in their order, with the places of their start tags."""
     parser, found, around = expat.ParserCreate(encoding="utf-8"), [], list[str]()
     raw = text.encode()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         first = parser.CurrentByteIndex
-        found.append(Element(tag, attributes.get("name"), tuple(around), first, _tag_end(raw, first)))
+        found.append(XmlElement(tag, attributes.get("name"), tuple(around), first, _tag_end(raw, first)))
         around.append(tag)
 
     def end(tag: str) -> None:
@@ -221,7 +221,7 @@ def _tag_end(raw: bytes, first: int) -> int:
     return len(raw)
 
 
-def _find(text: str, kind: str, name: str) -> Element | None:
+def _find(text: str, kind: str, name: str) -> XmlElement | None:
     for element in elements(text):
         if kind == "option":
             if element.tag == "option" and element.around == ("mujoco",):
@@ -253,7 +253,7 @@ def _with_attribute(text: str, change: Change) -> str | None:
         return (raw[: root.end] + new.encode() + raw[root.end :]).decode()
     if element is None or element.tag == "freejoint":
         return None
-    if change.kind == "actuator" and element.tag not in SERVOS.get(change.attribute, (element.tag,)):
+    if change.kind == "actuator" and element.tag not in SERVO_TAGS.get(change.attribute, (element.tag,)):
         return None
     tag = raw[element.first : element.end].decode()
     tag = _set(tag, change.attribute, _words(change.new))
@@ -264,30 +264,34 @@ def _with_masses(model: MjcfModel, text: str, wanted: dict[str, Any]) -> tuple[s
     """Return a text in which bodies with another mass, inertia or centre of mass state them."""
     compiled, said = model.compiled, []
     parts = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
+    changed = [n for n in parts if n in wanted]
     for body in range(1, compiled.nbody):
-        names = [n for n in parts if n in wanted]
-        if all(np.array_equal(base_array(compiled, n)[body], wanted[n][body]) for n in names):
+        if all(np.array_equal(base_array(compiled, n)[body], wanted[n][body]) for n in changed):
             continue
-        own = {n: np.asarray(wanted[n] if n in wanted else base_array(compiled, n))[body] for n in parts}
         name = element_name(compiled, "body", body)
         element = _find(text, "body", name) if name else None
         if element is None:
             continue
+        own = {n: np.asarray(wanted.get(n, base_array(compiled, n)))[body] for n in parts}
         inertial = (
             f'<inertial pos="{_words(own["body_ipos"])}" quat="{_words(own["body_iquat"])}" '
             f'mass="{_words(own["body_mass"])}" diaginertia="{_words(own["body_inertia"])}"/>'
         )
-        raw = text.encode()
-        inner = next((e for e in elements(text) if e.first >= element.end), None)
-        if inner is not None and inner.tag == "inertial" and inner.around[-1] == "body":
-            text = (raw[: inner.first] + inertial.encode() + raw[inner.end :]).decode()
-        else:
-            indent = re.search(rb"[ \t]*$", raw[: element.first])
-            gap = "\n" + (indent[0].decode() if indent else "") + "  "
-            text = (raw[: element.end] + (gap + inertial).encode() + raw[element.end :]).decode()
+        text = _with_inertial(text, element, inertial)
         before = _words(compiled.body_mass[body])
         said.append(f"body {name}: mass {before} to {_words(own['body_mass'])}, with its inertial element")
     return text, said
+
+
+def _with_inertial(text: str, body: XmlElement, inertial: str) -> str:
+    """Return a text with an element ``inertial`` as the first element of a body."""
+    raw = text.encode()
+    inner = next((e for e in elements(text) if e.first >= body.end), None)
+    if inner is not None and inner.tag == "inertial" and inner.around[-1] == "body":
+        return (raw[: inner.first] + inertial.encode() + raw[inner.end :]).decode()
+    indent = re.search(rb"[ \t]*$", raw[: body.first])
+    gap = "\n" + (indent[0].decode() if indent else "") + "  "
+    return (raw[: body.end] + (gap + inertial).encode() + raw[body.end :]).decode()
 
 
 def _differences(model: MjcfModel, text: str, wanted: dict[str, Any]) -> list[str]:
@@ -309,7 +313,7 @@ def _differences(model: MjcfModel, text: str, wanted: dict[str, Any]) -> list[st
     for name, array in wanted.items():
         new = base_array(made, name)
         scale = max(float(np.max(np.abs(array))), 1e-12)
-        if new.shape != array.shape or np.max(np.abs(new - array)) > SAME * scale:
+        if new.shape != array.shape or np.max(np.abs(new - array)) > ARRAY_RTOL * scale:
             found.append(f"{name} of the compiled file")
     return found
 
@@ -327,7 +331,7 @@ def with_comment(edited: Edited, said: Sequence[str]) -> str:
     return (raw[:first] + f"<!-- {words} -->\n".encode() + raw[first:]).decode()
 
 
-def repaired_file(model: MjcfModel, values: Array, trial: Trial, path: Path) -> SimulatorFile:
+def make_repaired_file(model: MjcfModel, values: Array, trial: Trial, path: Path) -> SimulatorFile:
     """Return the user's file with the values and effects of a model.
 
     Parameters

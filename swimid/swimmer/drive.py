@@ -23,9 +23,10 @@ from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.notices import warn
-from swimid.robots.planar import Driven, Input
-from swimid.swimmer.planar.engine import sampled
-from swimid.swimmer.tree import Actuated, Polynomial, Tree, given
+from swimid.robots.joints import Driven, Input
+from swimid.robots.quantities import Polynomial, use_default
+from swimid.swimmer.engine import interpolate_states
+from swimid.swimmer.tree import Actuated, Tree
 
 Value = TypeVar("Value")
 #: Maximum remaining fraction of the initial transient of a servo when a simulation begins in steady swimming.
@@ -112,7 +113,7 @@ class DrivenMotion:
     Attributes
     ----------
     table : ndarray, shape (2 steps + 1, driven joints + inputs, 5)
-        Input array for the integration, at every half step (see :func:`table`).
+        Input array for the integration, at every half step (see :func:`drive_table`).
     joints : int
         Number of driven joints.
     """
@@ -121,7 +122,7 @@ class DrivenMotion:
     joints: int
     _kept: dict[bytes, Array] = field(init=False, repr=False, compare=False, default_factory=dict)
 
-    def sampled(self, time_s: Array, grid: Grid) -> Array:
+    def interpolate_states(self, time_s: Array, grid: Grid) -> Array:
         """Return the joint angles interpolated at given times, shape (driven joints, n).
 
         The latest result is cached.
@@ -130,7 +131,7 @@ class DrivenMotion:
         found = self._kept.get(key)
         if found is None:
             angles, rates = (self.table[::2, : self.joints, k] for k in (0, 1))
-            found = sampled(time_s, grid.begin_s, grid.step_s, angles, rates).T
+            found = interpolate_states(time_s, grid.begin_s, grid.step_s, angles, rates).T
             self._kept.clear()
             self._kept[key] = found
         return found.copy()
@@ -200,7 +201,7 @@ class DrivenJoints:
         Links of the robot, with its actuators, driven joints and inputs. The properties of servos, ratios of
         transmissions and laws of inputs may depend on the coefficients.
     mounts_rad : sequence of float
-        Mounting angle that :func:`table` adds to the angle of each joint.
+        Mounting angle that :func:`drive_table` adds to the angle of each joint.
     """
 
     def __init__(self, tree: Tree, mounts_rad: Sequence[float]) -> None:
@@ -277,9 +278,9 @@ class DrivenJoints:
         found = self._motions.get(trial.id, key)
         if found is None:
             of_joints = hooks
-            if trial.swim.measured:
+            if trial.swim.has_measured_joints:
                 of_joints = NONE
-            found = self._moved(trial, grid, phase_rad, laws, of_joints)
+            found = self._compute_motion(trial, grid, phase_rad, laws, of_joints)
             if laws.inputs:
                 found = self._with_inputs(found, trial, grid, laws, hooks)
             if cached:
@@ -287,7 +288,7 @@ class DrivenJoints:
         return found
 
     def _laws_at(self, values: Array) -> Laws:
-        named = self._tree.named(values)
+        named = self._tree.name_values(values)
         return Laws(
             tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos),
             tuple(transmission.ratio.at(named) for transmission in self._transmissions),
@@ -316,44 +317,46 @@ class DrivenJoints:
                 continue
             value = given_inputs[name](half)
             if hooks.command and not law.measured:
-                value = hooks.actuated(half, value, len(self.actuators) + k)
+                value = hooks.actuate(half, value, len(self.actuators) + k)
             rows[:, k, 0] = act(value, 0.5 * grid.step_s, *own)
             if name in self._tree.moving_inputs:
                 sampled_at = trial.time_s
-                motion = _smoothed(sampled_at, given_inputs[name](sampled_at))(half)
+                motion = _smooth_positions(sampled_at, given_inputs[name](sampled_at))(half)
                 if not np.array_equal(rows[:, k, 0], value) or hooks.command:
-                    motion = deviated(motion, rows[:, k, 0], 0.5 * grid.step_s)
+                    motion = add_deviation(motion, rows[:, k, 0], 0.5 * grid.step_s)
                 rows[:, k, :3] = np.transpose(motion)
         return DrivenMotion(np.concatenate([found.table, rows], axis=1), found.joints)
 
-    def _moved(self, trial: Trial, grid: Grid, phase_rad: float, laws: Laws, hooks: Hooks) -> DrivenMotion:
+    def _compute_motion(
+        self, trial: Trial, grid: Grid, phase_rad: float, laws: Laws, hooks: Hooks
+    ) -> DrivenMotion:
         # begin the motion earlier, so that the initial transients of servos and backlash have decayed at the
         # first step
         before = math.ceil(_memory_s(trial.swim, laws, hooks) / grid.step_s)
         grid = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
-        half, commands = self._commanded(trial, grid, phase_rad)
+        half, commands = self._compute_commands(trial, grid, phase_rad)
         motions: list[Motion] = []
         actual: list[Array] = []
         for k, (motion, servo) in enumerate(zip(commands, laws.servos, strict=True)):
             if servo is not None:
-                command = np.ascontiguousarray(hooks.actuated(grid.times(4), motion[0], k))
+                command = np.ascontiguousarray(hooks.actuate(grid.times(4), motion[0], k))
                 answer = simulate_servo(command, 0.5 * grid.step_s, 2.0 * math.pi * servo[0], servo[1])
                 motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
             elif hooks.command:
-                actual.append(hooks.actuated(half, motion[0], k))
+                actual.append(hooks.actuate(half, motion[0], k))
                 # reuse the motion object of the last joint if both joints move alike, so that their columns
                 # in the array are computed once
                 if len(actual) > 1 and motion is commands[k - 1] and actual[-2] is actual[-1]:
                     motions.append(motions[-1])
                 else:
-                    motions.append(deviated(motion, actual[-1], 0.5 * grid.step_s))
+                    motions.append(add_deviation(motion, actual[-1], 0.5 * grid.step_s))
             else:
                 motions.append(motion)
         joints = zip(self._transmissions, self._tree.actuator_of, laws.ratios, strict=True)
         moved = [law.motion(motions[k], ratio) for law, k, ratio in joints]
-        return DrivenMotion(table(len(half), moved, self.mounts_rad)[2 * before :], len(moved))
+        return DrivenMotion(drive_table(len(half), moved, self.mounts_rad)[2 * before :], len(moved))
 
-    def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> tuple[Array, list[Motion]]:
+    def _compute_commands(self, trial: Trial, grid: Grid, phase_rad: float) -> tuple[Array, list[Motion]]:
         """Return the times of the half steps of the grid, and the commanded motion of each actuator.
 
         It is sampled at half steps of the grid, or at quarter steps for an actuator with a servo.
@@ -393,7 +396,7 @@ class DrivenJoints:
         """Return whether a beat moves actuator ``k`` in the same way as actuator ``k - 1``."""
         if swim.joints is not None or swim.stroke is not None or swim.beat is None:
             return False
-        return swim.beat.lag_rad == 0.0 and self.actuators[k - 1].driven == self.actuators[k].driven
+        return swim.beat.lag_rad == 0.0 and self.actuators[k - 1].law == self.actuators[k].law
 
 
 def joint_motion(actuator: Actuated, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Motion:
@@ -411,13 +414,13 @@ def joint_motion(actuator: Actuated, number: int, swim: SwimInput, time_s: Array
     """
     if swim.joints is not None:
         return swim.joints[number](time_s)
-    law = actuator.driven
+    law = actuator.law
     phase = phase_rad - math.radians(law.phase_lag_deg)
     if swim.stroke is not None:
         return swim.stroke.motion(actuator.name, time_s, phase_rad=phase)
     if swim.beat is None:
         return drives.straight(time_s)
-    bias_gain = given(law.bias_gain, law.gain)
+    bias_gain = use_default(law.bias_gain, law.gain)
     phase -= number * swim.beat.lag_rad
     return swim.beat.motion(
         time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase, cell_s=drives.cells(time_s)
@@ -442,13 +445,13 @@ def _memory_s(swim: SwimInput, laws: Laws, hooks: Hooks) -> float:
 
 
 def _servo(actuator: Actuated) -> tuple[Polynomial, Polynomial] | None:
-    law = actuator.driven
+    law = actuator.law
     if law.servo is None:
         return None
     return Polynomial.of(law.servo.natural_frequency_hz), Polynomial.of(law.servo.damping_ratio)
 
 
-def measured(time_s: Array, angle_rad: Array) -> BSpline:
+def fit_spline(time_s: Array, angle_rad: Array) -> BSpline:
     """Return a cubic smoothing spline through a measured joint angle.
 
     The angle, its rate and its acceleration are computed from this one spline. Generalised cross-validation
@@ -483,13 +486,13 @@ def measured(time_s: Array, angle_rad: Array) -> BSpline:
     return BSpline(times[0] + scale * found.t, found.c, 3)
 
 
-def _smoothed(time_s: Array, position: Array) -> Callable[[Array], Motion]:
+def _smooth_positions(time_s: Array, position: Array) -> Callable[[Array], Motion]:
     """Return the motion of a mass whose positions are the samples of an input, as a function of time.
 
     It is the smoothing spline of a measured joint. The positions are scaled, because it takes angles.
     """
     scale = float(np.nanmax(np.abs(position))) or 1.0
-    spline = measured(time_s, position / scale)
+    spline = fit_spline(time_s, position / scale)
     return spline_motion(BSpline(spline.t, scale * spline.c, spline.k))
 
 
@@ -651,7 +654,7 @@ def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
     return output
 
 
-def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
+def add_deviation(motion: Motion, actual: Array, step_s: float) -> Motion:
     """Return the motion of an actuator whose angle deviates from its command.
 
     The deviation may have corners. It is smoothed by a cubic B-spline kernel and added to the command, so
@@ -697,7 +700,7 @@ def _bells(step_s: float) -> list[Array]:
     return found
 
 
-def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:
+def drive_table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:
     """Return joint motions as an input array for the integration, shape (count, joints, 5).
 
     The columns are angle (rad), rate (rad/s), acceleration (rad/s2), and the cosine and the sine of the sum

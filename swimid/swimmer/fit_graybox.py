@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
-from swimid.executors import Rebuilt, on_cluster
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, mistakes, output_error, rivals
 from swimid.fitting.fit import fit
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.global_search import Start, agreeing, multistart
+from swimid.fitting.global_search import Start, count_agreeing, multistart
 from swimid.fitting.model import (
     Array,
     Model,
@@ -34,7 +32,7 @@ from swimid.fitting.output_error import FitResult, Series
 from swimid.fitting.rivals import Rival
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, record_warnings, silent
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -86,7 +84,7 @@ def fit_graybox(
     Fitted
         ``.parameters`` has the coefficients in the units of the robot file (mostly 1), and the offset of the
         start pose of each trial, such as ``start_x[f10a20]`` (m) and ``start_yaw[f10a20]`` (rad).
-        ``.correlation``, ``.converged`` and ``.verdict`` show how far the estimates can be trusted.
+        ``.correlation``, ``.has_converged`` and ``.verdict`` show how far the estimates can be trusted.
 
     Raises
     ------
@@ -126,7 +124,7 @@ def fit_graybox(
     ... ]
     >>> trials = swimid.load(runs, experiment="free-swim", robot="tfish")
     >>> fit = fit_graybox(trials, fixed={"c_f0": 0.014, "c_f13": 0.014, "c_f4": 0.014})
-    >>> fit.converged, fit["c_f4"].status, fit["c_ma"].unit
+    >>> fit.has_converged, fit["c_f4"].status, fit["c_ma"].unit
     (True, 'fixed', '1')
     >>> round(fit["c_ma"].value, 1)
     1.0
@@ -135,53 +133,60 @@ def fit_graybox(
         trials = TrialSet(trials_format.read(trials, "fit-graybox"), Path(trials))
     if not trials.entries.robot_form:
         return _fit_simulator(trials, options, output, progress)
-    with recorded(repeat=True) as notices:
-        posed = Posed.of(trials, options, output)
-        experiment, model, parameters = posed.experiment, posed.model, posed.parameters
-        _require_steady_swimming(experiment, parameters)
+    with record_warnings(repeat=True) as notices:
+        posed = FitSetup.of(trials, options, output)
+        experiment = posed.experiment
+        _require_steady_swimming(experiment, posed.parameters)
         files = [parameters_format.origin(p) for p in (options.start_from, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
-        with on_cluster(options.cluster, "swimid.swimmer.fit_graybox:Posed.of", trials, options) as rebuilt:
-            search = _search(posed, output, origin, rebuilt, progress)
-        result = output_error.complete(search.result)
+        search = _search(posed, output, origin, progress)
+        result = output_error.complete_fit(search.result)
         folder = (output or trials_format.place(trials)).parent
         file = _parameter_file(posed, result, origin, folder)
-        checks = [
-            *fit_common.checks(result),
-            *fit_common.error_checks(result),
-            fit_common.beat_check(experiment.facts["beats"]),
-        ]
-        if search.ends:
-            checks.append(_starts_check(search.ends, asked=options.starts is not None))
-        explanation: mistakes.Explanation | None = None
-        before = {t.id: [s for s in result.series if s.trial == t.id] for t in result.trials}
-        if options.method == "least-squares" and mistakes.is_suspect(checks, before):
-            known = mistakes.catalogue(model, result.trials)
-            explanation = _explain(result, known, before, options, progress)
-            checks.append(mistakes.check(explanation, len(known)))
+        checks, explanation = _check_fit(posed, result, search, progress)
     evidence = ev.Evidence(
         command="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
-        verdict=ev.judged(fit_common.answer(file), checks),
+        verdict=ev.make_verdict(fit_common.answer(file), checks),
         notes=[e.sentence for e in (explanation,) if e is not None],
         checks=checks,
         tables=_tables(experiment, result, search.ends),
         figures=[*_track(experiment, result), *fit_common.figures(result)],
-        notices=ev.notices(notices),
+        notices=list(notices),
         methods=_methods(experiment, result, search.ends, options.method),
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    with atomic.together():
+    with atomic.write_together():
         if search.front is not None:
             search.front.add_evidence(evidence, result, options)
-        fitted = Fitted.of(file, evidence).saved(output)
+        fitted = Fitted.of(file, evidence).write_output(output)
         if search.front is not None and output is not None:
             points = search.front.save(output, options)
             fitted = replace(fitted, outputs=[*fitted.outputs, *points])
-            search.checkpoint.done()
+            search.checkpoint.finish()
     _require_result(result, file, search, trials, output, explanation)
     return fitted
+
+
+def _check_fit(
+    posed: FitSetup, result: FitResult, search: _Search, progress: Progress
+) -> tuple[list[ev.Check], mistakes.Explanation | None]:
+    """Return the checks of a fit, and the common mistake that explains a bad fit, if one does."""
+    options = posed.options
+    checks = [
+        *fit_common.assess(result),
+        fit_common.beat_check(posed.experiment.facts["beats"]),
+    ]
+    if search.ends:
+        checks.append(_starts_check(search.ends, asked=options.starts is not None))
+    before = {t.id: [s for s in result.series if s.trial == t.id] for t in result.trials}
+    if options.method != "least-squares" or not mistakes.is_suspect(checks, before):
+        return checks, None
+    known = mistakes.list_mistakes(posed.model, result.trials)
+    explanation = _explain(result, known, before, options, progress)
+    checks.append(mistakes.check_mistakes(explanation, len(known)))
+    return checks, explanation
 
 
 def _fit_simulator(
@@ -202,15 +207,15 @@ def _fit_simulator(
         if name not in used | {"jobs"} and getattr(options, name) != getattr(defaults, name)
     ]
     if other:
-        flag = type(options).declared()[other[0]].flag
+        flag = type(options).declarations()[other[0]].flag
         raise UsageError(f"{flag} has no effect on the model of the experiment '{trials.experiment}'")
     given = {name: getattr(options, name) for name in used}
     return fit(trials, output=output, progress=progress, **given)
 
 
 @dataclass(frozen=True)
-class Posed:
-    """Trials, model and parameters of a fit. A worker of a cluster builds its own."""
+class FitSetup:
+    """Trials, model and parameters of a fit."""
 
     experiment: Experiment
     model: Model
@@ -220,7 +225,7 @@ class Posed:
     @classmethod
     def of(
         cls, trials: str | Path | TrialSet, options: FitGrayboxOptions, output: Path | None = None
-    ) -> Posed:
+    ) -> FitSetup:
         """Read the trials, and prepare model and parameters as the options say."""
         experiment = fit_common.load_experiment(
             trials,
@@ -236,8 +241,8 @@ class Posed:
             groups |= groups_by_prefix(model.parameters, prefix)
         parameters = share(model.parameters, groups)
         if begin is not None:
-            parameters = _started_from(begin, parameters)
-        parameters = fit_common.prepare(
+            parameters = _start_from(begin, parameters)
+        parameters = fit_common.prepare_fit(
             experiment,
             output,
             parameters=parameters,
@@ -256,24 +261,6 @@ class Posed:
         trials, names = self.experiment.trials, self.experiment.facts["profiles"]
         jobs, scales = self.options.jobs or os.cpu_count() or 1, self.options.scales
         return Profiles(self.model, self.parameters, trials, names, scales=scales, jobs=jobs)
-
-    def objectives(self, points: Array, profile: str | None) -> Array:
-        """Return the objectives at points of the search of a Pareto front, shape (n, m)."""
-        return self.profiles.evaluate(points, profile)
-
-    def end_of(self, begin: Array) -> Array:
-        """Return the estimate of the fit from a starting point, or the starting point if the fit fails."""
-        with suppress(NoTrustworthyResult):
-            return output_error.fit(
-                self.model,
-                self.experiment.trials,
-                parameters=self.parameters,
-                jobs=self.options.jobs,
-                begin=begin,
-                tested=False,
-                max_iterations=self.options.max_iterations,
-            ).estimate
-        return begin
 
 
 @dataclass(frozen=True)
@@ -300,29 +287,25 @@ class _Search:
     starts: int = 1
 
 
-def _search(
-    posed: Posed, output: Path | None, origin: dict[str, Any], rebuilt: Rebuilt | None, progress: Progress
-) -> _Search:
-    """Estimate the parameters with the method that the options name. Workers of a cluster use ``rebuilt``."""
+def _search(posed: FitSetup, output: Path | None, origin: dict[str, Any], progress: Progress) -> _Search:
+    """Estimate the parameters with the method that the options name."""
     options, model = posed.options, posed.model
     model.prepare(progress)
     if options.method == "least-squares":
-        search = _least_squares(posed, None, rebuilt, progress)
+        search = _least_squares(posed, None, progress)
     else:
         from swimid.swimmer import front
 
-        checkpoint = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        found, chosen = front.fit(posed, checkpoint, rebuilt, progress)
+        checkpoint = Checkpoint.of_output(output, [origin["inputs"], origin["settings"]])
+        found, chosen = front.fit_front(posed, checkpoint, progress)
         search = _Search(chosen)
         if options.method == "hybrid":
-            search = _least_squares(posed, found.starts(options.starts or 1), rebuilt, progress)
+            search = _least_squares(posed, found.starts(options.starts or 1), progress)
         search = replace(search, front=found, checkpoint=checkpoint)
     return search
 
 
-def _least_squares(
-    posed: Posed, begins: Sequence[Array] | None, rebuilt: Rebuilt | None, progress: Progress
-) -> _Search:
+def _least_squares(posed: FitSetup, begins: Sequence[Array] | None, progress: Progress) -> _Search:
     """Estimate the parameters by output error from one or several starting points.
 
     Several starting points are used if the user asks for them, or if the fit from the first starting point
@@ -339,13 +322,11 @@ def _least_squares(
         begin, starts = begins[0], max(starts, len(begins))
     first: FitResult | None = None
     if starts == 1:
-        first = output_error.fit(model, trials, begin=begin, progress=progress, **settings)
+        first = output_error.fit_output_error(model, trials, begin=begin, progress=progress, **settings)
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return _Search(first)
         starts = DEFAULT_STARTS
     settings |= {"starts": starts, "seed": options.seed, "begins": begins, "first": first}
-    if rebuilt is not None:
-        settings["elsewhere"] = partial(rebuilt.call, "end_of")
     result, ends = multistart(model, trials, progress=progress, **settings)
     return _Search(result, ends=ends, starts=starts)
 
@@ -392,8 +373,8 @@ def _require_result(
         if explanation is not None:
             hint = explanation.sentence
         raise NoTrustworthyResult(f"the fit did not converge: {result.message}{kept}", hint=hint)
-    unknown = [label for label in result.shared if result.status[label] == "unidentifiable"]
-    if unknown and unknown == result.shared and not file.derived:
+    unknown = [label for label in result.common_labels if result.status[label] == "unidentifiable"]
+    if unknown and unknown == result.common_labels and not file.derived:
         raise NoTrustworthyResult(
             f"none of {', '.join(unknown)} can be identified from these trials",
             hint="use longer and more different trials, or fix known coefficients with --fix",
@@ -403,11 +384,11 @@ def _require_result(
 def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
     """Raise an error if a trial begins in steady swimming but the model reaches no steady speed."""
     model = experiment.model.swimmer
-    known = {p.name: p.start for p in model.parameters} | {p.name: p.start for p in parameters}
+    starts = {p.name: p.start for p in (*model.parameters, *parameters)}
     fixed = {p.name for p in parameters if not p.free}
-    stated = {name: value for name, value in model.stated().items() if name not in fixed}
+    stated = {name: value for name, value in model.get_file_values().items() if name not in fixed}
+    points = [np.array([p[q.name] for q in model.parameters]) for p in (starts, starts | stated)]
     for trial in (t for t in experiment.trials if t.swim.steady):
-        points = [np.array([p[q.name] for q in model.parameters]) for p in (known, known | stated)]
         cruises = [model.cruise(point, trial) for point in points]
         if all(c is not None and not np.isfinite(c.speed_m_s) for c in cruises):
             raise NoTrustworthyResult(
@@ -432,7 +413,7 @@ def _explain(
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
-    stated = model.stated()
+    stated = model.get_file_values()
     sets = (
         result.at_estimates(),
         tuple(replace(p, start=stated.get(p.name, p.start)) for p in result.parameters),
@@ -441,7 +422,7 @@ def _explain(
     def simulate(trial: Trial) -> Iterator[dict[str, Array]]:
         for parameters in sets:
             own = output_error.estimate_start(
-                model, parameters, trial, sd, tolerance=mistakes.START_TOLERANCE
+                model, parameters, trial, sd, tolerance=mistakes.SCREEN_START_RTOL
             )
             known = {p.name: own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters}
             yield model.run(values_of(model, parameters, known), trial)
@@ -457,9 +438,7 @@ def _explain(
         return mistakes.search(trials, known, before, simulate, refit)
 
 
-def _started_from(
-    source: parameters_format.Source, parameters: tuple[Parameter, ...]
-) -> tuple[Parameter, ...]:
+def _start_from(source: parameters_format.Source, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return the parameters with start values from a parameter file.
 
     The start value of a shared parameter is the mean over its members.
@@ -474,11 +453,15 @@ def _started_from(
             parameter = replace(parameter, start=value)
         found.append(parameter)
     if not any(p.name in file.parameters for p in parameters):
-        raise InputError("holds none of this robot's coefficients", file=parameters_format.place(source))
+        raise InputError(
+            "holds none of this robot's coefficients", file=parameters_format.source_path(source)
+        )
     return tuple(found)
 
 
-def _parameter_file(posed: Posed, result: FitResult, origin: dict[str, Any], folder: Path) -> ParameterFile:
+def _parameter_file(
+    posed: FitSetup, result: FitResult, origin: dict[str, Any], folder: Path
+) -> ParameterFile:
     """Return the parameter file of a fit."""
     options, experiment = posed.options, posed.experiment
     settings: dict[str, Any] = {
@@ -499,7 +482,7 @@ def _parameter_file(posed: Posed, result: FitResult, origin: dict[str, Any], fol
         unfinished=True,
     )
     # store the range of the drives, so that users of the coefficients are warned of drives outside it
-    drives = swimmer.driven_range([t for t in experiment.trials if t.role == "fit"])
+    drives = swimmer.find_drive_range([t for t in experiment.trials if t.role == "fit"])
     if file.fit is not None and file.fit.model_extra is not None and drives:
         file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
     return file.model_copy(update={"parameters": expand(result.parameters, file.parameters)})
@@ -536,7 +519,7 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
             paths[trial.id] = series[across], series[along]
 
     def error(series: Series) -> float:
-        return float(sum(np.nanmean(s.weighted**2) for s in paths[series.trial]))
+        return float(sum(np.nanmean(s.z_scores**2) for s in paths[series.trial]))
 
     panels = []
     for title, x in ev.extremes([x for x, _ in paths.values()], error).items():
@@ -551,7 +534,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
 
     The check can fail only if the user asked for several starting points.
     """
-    agree, count = agreeing(ends), len(ends)
+    agree, count = count_agreeing(ends), len(ends)
     passed, text = None, ""
     if agree < count:
         text = "the other starts end higher; the lowest is reported"
@@ -559,7 +542,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
         passed = agree == count
     reason = f"only {agree} of {count} starts end in the reported minimum"
     value = f"{agree} of {count} starts end in it"
-    return ev.check("one minimum", value, passed, "every start", text, reason=reason)
+    return ev.make_check("one minimum", value, passed, "every start", text, reason=reason)
 
 
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) -> list[ev.Table]:
@@ -604,11 +587,11 @@ def _error_rows(result: FitResult) -> list[list[str]]:
     units = {c.name: c.unit for c in result.model.channels}
     for s in result.series:
         unit, role = units[s.channel], {"validate": "held out"}.get(s.role, "fit")
-        score = fit_common.scores(result, s.role, [s.trial])[s.channel]
+        score = fit_common.compute_scores(result, s.role, [s.trial])[s.channel]
         warped = fit_common.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         peak = fit_common.peak_error(s.measured, s.simulated)[1]
         shares = numbers.percent(score.nrmse), numbers.percent(score.vaf, 4), numbers.percent(peak)
-        errors = [numbers.number(error, 3, unit) for error in (score.rmse, warped)]
+        errors = [numbers.format_number(error, 3, unit) for error in (score.rmse, warped)]
         rows.append([s.trial, role, s.channel, errors[0], *shares, errors[1]])
     return rows
 
@@ -623,7 +606,7 @@ def _methods(experiment: Experiment, result: FitResult, ends: Sequence[Start], m
     if method == "nsga2":
         by = "the search on the front"
     said = [
-        f"{', '.join(result.shared)} were estimated from {fitted} {experiment.name} trials "
+        f"{', '.join(result.common_labels)} were estimated from {fitted} {experiment.name} trials "
         f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
         f"{len(model.tree.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at "
         f"most {1e3 * model.max_step:g} ms; halving them changes no sample by more than "
@@ -632,7 +615,7 @@ def _methods(experiment: Experiment, result: FitResult, ends: Sequence[Start], m
     ]
     if ends:
         drawn = {"hybrid": "on the front"}.get(method, "drawn evenly within the bounds")
-        said.append(f"{agreeing(ends)} of {len(ends)} starts, {drawn}, end in the reported minimum.")
+        said.append(f"{count_agreeing(ends)} of {len(ends)} starts, {drawn}, end in the reported minimum.")
     own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
     if own:
         said.append(

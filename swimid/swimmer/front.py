@@ -19,7 +19,6 @@ import numpy as np
 import pandas as pd
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
-from swimid.executors import WAITING, Rebuilt
 from swimid.files import atomic
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, global_search, output_error
@@ -27,14 +26,14 @@ from swimid.fitting.fit_common import dtw_distance
 from swimid.fitting.global_search import Front
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult, Series
-from swimid.fitting.problem import Problem, map_in_threads
+from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions
 
 if TYPE_CHECKING:
-    from swimid.swimmer.fit_graybox import Posed
+    from swimid.swimmer.fit_graybox import FitSetup
 
 #: Kinds of distance between simulation and measurement, by the unit at the end of a channel's name. Each kind
 #: has a name, and the error that counts as a distance of 1: 0.05 m, 5 degrees, 0.05 m/s and 10 degrees per
@@ -46,9 +45,7 @@ KINDS = {
     "_rad_s": ("turning", math.radians(10.0)),
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
-BAND = 0.05
-#: Number of points of a generation that one call on a cluster evaluates.
-SENT = 8
+MAX_SHIFT_SHARE = 0.05
 #: Rules for the choice of one point of a Pareto front, by name.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 #: Titles of three fits: before the search of the front, at the chosen point, and after least squares from
@@ -67,7 +64,7 @@ def distance(
     channels: Sequence[str],
     scales: Sequence[float],
     *,
-    band: float = BAND,
+    band: float = MAX_SHIFT_SHARE,
 ) -> float:
     """Return the dynamic-time-warping distance per sample between measured and simulated channels.
 
@@ -195,10 +192,10 @@ class Profiles:
             Distances relative to the scales; NaN if a simulation breaks down.
         """
         members = self._members(profile)
-        runs = iter(self.problem.simulated([(self.theta(p), k) for p in points for k in members]))
-        return np.array([self._scored({k: next(runs) for k in members}, profile) for _ in points])
+        runs = iter(self.problem.simulate_points([(self.theta(p), k) for p in points for k in members]))
+        return np.array([self._score_trials({k: next(runs) for k in members}, profile) for _ in points])
 
-    def scored(self, series: Sequence[Series]) -> Array:
+    def score(self, series: Sequence[Series]) -> Array:
         """Return all objectives for the simulated channels of a fit, shape (m,).
 
         An objective is NaN if the fit lacks one of its trials.
@@ -207,9 +204,9 @@ class Profiles:
         for s in series:
             by_trial.setdefault(s.trial, {})[s.channel] = s.simulated
         known = {k: by_trial[t.id] for k, t in enumerate(self.problem.trials) if t.id in by_trial}
-        return np.array(self._scored(known))
+        return np.array(self._score_trials(known))
 
-    def _scored(
+    def _score_trials(
         self, simulated: Mapping[int, Mapping[str, Array]], profile: str | None = None
     ) -> list[float]:
         parts = [own for (name, _), own in self._parts.items() if profile in (None, name)]
@@ -287,7 +284,7 @@ class FrontResult:
         if options.method == "hybrid":
             stages[AFTER] = result
         known = {title: r for title, r in stages.items() if r is not None}
-        scored = {title: self.profiles.scored(r.series) for title, r in known.items()}
+        scored = {title: self.profiles.score(r.series) for title, r in known.items()}
         evidence.tables[:0] = [_stages_table(self, list(stages), known, scored)]
         evidence.figures[:0] = _figures(self, scored)
         evidence.methods[:0] = _methods(self, options)
@@ -295,19 +292,17 @@ class FrontResult:
         evidence.facts["Front"] = f"{len(self.points)} points, {self.chosen} chosen ({chosen})"
 
 
-def fit(
-    posed: Posed, checkpoint: Checkpoint, rebuilt: Rebuilt | None = None, progress: Progress = silent
+def fit_front(
+    posed: FitSetup, checkpoint: Checkpoint, progress: Progress = silent
 ) -> tuple[FrontResult, FitResult]:
     """Search or read the Pareto fronts, choose a point, and return the fronts and the fit at this point.
 
     Parameters
     ----------
-    posed : Posed
+    posed : FitSetup
         Trials, model and parameters.
     checkpoint : Checkpoint
         Stores the generations, so that an interrupted search can be resumed.
-    rebuilt : Rebuilt, optional
-        ``posed`` on the workers of a cluster, which then evaluate the generations.
     progress : Progress
 
     Raises
@@ -321,8 +316,8 @@ def fit(
     profiles, options = posed.profiles, posed.options
     searches: dict[str, Front] = {}
     if options.front is None:
-        searches = _search(profiles, options, checkpoint, rebuilt, progress)
-        table = _joined(profiles, searches)
+        searches = _search(profiles, options, checkpoint, progress)
+        table = _join_fronts(profiles, searches)
     else:
         table = read(options.front, profiles)
     values = np.asarray(table[profiles.columns], dtype=float)
@@ -330,11 +325,13 @@ def fit(
     if len(profiles.names) > 1:
         for name in profiles.names:
             rules[f"knee of {name}"] = global_search.knee(values[:, profiles.objectives_of(name)])
-    found = FrontResult(profiles, table, searches, _chosen(options.pick, rules, len(table)), rules)
+    found = FrontResult(profiles, table, searches, _choose_point(options.pick, rules, len(table)), rules)
 
     def at(point: Array) -> FitResult:
         theta, trials = profiles.theta(point), posed.experiment.trials
-        return output_error.at(posed.model, trials, theta, parameters=posed.parameters, jobs=options.jobs)
+        return output_error.evaluate_fit(
+            posed.model, trials, theta, parameters=posed.parameters, jobs=options.jobs
+        )
 
     message = f"point {found.chosen} of the front; standard errors are local to it"
     result = replace(at(found.points[found.chosen]), message=message)
@@ -349,18 +346,9 @@ def _search(
     profiles: Profiles,
     options: FitGrayboxOptions,
     checkpoint: Checkpoint,
-    rebuilt: Rebuilt | None,
     progress: Progress,
 ) -> dict[str, Front]:
     """Search the Pareto front of each motion profile by NSGA-II."""
-
-    def evaluate(points: Array, profile: str) -> Array:
-        if rebuilt is None:
-            return profiles.evaluate(points, profile)
-        parts = np.array_split(points, max(len(points) // SENT, 1))
-        with map_in_threads(lambda part: rebuilt.call("objectives", part, profile), parts, WAITING) as found:
-            return np.concatenate(list(found))
-
     searches: dict[str, Front] = {}
     total = options.generations * len(profiles.names)
     done: list[str] = []
@@ -374,7 +362,7 @@ def _search(
 
             for number, name in enumerate(profiles.names):
                 searches[name] = global_search.nsga2(
-                    partial(evaluate, profile=name),
+                    partial(profiles.evaluate, profile=name),
                     profiles.lower,
                     profiles.upper,
                     objectives=len(profiles.objectives_of(name)),
@@ -396,7 +384,7 @@ def _search(
     return searches
 
 
-def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
+def _join_fronts(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
     """Return the points of all Pareto fronts with their objectives in every motion profile.
 
     Points at which a simulation breaks down are left out.
@@ -414,10 +402,10 @@ def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
         warn("SWM027", f"{int((~sound).sum())} points of the front break down in another motion profile")
     table = pd.DataFrame(np.hstack([points, values]), columns=[*profiles.labels, *profiles.columns])
     table.insert(0, "profile", owners)
-    return _numbered(table[sound])
+    return _number_points(table[sound])
 
 
-def _numbered(table: pd.DataFrame) -> pd.DataFrame:
+def _number_points(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of points with a new first column, which is the index of each point."""
     found = table.reset_index(drop=True)
     found.insert(0, "index", found.index.to_numpy())
@@ -451,10 +439,10 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
         bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
         if len(bad):
             raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
-    return _numbered(table[["profile", *expected]])
+    return _number_points(table[["profile", *expected]])
 
 
-def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
+def _choose_point(pick: str, rules: Mapping[str, int], count: int) -> int:
     """Return the index of the point of the Pareto front that the selection rule or the user chooses."""
     if pick in rules:
         return rules[pick]
@@ -482,10 +470,10 @@ def _stages_table(
         row = [float(scored[title][j]) if title in scored else None for title in titles]
         rows.append([f"DTW distance, {kind}", profile, *row])
     for role, name in (("fit", "fitted trials"), ("validate", "held-out trials")):
-        errors = {title: fit_common.scores(r, role) for title, r in known.items()}
+        errors = {title: fit_common.compute_scores(r, role) for title, r in known.items()}
         units = {c.name: c.unit for r in known.values() for c in r.model.channels}
         for channel in dict.fromkeys(c for own in errors.values() for c in own):
-            shown = {t: numbers.number(e[channel].rmse, 3, units[channel]) for t, e in errors.items()}
+            shown = {t: numbers.format_number(e[channel].rmse, 3, units[channel]) for t, e in errors.items()}
             rows.append([f"RMSE, {channel}", name, *(shown.get(title, "") for title in titles)])
     return ev.Table(
         id="stages",
@@ -535,7 +523,7 @@ def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:
             f"(Deb et al. 2002; pymoo), population {options.population}, {options.generations} generations, "
             f"crossover {global_search.CROSSOVER:g}, seed {options.seed}: {evaluations} points in all. "
             f"Objectives are dynamic-time-warping distances ({kinds}), "
-            f"time stretched by at most {100 * BAND:g} % of the record (Sakoe and Chiba 1978)."
+            f"time stretched by at most {100 * MAX_SHIFT_SHARE:g} % of the record (Sakoe and Chiba 1978)."
         )
     by = f"by the rule {options.pick}" if options.pick in found.rules else "by its index"
     said.append(f"Point {found.chosen} of {len(found.points)} was chosen {by}.")

@@ -3,7 +3,7 @@
 An engine is the compiled equations of motion of a robot. Its functions can also run as Python functions on
 symbols instead of numbers. They then run through their loops over links and elements once, and record a list
 of sums and products. Operations with input entries that are always 0 or 1 are removed. An engine must be
-written for this: it may branch on a value only by :func:`swimid.swimmer.planar.engine.positive`, ``max``,
+written for this: it may branch on a value only by :func:`swimid.swimmer.engine.positive`, ``max``,
 ``min`` and ``abs``.
 
 :func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
@@ -41,19 +41,19 @@ from numpy.typing import NDArray
 
 from swimid.files import atomic
 from swimid.files.kernels import numba
-from swimid.fitting.model import Force, Traceable
+from swimid.fitting.model import ExternalForce, Traceable
 from swimid.notices import Progress, silent
-from swimid.swimmer.planar.engine import BROKEN, integrate
+from swimid.swimmer.engine import FILLED, MAX_STATE, interpolate_states
 from swimid.swimmer.tree import Tree
 
 if TYPE_CHECKING:
-    from swimid.swimmer.model import Run
+    from swimid.swimmer.model import SimulationRequest
 
 Array = NDArray[np.float64]
 #: Coefficients of ``(sin(x) - x) / x^3`` and ``(cos(x) - 1 + x^2 / 2) / x^4`` in powers of x^2, for angles x
 #: between -45 and 45 degrees (S. Moshier, Cephes: sin.c, double precision). They are shorter than the Taylor
 #: series of equal accuracy.
-SINE = (
+SINE_COEFFICIENTS = (
     1.58962301576546568060e-10,
     -2.50507477628578072866e-8,
     2.75573136213857245213e-6,
@@ -61,7 +61,7 @@ SINE = (
     8.33333333332211858878e-3,
     -1.66666666666666307295e-1,
 )
-COSINE = (
+COSINE_COEFFICIENTS = (
     -1.13585365513876817300e-11,
     2.08757008419747316778e-9,
     -2.75573141792967388112e-7,
@@ -179,7 +179,7 @@ class Symbol:
     def __abs__(self) -> Symbol:
         return self.tracer.symbol("abs", self)
 
-    def _given(self, other: object) -> bool:
+    def _is_above(self, other: object) -> bool:
         """Return True for the comparisons ``> 0`` and ``!= 0`` of an entry of an input array.
 
         A symbol for such an entry stands for a positive value. Other comparisons raise an error.
@@ -188,10 +188,10 @@ class Symbol:
             return True
         raise TypeError("the equations ask for a value: write positive(), max() or min()")
 
-    __gt__ = __ne__ = _given
+    __gt__ = __ne__ = _is_above
 
     def __le__(self, other: object) -> bool:
-        return not self._given(other)
+        return not self._is_above(other)
 
     __eq__ = __le__
 
@@ -214,7 +214,7 @@ def _is(value: object, number: float) -> bool:
     return isinstance(value, (int, float)) and value == number
 
 
-def positive(asked: Any, then: Any, otherwise: Any) -> Any:
+def choose_positive(asked: Any, then: Any, otherwise: Any) -> Any:
     """Return ``then`` if ``asked`` is above 0, otherwise ``otherwise``, for numbers and for symbols."""
     if then is otherwise:
         return then
@@ -223,7 +223,7 @@ def positive(asked: Any, then: Any, otherwise: Any) -> Any:
     return then if asked > 0.0 else otherwise
 
 
-def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
+def _trace_call(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that calls ``function`` for numbers, and records an operation for symbols."""
 
     def apply(*values: Any) -> Any:
@@ -235,7 +235,7 @@ def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return apply
 
 
-_largest, _smallest, _root = _traced("max", max), _traced("min", min), _traced("sqrt", math.sqrt)
+_largest, _smallest, _root = _trace_call("max", max), _trace_call("min", min), _trace_call("sqrt", math.sqrt)
 
 
 def sine_and_cosine(x: Any) -> tuple[Any, Any]:
@@ -249,17 +249,18 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
     # compute the quadrant of the angle: 0, 1, 2 or 3
     quadrant = quarter - 4.0 * (((quarter * 0.25 - 0.375) + ROUNDER) - ROUNDER)
     square: Any = rest * rest
-    sine = rest * square * _horner(SINE, square) + rest
-    cosine = square * square * _horner(COSINE, square) + (1.0 - 0.5 * square)
+    sine = rest * square * _horner(SINE_COEFFICIENTS, square) + rest
+    cosine = square * square * _horner(COSINE_COEFFICIENTS, square) + (1.0 - 0.5 * square)
     odd = 0.5 - abs(abs(quadrant - 2.0) - 1.0)
-    sine, cosine = positive(odd, cosine, sine), positive(odd, sine, cosine)
-    return positive(quadrant - 1.5, -sine, sine), positive(1.0 - abs(quadrant - 1.5), -cosine, cosine)
+    sine, cosine = choose_positive(odd, cosine, sine), choose_positive(odd, sine, cosine)
+    near_half = 1.0 - abs(quadrant - 1.5)
+    return choose_positive(quadrant - 1.5, -sine, sine), choose_positive(near_half, -cosine, cosine)
 
 
-def _facing(frame: Any, base: Any, turn: Any) -> Angle:
+def _trace_heading(frame: Any, base: Any, turn: Any) -> Angle:
     """Return the heading of a link in the world by its sine and cosine.
 
-    For symbols, this function replaces :func:`swimid.swimmer.planar.engine.facing`.
+    For symbols, this function replaces :func:`swimid.swimmer.engine.find_heading`.
     """
     _, c, s = frame
     cosine, sine = turn
@@ -289,7 +290,7 @@ def _logarithm(x: Any) -> Any:
         return math.log(x)
     power, rest = (x.tracer.symbol(kind, x) for kind in ("exponent", "mantissa"))
     above = rest - math.sqrt(2.0)
-    power, rest = positive(above, power + 1.0, power), positive(above, 0.5 * rest, rest)
+    power, rest = choose_positive(above, power + 1.0, power), choose_positive(above, 0.5 * rest, rest)
     ratio = (rest - 1.0) / (rest + 1.0)
     series = 2.0 * ratio * _horner(LOGARITHM, ratio * ratio)
     return power * LOG_2[0] + (series + power * LOG_2[1])
@@ -330,7 +331,9 @@ def _plain(function: Any, known: dict[Any, Any]) -> Any:
     known[function] = FunctionType(text.__code__, names, text.__name__, text.__defaults__)
     for name, value in text.__globals__.items():
         names[name] = _plain(value, known) if isinstance(value, Dispatcher) else value
-    names.update(math=MATH, max=_largest, min=_smallest, positive=positive, facing=_facing)
+    names.update(
+        math=MATH, max=_largest, min=_smallest, positive=choose_positive, find_heading=_trace_heading
+    )
     return known[function]
 
 
@@ -413,7 +416,7 @@ _EMITTED: dict[str, Callable[..., Any]] = {
 
 
 class Program(list[tuple[Any, ...]]):
-    """List of operations on the work array, in the form that :func:`emitted` takes.
+    """List of operations on the work array, in the form that :func:`emit` takes.
 
     An operation is its kind, followed by numbers (float) and indices of earlier operations (int). The
     operation ``("load", place)`` reads the entry of a simulation at a place of the work array, ``("store",
@@ -444,7 +447,7 @@ class Program(list[tuple[Any, ...]]):
         return found
 
 
-def emitted(program: Sequence[tuple[Any, ...]]) -> Any:
+def emit(program: Sequence[tuple[Any, ...]]) -> Any:
     """Return a function for compiled code that runs a program on the entries of one simulation.
 
     Its arguments are the work array, the index of the simulation, and the two given numbers. The machine code
@@ -481,9 +484,56 @@ def emitted(program: Sequence[tuple[Any, ...]]) -> Any:
     return run
 
 
-def length(traced: Traced) -> int:
+def work_length(traced: Traced) -> int:
     """Return the length of the work array that the module of a traced engine needs."""
     return LANES * (4 * len(traced.rates) + 2 + traced.width + traced.parameters)
+
+
+def _write_rates(
+    traced: Traced, slots: Mapping[str, int], blocks: tuple[int, int, int, int], step: int
+) -> Program:
+    """Return the program that computes the rates, the state of the next stage, and the sum of the rates.
+
+    Parameters
+    ----------
+    traced : Traced
+    slots : mapping of kind of input to int
+        Place in the work array from which the inputs of each kind begin.
+    blocks : (int, int, int, int)
+        Places of the state before the step, the state after it, the state of the stage, and the rates.
+    step : int
+        Place of the step.
+    """
+    here, total, stage, rate = blocks
+    rates = Program()
+    known = rates.copy_symbols(traced.operations, lambda x: slots[x.kind] + LANES * x.of[0])
+    step_s = rates.add("load", step)
+    half, share = (rates.add("*", rates.add("given", k), step_s) for k in (0, 1))
+    for j, x in enumerate(traced.rates):
+        value = known[x.number] if isinstance(x, Symbol) else float(x)
+        rates.add("store", rate + LANES * j, value)
+        for place, origin, part in ((stage, here, half), (total, total, share)):
+            moved = rates.add("+", rates.add("load", origin + LANES * j), rates.add("*", part, value))
+            rates.add("store", place + LANES * j, moved)
+    return rates
+
+
+def _write_check(size: int, blocks: tuple[int, int, int]) -> Program:
+    """Return the program that sets a simulation to NaN if it has broken down.
+
+    ``blocks`` are the places of the state before the step, of the state after it, and of the rates.
+    """
+    here, _, rate = blocks
+    places = [LANES * j for j in range(size)]
+    check = Program()
+    far, gone = 0.0, 0.0
+    for j in places:
+        far = check.add("max", check.add("abs", check.add("load", here + j)), far)
+        gone = check.add("+", gone, check.add("load", rate + j))
+    gone = check.add("positive", check.add("-", MAX_STATE, far), check.add("*", 0.0, gone), math.nan)
+    for place in (first + j for first in blocks for j in places):
+        check.add("store", place, check.add("+", check.add("load", place), gone))
+    return check
 
 
 def source_of(traced: Traced) -> str:
@@ -503,25 +553,8 @@ def source_of(traced: Traced) -> str:
     parameter = row + LANES * traced.width
     elapsed = parameter + LANES * traced.parameters
     slots = {"state": stage, "row": row, "table": parameter, "number": parameter, "elapsed": elapsed}
-    places = [LANES * j for j in range(size)]
-    rates = Program()
-    known = rates.copy_symbols(traced.operations, lambda x: slots[x.kind] + LANES * x.of[0])
-    step_s = rates.add("load", step)
-    half, share = (rates.add("*", rates.add("given", k), step_s) for k in (0, 1))
-    for j, x in zip(places, traced.rates, strict=True):
-        value = known[x.number] if isinstance(x, Symbol) else float(x)
-        rates.add("store", rate + j, value)
-        for place, origin, part in ((stage, here, half), (total, total, share)):
-            moved = rates.add("+", rates.add("load", origin + j), rates.add("*", part, value))
-            rates.add("store", place + j, moved)
-    check = Program()
-    far, gone = 0.0, 0.0
-    for j in places:
-        far = check.add("max", check.add("abs", check.add("load", here + j)), far)
-        gone = check.add("+", gone, check.add("load", rate + j))
-    gone = check.add("positive", check.add("-", BROKEN, far), check.add("*", 0.0, gone), math.nan)
-    for place in (first + j for first in (here, total, rate) for j in places):
-        check.add("store", place, check.add("+", check.add("load", place), gone))
+    rates = _write_rates(traced, slots, (here, total, stage, rate), step)
+    check = _write_check(size, (here, total, rate))
     settle = Program()
     known = settle.copy_symbols(traced.settled[0], lambda x: total + LANES * x.of[0])
     for k, x in traced.settled[1].items():
@@ -539,12 +572,12 @@ def source_of(traced: Traced) -> str:
 
 import numba
 
-from swimid.swimmer.lanes import emitted
+from swimid.swimmer.lanes import emit
 
 SIGNATURE = "void(f8[::1], f8[::1], {drives}, b1, i8, f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1])"
-derivative = emitted({_listed(rates)})
-check = emitted({_listed(check)})
-settle = emitted({_listed(settle)})
+derivative = emit({_format_program(rates)})
+check = emit({_format_program(check)})
+settle = emit({_format_program(settle)})
 
 
 @numba.njit(nogil=True, error_model="numpy", fastmath={{"contract", "nsz"}}, boundscheck=False, cache=True)
@@ -597,7 +630,7 @@ def _writer() -> str:
     return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
 
 
-def _listed(program: Program) -> str:
+def _format_program(program: Program) -> str:
     """Return a program as Python text, with one operation on each line."""
     lines = ",\n    ".join(map(repr, program)).replace("nan", 'float("nan")')
     return f"[\n    {lines}\n]"
@@ -630,13 +663,13 @@ class Room:
 
 
 #: Name of the input array with the external forces in a simulation. Its entries are the start time (s), the
-#: coordinate frame (``placed`` of the engine), and for each force: 1 or 0 (whether the force acts), its point
-#: and its constants.
+#: coordinate frame (:func:`swimid.swimmer.engine.place_frame`), and for each force: 1 or 0 (whether the force
+#: acts), its point and its constants.
 ACTING = "acting"
 #: Elements whose input array of integers has the row of their input in its second column.
 STEERED = ("propeller", "rudder", "slider")
 #: Number of entries for the coordinate frame in the input array :data:`ACTING`.
-FRAME = 7
+FRAME_LENGTH = 8
 
 
 class Kernel:
@@ -661,8 +694,8 @@ class Kernel:
             tables = self._roomy(room, tables)
         self._example = tables(np.ones(len(tree.names)))
         self.size, self._scratch = self.engine.shapes(self._example)
-        self.fixed = _fixed(tables, len(tree.names))
-        for name, columns in self.engine.FILLED.items():
+        self.fixed = _find_constants(tables, len(tree.names))
+        for name, columns in FILLED.items():
             self.fixed[name][:, columns] = np.nan
         entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
@@ -677,7 +710,7 @@ class Kernel:
     ) -> Callable[[Array], dict[str, Any]]:
         """Return a function that computes input arrays with NaN in the entries that effects may change."""
         self._slots: dict[tuple[int, int], slice] = {}
-        at = 1 + FRAME
+        at = 1 + FRAME_LENGTH
         for known, link in room.forces:
             self._slots[id(known.function), link] = slice(at, at + 3 + known.constants)
             at += 3 + known.constants
@@ -685,7 +718,7 @@ class Kernel:
         self._idle = np.ones(at)
         self._idle[[place.start for place in self._slots.values()]] = 0.0
 
-        def opened(values: Array) -> dict[str, Any]:
+        def open_tables(values: Array) -> dict[str, Any]:
             found = dict(tables(values))
             for name, links in room.rows.items():
                 added = np.full((len(links), found[name].shape[1]), np.nan)
@@ -696,7 +729,7 @@ class Kernel:
                 found[name][places] = np.nan
             return {**found, ACTING: np.full(at, np.nan)}
 
-        return opened
+        return open_tables
 
     def fits(self, tables: Mapping[str, Any]) -> bool:
         """Return whether ``tables`` has the constant entries of this robot, so that the kernel applies.
@@ -709,7 +742,7 @@ class Kernel:
         return bool(alike and (self._entries(tables)[self._known] == self._structure).all())
 
     @cached_property
-    def traced(self) -> Traced:
+    def equations(self) -> Traced:
         """Equations of motion of the robot as operations on symbols."""
         tracer = Tracer()
         tables = dict(self._example)
@@ -730,17 +763,19 @@ class Kernel:
         forced, time = None, 0.0
         if self.room is not None:
             acting = tables.pop(ACTING)
-            forced, time = self._forced(self.room, acting), acting[0] + tracer.symbol("elapsed", 0)
-        derivative = on_symbols(self.engine.derivative)
-        derivative(state, row, *tables.values(), forced, time, *scratch, rate)
+            forced, time = self._trace_forces(self.room, acting), acting[0] + tracer.symbol("elapsed", 0)
+        compute_rate = on_symbols(self.engine.compute_rate)
+        compute_rate(state, row, tuple(tables.values()), forced, time, *scratch, rate)
         after = Tracer()
         settled = array(after, "state", (self.size,))
-        on_symbols(self.engine.settled)(settled)
+        on_symbols(self.engine.correct_state)(settled)
         corrected = {j: x for j, x in enumerate(settled) if x.kind != "state"}
-        ends = _used(after.operations, corrected.values())
-        return Traced(_used(tracer.operations, rate), list(rate), (ends, corrected), count, 5 * driven)
+        ends = _select_operations(after.operations, corrected.values())
+        return Traced(
+            _select_operations(tracer.operations, rate), list(rate), (ends, corrected), count, 5 * driven
+        )
 
-    def _forced(self, room: Room, acting: Any) -> tuple[Any, ...]:
+    def _trace_forces(self, room: Room, acting: Any) -> tuple[Any, ...]:
         """Return the forces of effects as symbols, in the form of the engine's argument ``forced``.
 
         A force that does not act in a simulation is zero.
@@ -750,20 +785,20 @@ class Kernel:
 
         def call(plain: Any, time: Any, pose: Any, velocity: Any, own: Any, wrench: Any) -> None:
             plain(time, pose, velocity, own[1:], wrench)
-            wrench[:] = [positive(own[0], part, 0.0) for part in wrench]
+            wrench[:] = [choose_positive(own[0], part, 0.0) for part in wrench]
 
         return (
             [link for _, link in room.forces],
             np.array([slot[1:3] for slot in slots], dtype=object).reshape(-1, 2),
             np.concatenate([np.empty(0, dtype=object), *constants]),
             np.concatenate(([0], np.cumsum([len(own) for own in constants]))).astype(int),
-            acting[1 : 1 + FRAME],
+            acting[1 : 1 + FRAME_LENGTH],
             *(np.zeros(3, dtype=object) for _ in range(3)),
             [partial(call, on_symbols(known.function)) for known, _ in room.forces],
         )
 
-    def widened(
-        self, tables: Mapping[str, Any], forces: Sequence[Force], frame: Array, begin_s: float
+    def add_effects(
+        self, tables: Mapping[str, Any], forces: Sequence[ExternalForce], frame: Array, begin_s: float
     ) -> dict[str, Any] | None:
         """Return the input arrays of a simulation with the rows and entries for effects that this kernel has.
 
@@ -773,9 +808,9 @@ class Kernel:
         ----------
         tables : mapping
             Input arrays of the equations of motion.
-        forces : sequence of Force
-        frame : ndarray, shape (7,)
-            Coordinate frame of the simulation in the world (``placed`` of the engine).
+        forces : sequence of ExternalForce
+        frame : ndarray, shape (8,)
+            Coordinate frame of the simulation in the world (:func:`swimid.swimmer.engine.place_frame`).
         begin_s : float
             Time of the initial state.
         """
@@ -788,7 +823,7 @@ class Kernel:
                 return None
             found[name], found[f"{name}_link"] = rows, links
         acting = self._idle.copy()
-        acting[0], acting[1 : 1 + FRAME] = begin_s, frame
+        acting[0], acting[1 : 1 + FRAME_LENGTH] = begin_s, frame
         count = len(found["topology"])
         for force in forces:
             place = self._slots.get((id(force.function), force.link % count))
@@ -798,7 +833,7 @@ class Kernel:
         found[ACTING] = acting
         return found if self.fits(found) else None
 
-    def compiled(self, progress: Progress = silent, name: str = "") -> ModuleType:
+    def compile_module(self, progress: Progress = silent, name: str = "") -> ModuleType:
         """Return the compiled module of the kernel. Compile it if this machine does not have it yet.
 
         Parameters
@@ -809,10 +844,10 @@ class Kernel:
         """
         with self._lock:
             if self.module is None:
-                text = source_of(self.traced)
+                text = source_of(self.equations)
                 shown = silent if on_disk(text) else progress
                 with shown(f"compiling the equations of {name} (on first use only)"):
-                    self.module = imported(text)
+                    self.module = load_module(text)
                     self.module.integrate.compile(self.module.SIGNATURE)
             return self.module
 
@@ -833,7 +868,7 @@ class Kernel:
             States and rates, shape (steps + 1, size), as ``engine.integrate`` returns them. They are parts of
             the results of a batch, whose memory is reused when no part of them is referred to any more.
         """
-        module, traced = self.compiled(), self.traced
+        module, traced = self.compile_module(), self.equations
         # put simulations of similar length into the same batch
         order = sorted(range(len(runs)), key=lambda k: len(runs[k][2]))
         for first in range(0, len(order), LANES):
@@ -853,7 +888,7 @@ class Kernel:
                 np.stack([numbers[id(t)] for t in tables], axis=-1).reshape(-1),
                 states,
                 rates,
-                np.empty(length(traced)),
+                np.empty(work_length(traced)),
             )
             for j, k in enumerate(batch):
                 yield k, (states[j, : steps[j] + 1], rates[j, : steps[j] + 1])
@@ -897,7 +932,7 @@ def _references(arrays: Sequence[Array]) -> list[int]:
 IDLE = _references([np.empty(0)])[0]
 
 
-def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
+def _find_constants(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
     """Return the input arrays of an engine with the entries that are 0, 1 or -1 for all coefficients.
 
     All other entries are NaN.
@@ -914,7 +949,7 @@ def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict
     return fixed
 
 
-def _used(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
+def _select_operations(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
     """Return those operations on which the results depend, in the same order."""
     needed = {x.number for x in results if isinstance(x, Symbol)}
     for x in reversed(operations):
@@ -925,7 +960,7 @@ def _used(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
 
 def folder() -> Path:
     """Return the folder of generated modules, which lies in numba's cache folder of the scalar engine."""
-    return Path(integrate.stats.cache_path) / "lanes"
+    return Path(interpolate_states.stats.cache_path) / "lanes"
 
 
 def _path(text: str) -> Path:
@@ -936,11 +971,11 @@ def _path(text: str) -> Path:
 
 def on_disk(text: str) -> bool:
     """Return whether the generated module with this text is compiled on this machine."""
-    module = imported(text)
+    module = load_module(text)
     return any(Path(module.integrate.stats.cache_path).glob(f"{module.__name__}.integrate-*.nbc"))
 
 
-def imported(text: str) -> ModuleType:
+def load_module(text: str) -> ModuleType:
     """Return the generated module with this text, and write its file if there is none.
 
     The module is compiled at its first call.
@@ -1016,18 +1051,20 @@ class Kernels:
         """Compile the kernel of the robot with the given name, and with ``effects`` also the wide kernel."""
         if not self.used:
             return
-        self.own.compiled(progress, name)
+        self.own.compile_module(progress, name)
         if effects and self.wide is not None:
-            self.wide.compiled(progress, f"{name} with effects")
+            self.wide.compile_module(progress, f"{name} with effects")
 
-    def choose(self, run: Run, frame: Callable[[Run], Array]) -> tuple[Kernel, Mapping[str, Any]] | None:
+    def choose(
+        self, run: SimulationRequest, frame: Callable[[SimulationRequest], Array]
+    ) -> tuple[Kernel, Mapping[str, Any]] | None:
         """Return the kernel for a simulation with its input arrays; None if the scalar engine is needed.
 
         Parameters
         ----------
         run : Run
         frame : callable
-            Function from a simulation to its coordinate frame in the world, shape (7,).
+            Function from a simulation to its coordinate frame in the world, shape (8,).
         """
         if not self.used:
             return None
@@ -1035,11 +1072,11 @@ class Kernels:
             return self.own, run.tables
         if self.wide is None:
             return None
-        tables = self.wide.widened(run.tables, run.hooks.force, frame(run), run.grid.begin_s)
+        tables = self.wide.add_effects(run.tables, run.hooks.force, frame(run), run.grid.begin_s)
         return None if tables is None else (self.wide, tables)
 
     def run(
-        self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]
+        self, runs: Mapping[Any, SimulationRequest], frame: Callable[[SimulationRequest], Array]
     ) -> Iterator[tuple[Any, tuple[Array, Array]]]:
         """Yield key, states and rates of the simulations that the kernels can compute.
 

@@ -8,23 +8,36 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType, ModuleType
+from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Request, Trial, unless_broken
+from swimid.fitting.model import (
+    NONE,
+    Array,
+    Channel,
+    Hooks,
+    Model,
+    Parameter,
+    Request,
+    Scales,
+    Trial,
+    unless_broken,
+)
 from swimid.notices import Progress, silent
 from swimid.results.numbers import split_unit
 from swimid.robots.file import Robot
+from swimid.robots.quantities import Polynomial
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
+from swimid.swimmer.engine import interpolate_states, pack_forces
 from swimid.swimmer.lanes import LANES, Kernels, Room
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar.engine import outside, sampled
-from swimid.swimmer.steady import Cruise, SteadySwimming
-from swimid.swimmer.tree import Axis, Polynomial, Tree, coefficients, law_of
+from swimid.swimmer.steady import SteadySpeed, SteadySwimming
+from swimid.swimmer.tree import MovingJoint, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.fitting.model import SwimInput
@@ -37,7 +50,7 @@ MAX_REQUESTS = 8 * LANES
 
 
 #: Placeholder for the joint motion of a simulation whose trajectory is cached.
-NO_MOTION = DrivenMotion(np.empty((0, 0, 5)), 0)
+NO_DRIVEN_MOTION = DrivenMotion(np.empty((0, 0, 5)), 0)
 
 
 class Trajectory(NamedTuple):
@@ -57,7 +70,7 @@ class Trajectory(NamedTuple):
     drive: DrivenMotion
 
 
-class Run(NamedTuple):
+class SimulationRequest(NamedTuple):
     """Request for a simulation: its cached trajectory, or else the input of the integration.
 
     Attributes
@@ -85,7 +98,7 @@ class Run(NamedTuple):
     grid: Grid
     kept: Trajectory | None
     start: Array = np.empty(0)
-    drive: DrivenMotion = NO_MOTION
+    drive: DrivenMotion = NO_DRIVEN_MOTION
     tables: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -150,22 +163,18 @@ class Swimmer(Model, ABC):
     velocity: tuple[str, ...]
     #: Channels of force and torque on the holder of a fixed base. They are about the reference point.
     reactions: tuple[str, ...]
-    #: Numbers of coordinates and of velocities of the base in a state vector. The passive joint angles follow
-    #: the coordinates, and the passive joint rates follow the velocities.
-    coordinates: int
-    speeds: int
     #: Names of the pose coordinates and of the velocities, as used in the names of the start parameters.
     places: tuple[str, ...]
     rates: tuple[str, ...]
     #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.
     camera: tuple[Parameter, ...] = ()
-    #: Module of the compiled equations of motion.
-    engine: ModuleType
     tree: Tree
 
     def __init__(self, robot: Robot, *, max_step: float = STEP_S) -> None:
         self.robot, self.max_step = robot, max_step
         self.tree = self._tree()
+        self.engine = self.tree.engine
+        self.coordinates, self.speeds = self.engine.coordinates, self.engine.speeds
         self.driven, self.passive = self.tree.driven, self.tree.passive
         self.actuators = self.tree.actuators
         # the first parameters are the coefficients of the robot file
@@ -174,6 +183,14 @@ class Swimmer(Model, ABC):
         self.starts = tuple(f"start_{word}" for word in self.places)
         self.parameters = (*coefficients(self.tree.body.coefficients), *_trial_parameters(self))
         self.channels = _channels(self)
+        self._index_parameters()
+        self.inputs = self.tree.body.inputs
+        self.kernels = Kernels(self.tree, self._room)
+        self._checked: bytes | None = None
+        self._clear_caches()
+
+    def _index_parameters(self) -> None:
+        """Find the indices of the parameters by their use, and the joint columns of a state vector."""
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         views = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
         views |= {f"{word}_{name}" for word in ("offset", "drift") for name in self.reactions}
@@ -191,10 +208,6 @@ class Swimmer(Model, ABC):
             np.array([self._at[name] for name in names if self.free_base], dtype=int)
             for names in (velocities, self.starts)
         )
-        self.inputs = self.tree.body.inputs
-        self.kernels = Kernels(self.tree, self._room)
-        self._checked: bytes | None = None
-        self._clear_caches()
 
     def _clear_caches(self) -> None:
         """Begin with empty caches of simulations. A copy with another integration step needs its own."""
@@ -221,7 +234,7 @@ class Swimmer(Model, ABC):
         """
 
     @abstractmethod
-    def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+    def observe(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point from simulated states."""
 
     @abstractmethod
@@ -248,16 +261,59 @@ class Swimmer(Model, ABC):
         moved = zip(names, self._velocities_of_pose(seen), strict=False)
         return found | {name: value for name, value in moved if found[name] is None}
 
-    def determined_starts(self, measured: Collection[str]) -> list[str]:
+    def list_determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the names of the initial velocities, angles and rates that measured channels determine.
 
         For a robot in a plane, any measured channels determine all of them.
         """
         return [p.name for p in self.parameters if p.name.startswith("initial_")]
 
-    def attitude(self) -> list[int]:
-        """Return the indices, in a state vector, of base angles that affect the motion."""
-        return []
+    @property
+    @abstractmethod
+    def reference_m(self) -> Sequence[float]:
+        """Position of the reference point in the axes of the base, m."""
+
+    @abstractmethod
+    def start_course(self, trial: Trial) -> tuple[float, float, float]:
+        """Return the position on the two axes of the motion (m) and the heading (rad) at the first sample."""
+
+    def typical_force(self, scales: Scales) -> float:
+        """Return the drag at the typical speed, plus the force that accelerates the robot to it, N."""
+        tables, columns = self.tree.tables(self.start_coefficients), self.engine.columns
+        drag = tables["drag"][:, columns["drag"].index("quadratic_x")].sum()
+        size, rest = (columns["foil"].index(name) for name in ("half_rho_area", "cd0"))
+        drag += tables["foil"][:, size] @ tables["foil"][:, rest]
+        mass = tables["inertia"][:, 0].sum()
+        return float(drag * scales.speed**2 + mass * scales.speed / scales.duration)
+
+    @property
+    def course(self) -> tuple[str, ...]:
+        """Channels of the position and of the heading. The heading comes last, after the horizontal axes."""
+        return self.pose
+
+    @cached_property
+    def _memory(self) -> list[int]:
+        """Indices of the state entries on which the motion over a period of the drive depends.
+
+        They are passive joint angles, velocities of a free base and passive joint rates.
+        """
+        passives, first = len(self.passive), self.coordinates + len(self.passive)
+        begin = first + self.speeds * (not self.free_base)
+        return [*range(self.coordinates, first), *range(begin, first + self.speeds + passives)]
+
+    def cycle_states(self, states: Array) -> Array:
+        """Return those quantities of states on which the motion over a period of the drive depends.
+
+        The motion is the same from any place, and in a plane in any heading. The quantities have the shape
+        (n, m).
+        """
+        return states[:, self._memory]
+
+    def with_cycle_state(self, start: Array, quantities: Array) -> Array:
+        """Return a state vector in which the quantities of :meth:`cycle_states` have the given values."""
+        state = start.copy()
+        state[self._memory] = quantities[-len(self._memory) :]
+        return state
 
     def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
@@ -271,11 +327,11 @@ class Swimmer(Model, ABC):
         """Return the elements and forces that effects may add to the simulation; None if they add none."""
         return None
 
-    def frame(self, run: Run) -> Array:
+    def frame(self, run: SimulationRequest) -> Array:
         """Return the pose of the simulation's coordinate frame in the world, for external forces."""
         raise NotImplementedError
 
-    def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
+    def _add_water_motion(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
         """Add the motion of the water to channels that were simulated relative to the water."""
 
     # -------------------------------------------------------- used by fits
@@ -285,7 +341,7 @@ class Swimmer(Model, ABC):
         """The model itself, because it is a model of a robot with links (see :attr:`Model.swimmer`)."""
         return self
 
-    def stated(self) -> dict[str, float]:
+    def get_file_values(self) -> dict[str, float]:
         """Return the values of the coefficients in the robot file."""
         return {name: c.value for name, c in self.tree.body.coefficients.items()}
 
@@ -294,14 +350,14 @@ class Swimmer(Model, ABC):
         """Start values of the coefficients of the robot file."""
         return np.array([p.start for p in self.parameters[: len(self.coefficients)]])
 
-    def given(self, trial: Trial) -> list[str]:
+    def list_input_channels(self, trial: Trial) -> list[str]:
         """Return the channels of measured joint angles that drive the simulation.
 
         Joints with a servo or a shared actuator are not among them, because their angles are simulated.
         """
         if trial.swim.joints is None:
             return []
-        return [a.column for a in self.driven if a.driven is not None and not a.driven.computed]
+        return [a.column for a in self.driven if a.law is not None and not a.law.is_computed]
 
     def check(self, values: Array) -> None:
         """Raise an error if the coefficients give physically impossible masses or inertias.
@@ -319,7 +375,7 @@ class Swimmer(Model, ABC):
         """Return the commanded angle of an actuator, rad, shape (n,)."""
         return joint_motion(self.actuators[number], number, swim, time_s, phase_rad)[0]
 
-    def commanded(self, trial: Trial) -> bool:
+    def is_commanded(self, trial: Trial) -> bool:
         """Return whether commands act in a trial: a drive, logged commands, or unmeasured inputs."""
         joints = trial.swim.drive is not None
         if trial.swim.joints is not None:
@@ -333,7 +389,7 @@ class Swimmer(Model, ABC):
         """
         yield from self.joints.commands(trial)
 
-    def acting_inputs(self, trial: Trial) -> Array:
+    def compute_inputs(self, trial: Trial) -> Array:
         """Return the inputs behind the laws of their actuators during a trial, shape (n, inputs)."""
         values = np.array([p.start for p in self.parameters])
         grid = self._grid(values, trial, NONE)
@@ -351,7 +407,7 @@ class Swimmer(Model, ABC):
         forces_N : ndarray, shape (thrusters,)
             Their forces for an input of 1.
         """
-        columns = self.engine.LOAD
+        columns = self.engine.columns["load"]
         along = [i for i, name in enumerate(columns) if name.startswith("force_")]
         forces = np.linalg.norm(tables["load"][:, along], axis=1)
         inputs = tables["load_input"] - len(self.driven)
@@ -363,9 +419,9 @@ class Swimmer(Model, ABC):
     def lose_thrust(self, tables: dict[str, Any], loss: float) -> None:
         """Let the thrust T of each thruster fall by ``loss sqrt(|T|)`` per velocity along it, (kg/m)^0.5."""
         rows, _, forces = self.thrusters(tables)
-        tables["load"][rows, self.engine.LOAD.index("loss")] = loss / forces**1.5
+        tables["load"][rows, self.engine.columns["load"].index("loss")] = loss / forces**1.5
 
-    def yielding(self) -> list[str]:
+    def list_joint_coefficients(self) -> list[str]:
         """Return the names of the coefficients in the laws of the passive joints, such as their stiffness."""
         entries = [entry for axis in self.passive for entry in law_of(axis.joint)]
         used = {name for entry in entries for name in entry.names}
@@ -388,7 +444,7 @@ class Swimmer(Model, ABC):
         effects = effects or any(effect.stage not in ("actuation", "sensing") for effect in self.effects)
         self.kernels.prepare(self.robot.name, progress, effects=effects)
 
-    def refined(self) -> Self:
+    def refine(self) -> Self:
         """Return the same model with half the integration step."""
         return self._with_step(0.5 * self.max_step)
 
@@ -423,23 +479,23 @@ class Swimmer(Model, ABC):
 
     # -------------------------------------------------------- simulation
 
-    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate a trial with effects (see :meth:`Model.hooked`)."""
+    def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate a trial with effects (see :meth:`Model.simulate_hooked`)."""
         return self._at_samples(values, trial, hooks, self.trajectory(values, trial, hooks))
 
     @property
-    def together(self) -> int:
-        """Number of simulations in one batch of the compiled kernel (see :attr:`Model.together`)."""
+    def batch_size(self) -> int:
+        """Number of simulations in one batch of the compiled kernel (see :attr:`Model.batch_size`)."""
         return LANES if self.kernels.used else 1
 
-    def hooked_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
-        """Simulate several trials in batches of the compiled kernel (see :meth:`Model.hooked_many`)."""
+    def simulate_many(self, runs: Sequence[Request]) -> list[dict[str, Array]]:
+        """Simulate several trials in batches of the compiled kernel (see :meth:`Model.simulate_many`)."""
 
-        def observe(k: int, run: Run, trajectory: Trajectory) -> tuple[int, dict[str, Array]]:
+        def observe(k: int, run: SimulationRequest, trajectory: Trajectory) -> tuple[int, dict[str, Array]]:
             return k, self._at_samples(*runs[k], trajectory)
 
-        channels = dict(filter(None, unless_broken(observe, self._simulated(runs))))
-        return [channels.get(k) or self.broken_down(trial) for k, (_, trial, _) in enumerate(runs)]
+        channels = dict(filter(None, unless_broken(observe, self._simulate_many(runs))))
+        return [channels.get(k) or self.make_broken(trial) for k, (_, trial, _) in enumerate(runs)]
 
     def with_energetics(
         self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
@@ -461,11 +517,11 @@ class Swimmer(Model, ABC):
         """
         asked = [self._arguments(*run, measured=False) for run in runs]
         found: dict[int, tuple[dict[str, Array], Energetics | None]] = {}
-        for k, run, trajectory in self._simulated(asked):
+        for k, run, trajectory in self._simulate_many(asked):
             if np.isfinite(trajectory.states[-1]).all():
                 columns = self._at_samples(*asked[k], trajectory)
                 found[k] = columns, _energetics(self, run, trajectory, last_s[k])
-        return [found.get(k) or (self.broken_down(trial), None) for k, (_, trial) in enumerate(runs)]
+        return [found.get(k) or (self.make_broken(trial), None) for k, (_, trial) in enumerate(runs)]
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
         """Return the simulated trajectory of a trial at the integration steps.
@@ -476,19 +532,19 @@ class Swimmer(Model, ABC):
         ((_, _, found),) = self._trajectories_of([(0, request)])
         return found
 
-    def cruise(self, values: Array, trial: Trial) -> Cruise | None:
+    def cruise(self, values: Array, trial: Trial) -> SteadySpeed | None:
         """Return the steady swimming of the model under the drive of a trial, with all effects.
 
         Returns
         -------
         Cruise or None
-            None if the drive is not periodic, if the base is fixed, and for a robot in 3-D.
+            None if the drive is not periodic, or if the base is fixed.
         """
-        if trial.swim.drive is None or not self.free_base or self.in_space:
+        if trial.swim.drive is None or not self.free_base:
             return None
         return self.steady.cruise(*self._arguments(values, trial))
 
-    def request(self, values: Array, trial: Trial, hooks: Hooks) -> Run:
+    def request(self, values: Array, trial: Trial, hooks: Hooks) -> SimulationRequest:
         """Return the request for a simulation of a trial with effects.
 
         The request has all inputs of the integration, or the trajectory if it is cached.
@@ -501,7 +557,7 @@ class Swimmer(Model, ABC):
         key = values[self.influences(hooks)].tobytes(), hooks.key, grid
         kept = self._trajectories.get(trial.id, key)
         if kept is not None:
-            return Run(values, trial, hooks, key, grid, kept)
+            return SimulationRequest(values, trial, hooks, key, grid, kept)
         motion = self.joints.motion(values, trial, grid, self.value(values, "drive_phase"), hooks)
         passives = len(self.passive)
         start = np.zeros(self.coordinates + self.speeds + 2 * passives)
@@ -509,7 +565,7 @@ class Swimmer(Model, ABC):
         start[self.coordinates : self.coordinates + passives] = values[self._angles]
         start[len(start) - passives :] = values[self._speeds]
         tables = self._tables(values, hooks)
-        run = Run(values, trial, hooks, key, grid, None, start, motion, tables)
+        run = SimulationRequest(values, trial, hooks, key, grid, None, start, motion, tables)
         return run._replace(start=self.steady.initial_state(run)) if trial.swim.steady else run
 
     def _tables(self, values: Array, hooks: Hooks) -> dict[str, Any]:
@@ -519,23 +575,23 @@ class Swimmer(Model, ABC):
             return tables
         # copy the cached input arrays, because an effect writes into them
         own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
-        return hooks.changed(own, "tables")
+        return hooks.change_values(own, "tables")
 
-    def _forced(self, run: Run) -> tuple[Any, ...] | None:
+    def _pack_forces(self, run: SimulationRequest) -> tuple[Any, ...] | None:
         """Return the forces of effects as the engine takes them; None if there are none."""
         if not run.hooks.force:
             return None
-        return outside(run.hooks.force, self.frame(run), len(self.tree.links))
+        return pack_forces(run.hooks.force, self.frame(run), len(self.tree.links))
 
-    def integrate(self, run: Run) -> tuple[Array, Array]:
+    def integrate(self, run: SimulationRequest) -> tuple[Array, Array]:
         """Integrate by the scalar engine, and return the states and their time derivatives."""
         tables = tuple(run.tables.values())
         states, rates = self.engine.integrate(
-            run.start, run.grid.step_s, run.drive.table, tables, self._forced(run), run.grid.begin_s
+            run.start, run.grid.step_s, run.drive.table, tables, self._pack_forces(run), run.grid.begin_s
         )
         return states, rates
 
-    def torques(self, run: Run, trajectory: Trajectory, first: int) -> tuple[Array, Array]:
+    def torques(self, run: SimulationRequest, trajectory: Trajectory, first: int) -> tuple[Array, Array]:
         """Return the torques on the links, and the wrench on the base, from step ``first`` on.
 
         The torques have the shape (m, links), N m. The wrench is force (N) and moment (N m) at the origin of
@@ -543,15 +599,13 @@ class Swimmer(Model, ABC):
         """
         tables, grid = tuple(self._tables(run.values, run.hooks).values()), trajectory.grid
         drive = trajectory.drive.table[::2][first:]
-        more: tuple[Any, ...] = ()
-        if run.hooks.force:
-            more = self._forced(run), grid.begin_s + first * grid.step_s, grid.step_s
-        torque, wrench = self.engine.torques(
-            trajectory.states[first:], trajectory.rates[first:], drive, tables, *more
+        begin_s, forces = grid.begin_s + first * grid.step_s, self._pack_forces(run)
+        torque, wrench = self.engine.compute_torques(
+            trajectory.states[first:], trajectory.rates[first:], drive, tables, forces, begin_s, grid.step_s
         )
         return np.asarray(torque), np.asarray(wrench)
 
-    def _held(
+    def _compute_reactions(
         self, values: Array, trial: Trial, hooks: Hooks, trajectory: Trajectory, time_s: Array
     ) -> dict[str, Array]:
         """Return the force and torque of the robot on its holder as a load cell measures them, by channel.
@@ -560,7 +614,7 @@ class Swimmer(Model, ABC):
         offset and a drift in each trial.
         """
         grid = trajectory.grid
-        run = Run(values, trial, hooks, (), grid, trajectory)
+        run = SimulationRequest(values, trial, hooks, (), grid, trajectory)
         _, wrench = self.torques(run, trajectory, 0)
         steps = grid.times(1)
         found = {}
@@ -576,7 +630,7 @@ class Swimmer(Model, ABC):
         """Return a force behind the holder. It is exact for a force that is linear between the steps."""
         from scipy.signal import cont2discrete, lfilter
 
-        named = self.tree.named(values)
+        named = self.tree.name_values(values)
         holder = self.tree.body.holder
         omega = 2.0 * math.pi * Polynomial.of(holder.natural_frequency_hz).at(named)
         damping = Polynomial.of(holder.damping_ratio).at(named)
@@ -588,7 +642,7 @@ class Swimmer(Model, ABC):
         """Return the value of a parameter, or 0 if the model does not have the parameter."""
         return float(values[self._at[name]]) if name in self._at else 0.0
 
-    def _simulated(self, runs: Sequence[Request]) -> Iterator[tuple[int, Run, Trajectory]]:
+    def _simulate_many(self, runs: Sequence[Request]) -> Iterator[tuple[int, SimulationRequest, Trajectory]]:
         """Simulate trials with effects, and yield the index, the request and the trajectory of each.
 
         A simulation that breaks down before its first step is left out. Only a few requests are in memory at
@@ -598,13 +652,15 @@ class Swimmer(Model, ABC):
             asked = enumerate(unless_broken(self.request, runs[first : first + MAX_REQUESTS]), first)
             yield from self._trajectories_of([(k, run) for k, run in asked if run is not None])
 
-    def _trajectories_of(self, runs: Sequence[tuple[int, Run]]) -> Iterator[tuple[int, Run, Trajectory]]:
+    def _trajectories_of(
+        self, runs: Sequence[tuple[int, SimulationRequest]]
+    ) -> Iterator[tuple[int, SimulationRequest, Trajectory]]:
         """Yield number, request and trajectory of each requested simulation.
 
         A trajectory is yielded as soon as it is known, so that a large batch needs little memory. Requests
         with equal keys are simulated once.
         """
-        missing: dict[tuple[str, Hashable], Run] = {}
+        missing: dict[tuple[str, Hashable], SimulationRequest] = {}
         equal: dict[tuple[str, Hashable], list[int]] = {}
         for k, run in runs:
             if run.kept is not None:
@@ -622,7 +678,9 @@ class Swimmer(Model, ABC):
                 self._trajectories.put(run.trial.id, run.key, trajectory)
             yield from ((k, run, trajectory) for k in equal[at])
 
-    def integrate_many(self, runs: Mapping[Any, Run]) -> Iterator[tuple[Any, tuple[Array, Array]]]:
+    def integrate_many(
+        self, runs: Mapping[Any, SimulationRequest]
+    ) -> Iterator[tuple[Any, tuple[Array, Array]]]:
         """Yield key, states and rates of all simulations, first of those that the kernels can compute."""
         rest = dict(runs)
         for at, result in self.kernels.run(runs, self.frame):
@@ -647,25 +705,25 @@ class Swimmer(Model, ABC):
 
     def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
         """Return the channels of a trajectory, interpolated at the samples of a trial."""
-        time = hooks.happened(trial.time_s - self.value(values, "clock_offset"))
-        states = sampled(time, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
+        time = hooks.compute_event_times(trial.time_s - self.value(values, "clock_offset"))
+        states = interpolate_states(time, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
         found: dict[str, Array] = {}
         if self.free_base:
-            found.update(self.observed(values, trial, states))
+            found.update(self.observe(values, trial, states))
             if hooks.flow:
-                self._carried(found, hooks, run.grid.begin_s, time)
+                self._add_water_motion(found, hooks, run.grid.begin_s, time)
         for name, column in self._joint_columns.items():
             found[name] = states[:, column]
         if self.driven:
             columns = (axis.column for axis in self.driven)
-            found.update(zip(columns, run.drive.sampled(time, run.grid), strict=True))
+            found.update(zip(columns, run.drive.interpolate_states(time, run.grid), strict=True))
         if not self.free_base and (not trial.measured or trial.measured.keys() & set(self.reactions)):
-            found |= self._held(values, trial, hooks, run, time)
-        return hooks.seen(found, trial.time_s) if hooks.output else found
+            found |= self._compute_reactions(values, trial, hooks, run, time)
+        return hooks.sense(found, trial.time_s) if hooks.output else found
 
 
 #: Typical scales of the start pose and velocity of a free base, by unit.
-SCALES = {"m": 0.01, "rad": 0.05, "m/s": 0.1, "rad/s": 0.5}
+START_SCALES = {"m": 0.01, "rad": 0.05, "m/s": 0.1, "rad/s": 0.5}
 
 
 def _trial_parameters(model: Swimmer) -> list[Parameter]:
@@ -677,10 +735,10 @@ def _trial_parameters(model: Swimmer) -> list[Parameter]:
     if model.free_base:
         for name, column in zip(model.rates, model.velocity, strict=True):
             unit, meaning = split_unit(column)[1], f"{name.replace('_', ' ')} at the first sample"
-            initial.append(trial_parameter(f"initial_{name}", unit, SCALES[unit], meaning))
+            initial.append(trial_parameter(f"initial_{name}", unit, START_SCALES[unit], meaning))
         for name, word, column in zip(model.starts, model.places, model.pose, strict=True):
             unit, meaning = split_unit(column)[1], f"{word} of the start against the first sample"
-            view.append(trial_parameter(name, unit, SCALES[unit], meaning))
+            view.append(trial_parameter(name, unit, START_SCALES[unit], meaning))
     else:
         for name in model.reactions:
             bare, unit = split_unit(name)
@@ -712,7 +770,7 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
             bare, unit = split_unit(name)
             found.append(Channel(name, unit, f"{bare.replace('_', ' along ')} on the holder"))
 
-    def position(axis: Axis) -> tuple[int, str]:
+    def position(axis: MovingJoint) -> tuple[int, str]:
         return len(axis.column), axis.column
 
     for axis in sorted([*model.passive, *model.driven], key=position):
@@ -722,7 +780,7 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
     return tuple(found)
 
 
-def _energetics(model: Swimmer, run: Run, trajectory: Trajectory, last_s: float) -> Energetics:
+def _energetics(model: Swimmer, run: SimulationRequest, trajectory: Trajectory, last_s: float) -> Energetics:
     """Return torques and powers of the driven joints over the last ``last_s`` seconds of a trajectory."""
     steps = max(round(last_s / trajectory.grid.step_s), 1)
     first = max(len(trajectory.states) - 1 - steps, 0)
@@ -766,7 +824,7 @@ def flows(hooks: Hooks, time_s: Array) -> tuple[Array, Array]:
     return np.asarray(sum(p[0] for p in parts)), np.asarray(sum(p[1] for p in parts))
 
 
-def turned(x: Array | float, y: Array | float, angle: Array | float) -> Array:
+def rotate_vector(x: Array | float, y: Array | float, angle: Array | float) -> Array:
     """Return a vector rotated by an angle (rad), shape (2, n)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * x - s * y, s * x + c * y])

@@ -52,13 +52,7 @@ def start_state() -> Any:
 FRONT = "front"
 
 
-class FitGrayboxOptions(
-    Options,
-    command="fit-graybox",
-    section="Identify",
-    beside=(".evidence.json", ".front.csv"),
-    makes="parameters",
-):
+class FitGrayboxOptions(Options, beside=(".evidence.json", ".front.csv"), makes="parameters"):
     """Identify the coefficients of a multi-link swimmer.
 
     TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
@@ -73,8 +67,8 @@ class FitGrayboxOptions(
       swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
     """
 
-    fixed: Mapping[str, float] = fits.fixed()
-    freed: tuple[str, ...] = fits.freed()
+    fixed: Mapping[str, float] = fits.fix_option()
+    freed: tuple[str, ...] = fits.free_option()
     bounds: Mapping[str, tuple[float, float]] = fits.bounds()
     share: tuple[str, ...] = option(
         (),
@@ -131,7 +125,6 @@ class FitGrayboxOptions(
         "Default: 0.05 m, 0.05 m/s, 5 deg, 10 deg/s.",
     )
     jobs: int | None = fits.jobs()
-    cluster: str | None = fits.cluster()
 
     @model_validator(mode="after")
     def _belong_together(self) -> Self:
@@ -147,5 +140,5 @@ class FitGrayboxOptions(
         every = super().settings(**found)
         if self.method != "least-squares":
             return every
-        left_out = {entry.key for entry in self.declared().values() if entry.part == FRONT}
+        left_out = {entry.key for entry in self.declarations().values() if entry.part == FRONT}
         return {key: value for key, value in every.items() if key not in left_out}

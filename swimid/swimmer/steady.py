@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.drives import Cycle, TailBeat
 from swimid.fitting.model import Array, Hooks, Trial
 from swimid.swimmer.drive import Grid, TrialCache
 
 if TYPE_CHECKING:
-    from swimid.swimmer.model import Run, Swimmer
+    from swimid.swimmer.model import SimulationRequest, Swimmer
 
 
 #: Relative tolerance of the fixed point: the maximum change of the state over a period, divided by the
@@ -146,7 +146,7 @@ def _slopes(period: Callable[[Array], Array], state: Array, end: Array, steps: A
 MAX_CYCLES = 64
 
 
-class Cruise(NamedTuple):
+class SteadySpeed(NamedTuple):
     """Speed of a model in steady swimming, and time in which it settles.
 
     Attributes
@@ -173,28 +173,19 @@ class SteadySwimming:
     def __init__(self, model: Swimmer) -> None:
         self.model = model
         self._cycles: TrialCache[tuple[LimitCycle | None]] = TrialCache(MAX_CYCLES)
-        # collect the indices of the state entries on which the motion over a period depends
-        passives, first = len(model.passive), model.coordinates + len(model.passive)
-        angles = list(range(model.coordinates, first))
-        rates = list(range(first + model.speeds, first + model.speeds + passives))
-        self._memory = [*angles, *rates]
-        if model.free_base:
-            self._memory = [*model.attitude(), *angles, *range(first, first + model.speeds), *rates]
 
-    def initial_state(self, run: Run) -> Array:
+    def initial_state(self, run: SimulationRequest) -> Array:
         """Return the initial state of a simulation in steady swimming; NaN if the motion never settles."""
         cycle = self._limit_cycle(run)
-        start = run.start.copy()
-        start[self._memory] = np.nan
-        if cycle is not None:
-            # integrate over at least one period, because a shorter time would give small steps
-            period = 1.0 / _drive_of(run).frequency_hz
-            ahead = self._since_phase_zero(run) + period
-            states = self._states(run, run.grid.begin_s - ahead, cycle.state, ahead / period)
-            start[self._memory] = states[-1, self._memory]
-        return start
+        if cycle is None:
+            return np.full_like(run.start, np.nan)
+        # integrate over at least one period, because a shorter time would give small steps
+        period = 1.0 / _drive_of(run).frequency_hz
+        ahead = self._since_phase_zero(run) + period
+        states = self._states(run, run.grid.begin_s - ahead, cycle.state, ahead / period)
+        return self.model.with_cycle_state(run.start, self.model.cycle_states(states[-1:])[0])
 
-    def cruise(self, values: Array, trial: Trial, hooks: Hooks) -> Cruise:
+    def cruise(self, values: Array, trial: Trial, hooks: Hooks) -> SteadySpeed:
         """Return the speed at which the model settles under the periodic drive of a trial, with effects.
 
         It is the speed through the water.
@@ -204,22 +195,24 @@ class SteadySwimming:
         values : ndarray
             Parameters of the model.
         trial : Trial
-            Trial of a robot in a plane with a free base.
+            Trial of a robot with a free base.
         """
-        trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.begun())
+        trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.make_steady())
         run = self.model.request(values, trial, hooks)
         cycle = self._limit_cycle(run)
         if cycle is None:
-            return Cruise(math.nan, math.inf)
+            return SteadySpeed(math.nan, math.inf)
         period = 1.0 / _drive_of(run).frequency_hz
         begin = run.grid.begin_s - self._since_phase_zero(run)
         ends = self._states(run, begin, cycle.state)[[0, -1]]
-        seen = self.model.observed(values, trial, ends)
-        x, y, turned = (float(np.diff(seen[name])[0]) for name in self.model.pose)
-        arc = math.hypot(x, y) / float(np.sinc(turned / (2.0 * math.pi)))
-        return Cruise(arc / period, -period / math.log(max(cycle.multiplier, 1e-12)))
+        seen = self.model.observe(values, trial, ends)
+        *way, turned = (float(np.diff(np.unwrap(seen[name]))[0]) for name in self.model.course)
+        arc = math.hypot(*way[:2]) / float(np.sinc(turned / (2.0 * math.pi)))
+        return SteadySpeed(
+            math.hypot(arc, *way[2:]) / period, -period / math.log(max(cycle.multiplier, 1e-12))
+        )
 
-    def _limit_cycle(self, run: Run) -> LimitCycle | None:
+    def _limit_cycle(self, run: SimulationRequest) -> LimitCycle | None:
         """Return the limit cycle under the drive of a simulation, with its state at phase zero of the drive.
 
         Return None if the motion never settles.
@@ -228,22 +221,23 @@ class SteadySwimming:
         phases_and_starts = ("drive_phase", "initial_")
         names = [p.name for p in self.model.parameters]
         moved = [i for i in self.model.influences(run.hooks) if not names[i].startswith(phases_and_starts)]
-        kind = (replace(_drive_of(run), phase_rad=0.0), run.hooks.key, self.model.max_step)
+        kind = (repr(replace(_drive_of(run), phase_rad=0.0)), run.hooks.key, self.model.max_step)
         key = (*kind, run.values[moved].tobytes())
         known, last = self._cycles.get("", key), self._cycles.get("", kind)
         if known is not None:
             return known[0]
 
         def period(state: Array) -> Array:
-            return self._states(run, section, state)[:, self._memory]
+            return self.model.cycle_states(self._states(run, section, state))
 
-        found = limit_cycle(period, np.zeros(len(self._memory)), near=(last or (None,))[0])
+        at_rest = np.zeros(self.model.cycle_states(run.start[None]).shape[1])
+        found = limit_cycle(period, at_rest, near=(last or (None,))[0])
         self._cycles.put("", key, (found,))
         if found is not None:
             self._cycles.put("", kind, (found,))
         return found
 
-    def _states(self, run: Run, begin_s: float, state: Array, periods: float = 1.0) -> Array:
+    def _states(self, run: SimulationRequest, begin_s: float, state: Array, periods: float = 1.0) -> Array:
         """Integrate from a state on the limit cycle over some periods of the drive, and return all states."""
         period = 1.0 / _drive_of(run).frequency_hz
         # the number of steps depends only on whole periods, so that derivatives of the result are smooth
@@ -251,13 +245,12 @@ class SteadySwimming:
         grid = Grid(begin_s, periods * period / steps, steps)
         phase = self.model.value(run.values, "drive_phase")
         motion = self.model.joints.motion(run.values, run.trial, grid, phase, run.hooks, cached=False)
-        start = run.start.copy()
-        start[self._memory] = state
+        start = self.model.with_cycle_state(run.start, state)
         moved = run._replace(grid=grid, start=start, drive=motion)
         ((_, (states, _)),) = self.model.integrate_many({0: moved})
         return states
 
-    def _since_phase_zero(self, run: Run) -> float:
+    def _since_phase_zero(self, run: SimulationRequest) -> float:
         """Return the time from the last phase zero of the drive to the beginning of the simulation, s."""
         drive = _drive_of(run)
         phase = drive.phase_rad + self.model.value(run.values, "drive_phase")
@@ -265,7 +258,7 @@ class SteadySwimming:
         return (cycles % 1.0) / drive.frequency_hz
 
 
-def _drive_of(run: Run) -> Beat | Cycle:
+def _drive_of(run: SimulationRequest) -> TailBeat | Cycle:
     drive = run.trial.swim.drive
     assert drive is not None
     return drive

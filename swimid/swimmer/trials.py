@@ -16,16 +16,12 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting import drives, fit_common
 from swimid.fitting.drives import Cycle
-from swimid.fitting.fit_common import Experiment, read_log
+from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, SwimInput, Trial
-from swimid.logs.beat import (
-    compare_course,
-    find_beat,
-    is_in_degrees,
-    stated_against_found,
-)
+from swimid.kinematics.course import compare_course, is_in_degrees
+from swimid.kinematics.frequency import compare_frequencies, find_beat
 from swimid.logs.experiments import Drive, FreeSwimTrial, Params, StrokeDrive
-from swimid.logs.log import Log, unwrapped
+from swimid.logs.log import Log, unwrap_angle
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
@@ -94,11 +90,11 @@ def robot_model(
 
         return robot, MultibodyModel(robot, max_step=max_step)
     except InputError as error:
-        raise robot_format.located(error, path) from error
+        raise robot_format.add_location(error, path) from error
 
 
 @dataclass(frozen=True)
-class Recording:
+class RobotTrial:
     """A trial in three forms: its entry in the trials file, its log, and the input of the model.
 
     Attributes
@@ -169,13 +165,12 @@ def load(
         if name not in known:
             raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known))
     recordings = [_recording(entry, path, model, channels, start_state) for entry in entries.trials]
-    beats = {r.trial.id: _beat(r.entry, r.log, model) for r in recordings}
-    trials = _with_starts(recordings, model)
-    _check_course(path, model, recordings)
     facts = {
-        "beats": beats,
+        "beats": {r.trial.id: _beat(r.entry, r.log, model) for r in recordings},
         "profiles": {entry.id: _profile(entry) for entry in entries.trials},
     }
+    trials = _with_starts(recordings, model)
+    _check_course(path, model, recordings)
     robot_path = robot_format.locate(entries.robot, path.parent)
     sources = [r.log.source for r in recordings]
     return Experiment.of(entries, path, model, trials, sources, robot, facts=facts, robot_path=robot_path)
@@ -186,20 +181,20 @@ def load(
 
 def _recording(
     entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str], start_state: str
-) -> Recording:
+) -> RobotTrial:
     """Read the log of a trial, and return the trial with its log and the input of the model."""
     known = [c.name for c in model.channels]
     optional = tuple(dict.fromkeys((*known, *input_columns(model))))
-    log = read_log(entry, path.parent, required=tuple(channels), optional=optional)
+    log = read_trial_log(entry, path.parent, required=tuple(channels), optional=optional)
     turning = {name: values for name, values in log.columns.items() if not name.startswith("joint")}
-    columns = log.columns | {name: unwrapped(name, values) for name, values in turning.items()}
+    columns = log.columns | {name: unwrap_angle(name, values) for name, values in turning.items()}
     log = replace(log, columns=columns)
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
     swim = replace(_drive_input(entry, log, path, model), pose=_first_pose(model, log))
     trial = Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim)
     moving = _begins_in_motion(trial, log, model)
-    return Recording(entry, log, trial, _start_state(entry, start_state, moving, model, path))
+    return RobotTrial(entry, log, trial, _start_state(entry, start_state, moving, model, path))
 
 
 def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> SwimInput:
@@ -215,7 +210,7 @@ def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> 
                 column="coefficients",
                 hint=suggestion(name, model.coefficients, "it has"),
             )
-    swim = SwimInput(coefficients=dict(entry.coefficients), inputs=logged_inputs(model, log))
+    swim = SwimInput(coefficients=dict(entry.coefficients), inputs=read_inputs(model, log))
     if isinstance(entry.drive, StrokeDrive):
         return replace(swim, stroke=cycle_of(entry.drive, model, path))
     if entry.drive is not None:
@@ -223,7 +218,7 @@ def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> 
     return with_logged_joints(swim, model, log)
 
 
-def logged_inputs(model: Swimmer, log: Log) -> dict[str, Callable[[Array], Array]]:
+def read_inputs(model: Swimmer, log: Log) -> dict[str, Callable[[Array], Array]]:
     """Return the value of each input of a robot as a function of time.
 
     The value is linear between the samples of its column, and constant before and after them.
@@ -256,14 +251,14 @@ def with_logged_joints(swim: SwimInput, model: Swimmer, log: Log) -> SwimInput:
     """
     if not model.actuators:
         return swim
-    motions = [_logged_motion(actuator, log) for actuator in model.actuators]
+    motions = [_read_motion(actuator, log) for actuator in model.actuators]
     commanded = any(is_command for _, is_command in motions)
     return replace(swim, joints=[motion for motion, _ in motions], commanded=commanded)
 
 
-def _beat_of(command: Drive) -> drives.Beat:
+def _beat_of(command: Drive) -> drives.TailBeat:
     """Return the beat that an entry of a trials file states, in SI units."""
-    return drives.Beat(
+    return drives.TailBeat(
         command.waveform,
         command.frequency_hz,
         math.radians(command.amplitude_deg),
@@ -317,19 +312,19 @@ def input_columns(model: Swimmer) -> list[str]:
     return [*angles, *commands, *(law.column for law in model.inputs.values())]
 
 
-def _logged_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
+def _read_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
     """Return the motion of an actuator from its log, and whether this motion is a command.
 
     The measured angle is preferred, except that the commanded angle is preferred for an actuator with a
     servo. An actuator with a gain of 0 stays straight if neither angle is logged.
     """
-    law, command = actuator.driven, actuator.command
+    law, command = actuator.law, actuator.command
     candidates = [actuator.column, command]
     if law.servo is not None:
         candidates.reverse()
     for candidate in candidates:
         if candidate in log and np.isfinite(log[candidate]).sum() >= MIN_JOINT_SAMPLES:
-            spline = driven.measured(log.time_s, log[candidate])
+            spline = driven.fit_spline(log.time_s, log[candidate])
             return driven.spline_motion(spline), candidate == command
     if law.gain == 0.0 and not law.bias_gain:
         return drives.straight, False
@@ -345,19 +340,19 @@ def _logged_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
 def _default_channels(model: Swimmer, log: Log) -> list[str]:
     """Return the log columns that are fitted if the user names no channels."""
 
-    def logged(names: Sequence[str]) -> list[str]:
+    def select_logged(names: Sequence[str]) -> list[str]:
         return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
 
     chosen = []
     if model.free_base:
-        pose = logged(model.pose)
+        pose = select_logged(model.pose)
         # for a robot in 3-D, a side view that shows only part of the pose is sufficient
         complete = len(pose) == 3 or (model.in_space and len(pose) > 1)
-        chosen = (complete and pose) or logged(model.velocity) or pose
+        chosen = (complete and pose) or select_logged(model.velocity) or pose
     else:
-        chosen = logged(model.reactions)
-    chosen += logged([a.column for a in model.passive])
-    chosen += logged([a.column for a in model.driven if a.driven and a.driven.computed])
+        chosen = select_logged(model.reactions)
+    chosen += select_logged([a.column for a in model.passive])
+    chosen += select_logged([a.column for a in model.driven if a.law and a.law.is_computed])
     if not chosen:
         names = ", ".join(c.name for c in model.channels)
         raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")
@@ -434,15 +429,14 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
     Raises
     ------
     InputError
-        If ``steady`` is asked for a trial without a periodic drive or of a robot in 3-D.
+        If ``steady`` is asked for a trial without a periodic drive.
     """
     state = entry.start_state if chosen == "auto" else chosen
     if state == "auto":
         return "estimate" if moving else "rest"
-    if state == "steady" and (entry.drive is None or model.in_space):
-        reason = "robots in space are not supported" if model.in_space else "it has no 'drive'"
+    if state == "steady" and entry.drive is None:
         raise InputError(
-            f"the trial '{entry.id}' cannot begin in steady swimming: {reason}",
+            f"the trial '{entry.id}' cannot begin in steady swimming: it has no 'drive'",
             file=path,
             column="start_state" if chosen == "auto" else "drive",
             hint="give the beat under 'drive', or start it from an estimated state (start_state: estimate)",
@@ -450,20 +444,11 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
     return state
 
 
-def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]:
+def _with_starts(recordings: Sequence[RobotTrial], model: Swimmer) -> list[Trial]:
     """Free the start parameters in the model, and return the trials with their start values."""
     measured = {name for r in recordings for name in r.trial.measured}
-    # free the offset of the start pose for each measured coordinate
-    free = set()
-    if model.free_base:
-        free = {name for name, column in zip(model.starts, model.pose, strict=True) if column in measured}
-    else:
-        channels = [name for name in model.reactions if name in measured]
-        free = {f"{word}_{name}" for word in ("offset", "drift") for name in channels}
-    for r in recordings:
-        if _lacks_heading(model, r.log) and model.pose[0] in r.trial.measured:
-            free.add(model.starts[2])
-    initial = set(model.determined_starts(measured))
+    free = _list_offsets(recordings, model, measured)
+    initial = set(model.list_determined_starts(measured))
     estimated: dict[str, set[str]] = {"rest": set(), "estimate": initial, "steady": {"drive_phase"}}
     for r in recordings:
         free |= estimated[r.state]
@@ -474,9 +459,21 @@ def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]
         held = tuple(sorted(of_states - estimated[r.state]))
         trial = replace(r.trial, held=held, starts=_start_values(r.trial, r.log, model))
         if r.state == "steady":
-            trial = _with_phase(replace(trial, swim=trial.swim.begun()), model)
+            trial = _with_phase(replace(trial, swim=trial.swim.make_steady()), model)
         trials.append(trial)
     return trials
+
+
+def _list_offsets(recordings: Sequence[RobotTrial], model: Swimmer, measured: set[str]) -> set[str]:
+    """Return the names of the offsets (and drifts) of the measured start pose or reactions."""
+    if not model.free_base:
+        channels = [name for name in model.reactions if name in measured]
+        return {f"{word}_{name}" for word in ("offset", "drift") for name in channels}
+    offsets = {name for name, column in zip(model.starts, model.pose, strict=True) if column in measured}
+    for r in recordings:
+        if _lacks_heading(model, r.log) and model.pose[0] in r.trial.measured:
+            offsets.add(model.starts[2])
+    return offsets
 
 
 def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
@@ -485,14 +482,14 @@ def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
 
     def at_start(name: str, derivative: int) -> float | None:
         if lacks_heading and name == model.pose[2] and derivative == 0:
-            return trial.swim.posed()[2]
+            return trial.swim.get_pose()[2]
         if name not in trial.measured:
             return None
         values = trial.measured[name]
         known = _is_opening(log) & np.isfinite(values)
         if known.sum() < MIN_OPENING:
             return None
-        return _fitted(log.time_s[known] - log.time_s[0], values[known], derivative)[0]
+        return _estimate_start(log.time_s[known] - log.time_s[0], values[known], derivative)[0]
 
     found: dict[str, float | None] = {}
     if model.free_base:
@@ -509,7 +506,7 @@ def _with_phase(trial: Trial, model: Swimmer) -> Trial:
 
     The start value is the phase at which the robot with the coefficients of its file fits best.
     """
-    stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
+    stated = {**{p.name: p.start for p in model.parameters}, **model.get_file_values()}
     values = np.array([stated[p.name] for p in model.parameters])
     phases = np.linspace(0.0, 2.0 * math.pi, N_PHASES, endpoint=False)
     simulated = []
@@ -573,7 +570,7 @@ def _moves(log: Log, name: str, is_joint: bool) -> bool:
 
         It must be significant, and not small compared with the largest value or rate in the log.
         """
-        value, error = _fitted(time, values[opening], derivative)
+        value, error = _estimate_start(time, values[opening], derivative)
         return abs(value) > max(MIN_ERRORS * error, MIN_SHARE * float(np.max(np.abs(changes))))
 
     if name.endswith("_s"):
@@ -589,7 +586,7 @@ def _is_opening(log: Log) -> NDArray[np.bool_]:
     return log.time_s <= log.time_s[0] + length
 
 
-def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
+def _estimate_start(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
     """Return a value (derivative 0) or its rate (derivative 1) at time zero, with its standard error.
 
     Both come from a polynomial that is fitted to the samples. A polynomial two orders higher is used if it
@@ -633,11 +630,11 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
             highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
             found = find_beat(time, log[name][known], highest_hz=highest)
             used = "correct it if it is wrong: it is used"
-            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used)
+            return compare_frequencies(entry.id, entry.drive.frequency_hz, found, used)
     return None
 
 
-def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -> None:
+def _check_course(path: Path, model: Swimmer, recordings: Sequence[RobotTrial]) -> None:
     """Warn if the robot does not swim in the direction of its heading."""
     if tuple(model.pose) != ("x_m", "y_m", "yaw_rad"):
         return
@@ -659,7 +656,7 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -
             f"{path.name}: the courses follow the headings mirrored: the y axis or the heading of these "
             "logs has the wrong sign (a picture's y axis points down); turn it with factor: -1 in a mapping",
         )
-    elif text := seen.turned("yaw_rad"):
+    elif text := seen.find_turn("yaw_rad"):
         warn("SWM063", f"{path.name}, 'yaw_rad': {text}")
 
 
@@ -690,7 +687,7 @@ def _degrees(value_rad: float) -> float:
     return float(f"{math.degrees(value_rad):.12g}")
 
 
-def driven_range(trials: Sequence[Trial]) -> dict[str, tuple[float, float]]:
+def find_drive_range(trials: Sequence[Trial]) -> dict[str, tuple[float, float]]:
     """Return the range of each drive quantity over those trials that have a drive.
 
     The result is empty if measured joint angles drive the trials.

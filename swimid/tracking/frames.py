@@ -1,9 +1,9 @@
 """Frames of a film, markers in one frame, and detections of all markers in all frames.
 
 A :class:`Video` yields the frames of a film, or of a series of pictures, with their time stamps. A
-:class:`ColourModel` is the range of colours of a marker, which follows slow changes of light. :func:`measure`
-returns a marker in a window of the picture as a :class:`Blob`. A :class:`RawTrack` contains the detections of
-all markers in all frames. :func:`scene_shifts` measures the motion of the camera.
+:class:`ColourModel` is the range of colours of a marker, which follows slow changes of light.
+:func:`measure_blob` returns a marker in a window of the picture as a :class:`Blob`. A :class:`RawTrack`
+contains the detections of all markers in all frames. :func:`scene_shifts` measures the motion of the camera.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ import cv2
 
 from swimid import reading
 from swimid.errors import InputError
-from swimid.logs.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.notices import warn
+from swimid.points.plane import MAX_SCALE_DIFFERENCE, Plane, plane_of
 from swimid.tracking.setup import HsvRange, Setup
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]
 
 #: File name extensions of pictures that can be read.
-ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
+PICTURE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
 #: Colour in which measured points are drawn into frames, BGR (Okabe and Ito, for colour-blind readers).
 MEASURED = (0, 159, 230)
 #: Minimum number of detections of a marker for statistics of its area and motion.
@@ -52,7 +52,7 @@ MIN_RADII = 1.0
 MAX_DISTANCE_SD = (0.02, 0.06)
 #: Minimum fraction of the frames of a film in which a marker is found whole, for a marker that can be
 #: tracked.
-MIN_SHARE = 0.05
+MIN_FOUND_SHARE = 0.05
 #: Width to which frames are reduced before the motion of the camera is measured, px.
 SCENE_WIDTH = 480
 #: Maximum shift of the scene relative to the first frame for a camera at rest, px of a picture that is
@@ -90,7 +90,7 @@ def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
         warn("SWM044", f"{path.name}: {text}; their time is left out")
 
 
-def _opened(path: Path) -> cv2.VideoCapture:
+def _open_film(path: Path) -> cv2.VideoCapture:
     """Open a film, and return its decoder."""
     if not path.is_file():
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
@@ -138,7 +138,7 @@ def _warn_of_densities(file: Path) -> None:
             warn("SWM173", text)
 
 
-def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
+def _decode_frames(capture: cv2.VideoCapture) -> Iterator[_Read]:
     """Yield the frames that a decoder returns. Each frame overwrites the previous one in memory."""
     picture: Frame | None = None
     for position in itertools.count():
@@ -192,19 +192,19 @@ class Video:
         # The path is a series of pictures if it is a folder, or if it is a pattern such as %04d and no such
         # file exists.
         if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
-            self.files = _listed(self.path)
+            self.files = _list_pictures(self.path)
             reading.note(self.path, self.files)
             self.claimed = len(self.files)
             _warn_of_densities(self.files[0])
             self._read = _pictures(self.path, self.files)
         else:
             self.files = [self.path]
-            capture = _opened(self.path)
+            capture = _open_film(self.path)
             self.stated_rate_hz, self.pixel_aspect = capture.get(cv2.CAP_PROP_FPS), _pixel_aspect(capture)
             count, self.claimed = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
             if 0 < count < 1e9:
                 self.claimed = int(count)
-            self._read = _decoded(capture)
+            self._read = _decode_frames(capture)
         first = next(self._read, None)
         if first is None:
             hint = "check that a player plays it"
@@ -230,7 +230,7 @@ class Video:
             text = f"{count} of {self.claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
 
-    def squared(self, frame: Frame) -> Frame:
+    def to_square_pixels(self, frame: Frame) -> Frame:
         """Return a frame of this film with square pixels: its width is multiplied by the aspect."""
         if self.pixel_aspect == 1:
             return frame
@@ -241,7 +241,7 @@ class Video:
         return plane_of(setup, self.width, self.height, pixel_aspect=self.pixel_aspect, file=file)
 
 
-def reduced(frame: Frame, width: int) -> Frame:
+def reduce_frame(frame: Frame, width: int) -> Frame:
     """Return a copy of a picture, reduced to a width of at most ``width`` px."""
     factor = max(frame.shape[1] / width, 1.0)
     if factor == 1:
@@ -266,7 +266,7 @@ def find_difference(frame: Frame, scene: Frame) -> tuple[Frame, float, NDArray[n
     return difference, noise, difference > max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
 
 
-def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
+def draw_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
     """Write a line of text with an outline into a picture, in place."""
     for shade, width in (((0, 0, 0), 3 * line), ((255, 255, 255), line)):
         cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
@@ -287,13 +287,13 @@ class FrameKeeper:
         """Store a copy of a frame if its index is a multiple of the current interval."""
         if index % self._every:
             return
-        self.kept[index] = reduced(frame, self._width or frame.shape[1])
+        self.kept[index] = reduce_frame(frame, self._width or frame.shape[1])
         if len(self.kept) > self._most:
             self._every *= 2
             self.kept = {k: f for k, f in self.kept.items() if k % self._every == 0}
 
 
-def _listed(path: Path) -> list[Path]:
+def _list_pictures(path: Path) -> list[Path]:
     """Return the files of a series of pictures in the order of the numbers in their names."""
     folder, name, text = path, r"[^.].*", "is a folder without pictures"
     if not path.is_dir():
@@ -301,9 +301,11 @@ def _listed(path: Path) -> list[Path]:
         name = r"\d+".join(map(re.escape, _HOLDER.split(path.name)))
     if not folder.is_dir():
         raise InputError("cannot be read: no such folder", file=path, hint="check the path")
-    files = [f for f in folder.iterdir() if re.fullmatch(name, f.name) and f.suffix.lower() in ENDINGS]
+    files = [
+        f for f in folder.iterdir() if re.fullmatch(name, f.name) and f.suffix.lower() in PICTURE_EXTENSIONS
+    ]
     if not files:
-        raise InputError(text, file=path, hint=f"a picture is one of {', '.join(ENDINGS)}")
+        raise InputError(text, file=path, hint=f"a picture is one of {', '.join(PICTURE_EXTENSIONS)}")
     series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
     if len(series) > 1:
         found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
@@ -361,8 +363,8 @@ _HALF, _TURN = 90.0, 180.0
 #: Minimum chroma of a coloured pixel, in grey levels. Chroma is the largest minus the smallest channel.
 MIN_CHROMA = 24
 #: Common names of hues, and the upper limit of each hue in degrees. Red is at both ends of the scale.
-_NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
-_LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
+_HUE_NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
+_HUE_LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
 
 _Bounds = list[tuple[Frame, Frame]]
@@ -400,14 +402,14 @@ class ColourModel:
         they touch pixels inside the range (within ``_TOUCH``). Therefore a range that is slightly too narrow
         does not split the marker, and a background of a similar colour adds only a narrow rim.
         """
-        strong = _within(hsv, self._strong)
+        strong = _mask_range(hsv, self._strong)
         near = cv2.dilate(strong, _TOUCH)
-        return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
+        return cv2.bitwise_or(strong, cv2.bitwise_and(near, _mask_range(hsv, self._weak)))
 
     def holds(self, hsv: Array) -> NDArray[np.bool_]:
         """Return for each of n HSV colours, shape (n, 3), whether it is in the extended colour range."""
         pixels = np.clip(np.round(hsv), 0, 255).astype(np.uint8).reshape(1, -1, 3)
-        return np.asarray(_within(pixels, self._weak)[0] > 0)
+        return np.asarray(_mask_range(pixels, self._weak)[0] > 0)
 
     def distance(self, hsv: Array) -> float:
         """Return the distance of an HSV colour from the middle of the colour range, in half-widths."""
@@ -464,7 +466,7 @@ class ColourModel:
         return [(np.array(first, np.uint8), np.array(last, np.uint8)) for first, last in ends]
 
 
-def _within(hsv: Frame, bounds: _Bounds) -> Frame:
+def _mask_range(hsv: Frame, bounds: _Bounds) -> Frame:
     found = cv2.inRange(hsv, *bounds[0])
     for low, high in bounds[1:]:
         cv2.bitwise_or(found, cv2.inRange(hsv, low, high), found)
@@ -511,7 +513,7 @@ def chroma(frame: Frame) -> Frame:
 
 def hue_name(hue_deg: float) -> str:
     """Return the common name of a hue, such as "orange"."""
-    return next(name for name, limit in zip(_NAMES, _LIMITS, strict=True) if hue_deg % 360 < limit)
+    return next(name for name, limit in zip(_HUE_NAMES, _HUE_LIMITS, strict=True) if hue_deg % 360 < limit)
 
 
 def describe_colours(frames: list[Frame]) -> str:
@@ -521,8 +523,8 @@ def describe_colours(frames: list[Frame]) -> str:
         small = np.ascontiguousarray(frame[::2, ::2])
         colourful = chroma(small) >= MIN_CHROMA
         hue = cv2.cvtColor(small, cv2.COLOR_BGR2HSV)[..., 0][colourful].astype(float) * 2
-        counts, _ = np.histogram(hue, [0, *_LIMITS])
-        for name, count in zip(_NAMES, counts, strict=True):
+        counts, _ = np.histogram(hue, [0, *_HUE_LIMITS])
+        for name, count in zip(_HUE_NAMES, counts, strict=True):
             shares[name] += count / colourful.size / len(frames)
     listed = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.most_common() if share >= 1e-4)
     if not listed:
@@ -532,7 +534,7 @@ def describe_colours(frames: list[Frame]) -> str:
 
 #: Names of the status of a detection, in the order of their codes: marker not found, found in a window about
 #: its predicted position, found in a larger window, found in a search of the whole picture.
-STATUS = ("lost", "window", "grown", "full")
+STATUS_NAMES = ("lost", "window", "grown", "full")
 LOST, WINDOW, GROWN, FULL = range(4)
 #: Name of the status of a frame in which the edge of the picture cuts a marker.
 CUT = "cut"
@@ -553,7 +555,8 @@ class Blob:
     #: Coordinates of the centre of the patch, with sub-pixel resolution.
     x: float
     y: float
-    #: Area of the patch in pixels of the picture.
+    #: Area of the marker: sum of the weights of all pixels, px. Unlike the number of pixels in the mask, it
+    #: does not change if motion or the codec blurs the rim.
     area: float
     #: Left, top, right and bottom side of the patch's bounding box, px. Right and bottom are exclusive.
     box: tuple[int, int, int, int]
@@ -565,10 +568,10 @@ class Blob:
     hsv: Array
     #: Whether the patch touches the edge of the picture. The centre is then biased inwards.
     at_edge: bool
-    #: Status of the detection, as an index into :data:`STATUS`.
+    #: Status of the detection, as an index into :data:`STATUS_NAMES`.
     status: int = FULL
 
-    def away(self, x: float, y: float) -> float:
+    def distance_to(self, x: float, y: float) -> float:
         """Return the distance of the centre of the patch from a point, px."""
         return math.hypot(self.x - x, self.y - y)
 
@@ -609,7 +612,7 @@ def marker_mask(window: Frame, model: ColourModel) -> Frame:
     return model.mask(cv2.cvtColor(cv2.blur(window, (3, 3)), cv2.COLOR_BGR2HSV))
 
 
-def thinned(window: Frame, step: int) -> Frame:
+def thin_window(window: Frame, step: int) -> Frame:
     """Return a window reduced to the middle pixel of every complete block of ``step`` x ``step`` pixels."""
     if step == 1:
         return window
@@ -657,7 +660,7 @@ def find_patches(
     return found
 
 
-def measure(
+def measure_blob(
     window: Frame, patch: Patch, step: int, origin: tuple[int, int], picture: tuple[int, int]
 ) -> Blob | None:
     """Measure a patch in the picture; return a :class:`Blob`, or None if its contrast is too low.
@@ -675,25 +678,8 @@ def measure(
     picture : (int, int)
         Width and height of the picture, px.
     """
-    rows, columns = window.shape[0], window.shape[1]
-    left, top, right, bottom = patch.sides
-    margin, rim = max(MARGIN // step, 4), (_KERNEL5, _KERNEL3)[step >= 3]
-    x0, y0 = max(left - margin, 0), max(top - margin, 0)
-    x1 = min(right + margin, (columns - step // 2) // step)
-    y1 = min(bottom + margin, (rows - step // 2) // step)
-    hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
-    # Give weight 1 to the core of the patch's convex hull, so that a reflection on the marker leaves no hole.
-    kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
-    core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
-    if not core.any():
-        core = hull
-    near = cv2.dilate(hull, rim)
-    far = cv2.dilate(near, rim)
-    part = window[step * y0 : step * y1, step * x0 : step * x1]
-    if step > 1:
-        size = part.shape[1::-1]
-        core, near, far = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (core, near, far))
+    x0, y0, core, near, far = _regions(patch, step, window.shape[0], window.shape[1])
+    part = window[y0 : y0 + core.shape[0], x0 : x0 + core.shape[1]]
     back, deviation = (values[:, 0] for values in cv2.meanStdDev(part, mask=cv2.bitwise_not(far)))
     colour = np.array(cv2.mean(part, core)[:3])
     axis = colour - back
@@ -717,8 +703,33 @@ def measure(
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     if at_edge:
         confidence *= 0.6
-    x, y = origin[0] + step * x0 + column, origin[1] + step * y0 + row
-    return Blob(x, y, patch.area, box, contrast, confidence, mean_hsv(colour), at_edge)
+    x, y = origin[0] + x0 + column, origin[1] + y0 + row
+    return Blob(x, y, m["m00"], box, contrast, confidence, mean_hsv(colour), at_edge)
+
+
+def _regions(patch: Patch, step: int, rows: int, columns: int) -> tuple[int, int, Any, Any, Any]:
+    """Return left and top side of a part of the window about a patch, px, and masks of this part.
+
+    The masks have 255 for the pixels of the core, of the core with its rim, and of the surroundings of both.
+    """
+    left, top, right, bottom = patch.sides
+    margin, rim = max(MARGIN // step, 4), (_KERNEL5, _KERNEL3)[step >= 3]
+    x0, y0 = max(left - margin, 0), max(top - margin, 0)
+    x1 = min(right + margin, (columns - step // 2) // step)
+    y1 = min(bottom + margin, (rows - step // 2) // step)
+    hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
+    # Give weight 1 to the core of the patch's convex hull, so that a reflection on the marker leaves no hole.
+    kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
+    core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    if not core.any():
+        core = hull
+    near = cv2.dilate(hull, rim)
+    far = cv2.dilate(near, rim)
+    if step > 1:
+        size = (min(step * x1, columns) - step * x0, min(step * y1, rows) - step * y0)
+        core, near, far = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (core, near, far))
+    return step * x0, step * y0, core, near, far
 
 
 #: Type of the values of one detection: x, y, area, confidence, status, whether the edge of the picture cuts
@@ -745,7 +756,7 @@ class RawTrack:
         Centre, area and confidence of each detection; NaN (confidence 0) in frames without a detection. The y
         axis points down. If the edge of the picture cuts the marker, the centre is that of the visible part.
     status : ndarray of int, shape (m, n)
-        Status of the detection, as an index into :data:`STATUS`.
+        Status of the detection, as an index into :data:`STATUS_NAMES`.
     at_edge : ndarray of bool, shape (m, n)
         Whether the edge of the picture cuts the marker.
     rivals : dict of str to int
@@ -787,14 +798,14 @@ class RawTrack:
         return replace(self, names=names, **arrays)
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def is_visible(self) -> NDArray[np.bool_]:
         """Flags of frames in which each marker was seen, whole or cut by the picture's edge, shape (m, n)."""
         return self.status > LOST
 
     @property
-    def found(self) -> NDArray[np.bool_]:
+    def is_whole(self) -> NDArray[np.bool_]:
         """Flags of frames in which each marker was seen whole, so that its centre is known, shape (m, n)."""
-        return self.seen & ~self.at_edge
+        return self.is_visible & ~self.at_edge
 
     def row(self, name: str) -> int:
         """Return the row index of a marker in the arrays of the track."""
@@ -811,13 +822,13 @@ class RawTrack:
     def measure_range(self, name: str, scene: Array | None = None) -> tuple[float, float]:
         """Return the range of motion of a marker, in px and in radii of the marker.
 
-        The two values are 0 if the marker is found in less than :data:`MIN_SHARE` of the frames. The range is
-        the 95th percentile of the distance from the median position, over detections of the whole marker.
-        ``scene``, shape (2, n), is the shift of the whole scene in each frame, px.
+        The two values are 0 if the marker is found in less than :data:`MIN_FOUND_SHARE` of the frames. The
+        range is the 95th percentile of the distance from the median position, over detections of the whole
+        marker. ``scene``, shape (2, n), is the shift of the whole scene in each frame, px.
         """
         i = self.row(name)
-        seen = self.found[i]
-        if seen.mean() < MIN_SHARE:
+        seen = self.is_whole[i]
+        if seen.mean() < MIN_FOUND_SHARE:
             return 0.0, 0.0
         area = self.area[i]
         usual = float(np.median(area[seen]))
@@ -877,7 +888,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
     if not frames:
         return out
     factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
-    small = [reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), SCENE_WIDTH) for frame in frames]
+    small = [reduce_frame(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), SCENE_WIDTH) for frame in frames]
     # Find up to 300 corners in the first frame. At least 12 are needed.
     corners = cv2.goodFeaturesToTrack(small[0], 300, 0.02, 7)
     if corners is None or len(corners) < 12:

@@ -23,8 +23,6 @@ def _rate() -> Any:
 
 class TrackVideoOptions(
     Options,
-    command="track video",
-    section="Make logs",
     argument="VIDEO",
     output="The log, CSV or Parquet by its ending.",
     required=True,
@@ -107,13 +105,12 @@ class Pick:
         except ValueError:
             name = ""
         if not name:
-            raise UsageError(f"{flag}: '{text}' must look like red@320,240")
+            example = "a name and a pixel, such as red@320,240"
+            raise UsageError(f"{flag}: '{text}' is not {example}")
         return cls(name, x, y)
 
 
-class TrackCameraOptions(
-    Options, command="track camera", section="Make logs", argument="PICTURE...", required=True, makes="camera"
-):
+class TrackCameraOptions(Options, argument="PICTURE...", required=True, makes="camera"):
     """Calibrate a camera and its lens from pictures of a checkerboard.
 
     PICTURE is a picture, or a folder of them. Take ten or more in the mode in which the camera films, with
@@ -132,7 +129,8 @@ class TrackCameraOptions(
     @model_validator(mode="after")
     def _two_sides(self) -> Self:
         if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.squares) or min(self.board) < 3:
-            raise UsageError(f"--squares '{self.squares}' must be two numbers of 4 or more, such as 9x6")
+            text = f"--squares '{self.squares}' does not state two numbers of squares, each 4 or more"
+            raise UsageError(text, hint="count the squares along both sides of the board: --squares 9x6")
         return self
 
     @property
@@ -144,8 +142,6 @@ class TrackCameraOptions(
 
 class TrackSetupOptions(
     Options,
-    command="track setup",
-    section="Make logs",
     argument="VIDEO",
     output="The setup file to write.",
     required=True,

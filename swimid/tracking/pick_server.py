@@ -31,7 +31,7 @@ OWN_NAMES = (HOST, "localhost")
 #: Maximum size of the body of a request, bytes.
 MAX_BODY = 1_000_000
 #: Maximum time that a connection may be silent, and maximum time to send the last answer, s.
-TIMEOUT_S = 30.0
+CONNECTION_TIMEOUT_S = 30.0
 #: Interval at which the waiting thread looks for Ctrl-C, s.
 POLL_S = 0.5
 #: Header fields of every answer. The page loads nothing from other servers, and no other page can embed it.
@@ -50,7 +50,7 @@ and open the address there."""
 
 
 @dataclass(frozen=True)
-class Answer:
+class PageAnswer:
     """Answer to a request: body, media type, status, further header fields, and whether it is the last."""
 
     body: bytes
@@ -60,24 +60,24 @@ class Answer:
     last: bool = False
 
     @classmethod
-    def of_json(cls, content: Any, status: int = 200, *, last: bool = False) -> Answer:
+    def of_json(cls, content: Any, status: int = 200, *, last: bool = False) -> PageAnswer:
         """Return an answer with a JSON document."""
         text = json.dumps(content, ensure_ascii=False, allow_nan=False)
         return cls(text.encode(), "application/json", status, last=last)
 
 
-CLOSED = Answer.of_json({"error": {"message": "the command has ended", "hint": "see its terminal"}}, 503)
-BAD_JSON = Answer.of_json({"error": {"message": "the body is not JSON", "hint": None}}, 400)
+CLOSED = PageAnswer.of_json({"error": {"message": "the command has ended", "hint": "see its terminal"}}, 503)
+BAD_JSON = PageAnswer.of_json({"error": {"message": "the body is not JSON", "hint": None}}, 400)
 
 
 @dataclass
-class Request:
+class PageRequest:
     """Request for one path of the page: its name, and its query or the JSON document in its body."""
 
     method: str
     name: str | None
     content: Any
-    reply: Queue[Answer] = field(default_factory=Queue)
+    reply: Queue[PageAnswer] = field(default_factory=Queue)
     sent: threading.Event = field(default_factory=threading.Event)
 
 
@@ -110,7 +110,7 @@ class PageServer(ThreadingHTTPServer):
             raise UsageError(text, hint="leave --port out for any free port") from error
         self.status = status
         self.token, self.folder = secrets.token_urlsafe(24), tempfile.TemporaryDirectory(prefix="swimid-")
-        self.requests: Queue[Request] = Queue()
+        self.requests: Queue[PageRequest] = Queue()
 
     @property
     def address(self) -> str:
@@ -124,7 +124,7 @@ class PageServer(ThreadingHTTPServer):
             print(NO_BROWSER.format(port=self.server_port, host=HOST), file=sys.stderr)
         print("Press Done in the page to write the setup, or Ctrl-C to stop.", file=sys.stderr, flush=True)
 
-    def run(self, answer: Callable[[Request], Answer]) -> None:
+    def run(self, answer: Callable[[PageRequest], PageAnswer]) -> None:
         """Answer requests one after the other, until an answer is the last."""
         thread = threading.Thread(target=self.serve_forever, daemon=True)
         thread.start()
@@ -140,7 +140,7 @@ class PageServer(ThreadingHTTPServer):
             while not self.requests.empty():
                 self.requests.get().reply.put(CLOSED)
 
-    def _answer_next(self, answer: Callable[[Request], Answer]) -> bool:
+    def _answer_next(self, answer: Callable[[PageRequest], PageAnswer]) -> bool:
         """Answer the next request, and return whether it is the last; raise ``Empty`` if there is none."""
         request = self.requests.get(timeout=POLL_S)
         given = CLOSED
@@ -149,7 +149,7 @@ class PageServer(ThreadingHTTPServer):
         finally:
             request.reply.put(given)
             if given.last or given is CLOSED:
-                request.sent.wait(TIMEOUT_S)
+                request.sent.wait(CONNECTION_TIMEOUT_S)
         return given.last
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -161,7 +161,7 @@ class PageServer(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     server: PageServer
     server_version, sys_version = "swimid", ""
-    timeout = TIMEOUT_S
+    timeout = CONNECTION_TIMEOUT_S
 
     def do_GET(self) -> None:
         """Answer a request for a picture or the page."""
@@ -175,12 +175,14 @@ class _Handler(BaseHTTPRequestHandler):
         refused = self._refusal(method)
         if refused is not None:
             self.close_connection = True
-            return self._send(Answer.of_json({"error": {"message": refused[1], "hint": None}}, refused[0]))
+            return self._send(
+                PageAnswer.of_json({"error": {"message": refused[1], "hint": None}}, refused[0])
+            )
         name = self._parts[1]
         if (method, name) == ("GET", "status"):
-            return self._send(Answer.of_json(self.server.status()))
+            return self._send(PageAnswer.of_json(self.server.status()))
         try:
-            request = Request(method, name, read())
+            request = PageRequest(method, name, read())
         except (ValueError, RecursionError):
             return self._send(BAD_JSON)
         self.server.requests.put(request)
@@ -219,7 +221,7 @@ class _Handler(BaseHTTPRequestHandler):
             return 413, f"the body may have {MAX_BODY} bytes"
         return None
 
-    def _send(self, answer: Answer) -> None:
+    def _send(self, answer: PageAnswer) -> None:
         self.send_response(answer.status)
         fields = {"Content-Type": answer.kind, "Content-Length": str(len(answer.body))}
         for name, value in (HEADERS | fields | dict(answer.headers)).items():

@@ -23,12 +23,12 @@ from pydantic import Field
 import swimid
 from swimid.errors import InputError, SwimidError, UsageError
 from swimid.files import yamlio
-from swimid.notices import Progress, Step, recorded
+from swimid.notices import Progress, Step, record_warnings
 from swimid.tracking import frames
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import ColourModel, Frame, RawTrack, Video
 from swimid.tracking.options import Pick, TrackSetupOptions
-from swimid.tracking.pick_server import BAD_JSON, Answer, PageServer, Request
+from swimid.tracking.pick_server import BAD_JSON, PageAnswer, PageRequest, PageServer
 from swimid.tracking.proposals import kinds_of, marker_fault, pick_markers, setup_of
 from swimid.tracking.setup import Marker
 from swimid.tracking.tracker import follow
@@ -84,7 +84,7 @@ class Choice(yamlio.Document):
         return {key: value for key in KEYS if (value := getattr(self, key)) is not None}
 
 
-class Trial(yamlio.Document):
+class TrialRequest(yamlio.Document):
     """Choice of the user, and the frames on which it is tried."""
 
     choice: Choice
@@ -160,16 +160,16 @@ class Session:
         self.draft: Any = None
         self.status: dict[str, Any] = {"task": "", "count": 0}
         self._finish, self._progress, self._start, self._target = finish, progress, start, target
-        self._post = {"check": self.check, "try": self.attempt, "done": self.done}
+        self._post = {"check": self.check, "try": self.attempt, "done": self.finish}
 
     @contextmanager
     def progress(self, description: str, total: int | None = None) -> Iterator[Step]:
         """Show the progress of a computation on the terminal and on the page."""
-        with self._progress(description, total) as step, self._counted(description, step) as both:
+        with self._progress(description, total) as step, self._show_progress(description, step) as both:
             yield both
 
     @contextmanager
-    def _counted(self, description: str, step: Step = _no_step) -> Iterator[Step]:
+    def _show_progress(self, description: str, step: Step = _no_step) -> Iterator[Step]:
         """Show the progress of a computation on the page."""
         self.status = {"task": description, "count": 0}
 
@@ -182,23 +182,23 @@ class Session:
         finally:
             self.status = {"task": "", "count": 0}
 
-    def answer(self, request: Request) -> Answer:
+    def answer(self, request: PageRequest) -> PageAnswer:
         """Return the answer to a request of the page."""
         try:
             if request.method == "POST" and request.name in self._post:
                 content = self._post[request.name](request.content)
-                return Answer.of_json(yamlio.plain(content, finite=True), last=request.name == "done")
+                return PageAnswer.of_json(yamlio.plain(content, finite=True), last=request.name == "done")
             if request.method == "GET" and request.name == "":
                 return self._page()
             if request.method == "GET" and request.name == "frame":
                 return self._frame(request.content)
         except SwimidError as error:
-            return Answer.of_json({"error": told(error)}, 422)
+            return PageAnswer.of_json({"error": describe_error(error)}, 422)
         except RecursionError:
             return BAD_JSON
-        return Answer.of_json({"error": {"message": "no such page", "hint": None}}, 404)
+        return PageAnswer.of_json({"error": {"message": "no such page", "hint": None}}, 404)
 
-    def _page(self) -> Answer:
+    def _page(self) -> PageAnswer:
         """Return the page, with its initial choice and the properties of the film."""
         video, nonce = self.reader.video, token_urlsafe(16)
         film = {
@@ -217,9 +217,9 @@ class Session:
             max_trial=MAX_TRIAL,
         )
         headers = {"Content-Security-Policy": POLICY.format(nonce)}
-        return Answer(page.encode(), "text/html; charset=utf-8", headers=headers)
+        return PageAnswer(page.encode(), "text/html; charset=utf-8", headers=headers)
 
-    def _frame(self, query: dict[str, str]) -> Answer:
+    def _frame(self, query: dict[str, str]) -> PageAnswer:
         """Return one frame of the film as PNG; its number and time stand in the header."""
         try:
             index, time_s = int(query.get("n", 0)), float(query.get("time", "nan"))
@@ -227,56 +227,57 @@ class Session:
             index, time_s = -1, math.nan
         if index < 0:
             raise InputError("has no such frame", file=self.video)
-        with self._counted("reading") as step:
+        with self._show_progress("reading") as step:
             if math.isfinite(time_s):
                 index = self.reader.index_of(time_s, step)
             index, time_s, frame = self.reader.at(index, step)
         _, data = cv2.imencode(".png", frame, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        return Answer(data.tobytes(), "image/png", headers={"X-Frame": str(index), "X-Time": f"{time_s:.4f}"})
+        return PageAnswer(
+            data.tobytes(), "image/png", headers={"X-Frame": str(index), "X-Time": f"{time_s:.4f}"}
+        )
 
     def check(self, content: Any) -> dict[str, Any]:
         """Return the proposals for a choice, and its errors by the part of the page that they concern."""
-        choice = yamlio.validate({"choice": content}, _Chosen, Path("page")).choice
+        choice = yamlio.validate({"choice": content}, ChoiceRequest, Path("page")).choice
         answer: dict[str, Any] = {"markers": [], "scale": None}
         errors: dict[str, Any] = {}
-        with recorded() as notices:
+        with record_warnings() as notices:
             for key, value in choice.common.items():
                 try:
-                    body = setup_format.of({"markers": [BODY], key: value})
+                    body = setup_format.read_setup({"markers": [BODY], key: value})
                     if key == "scale":
                         plane = choice.plane or body.plane
                         answer["scale"] = self._scale(body.model_copy(update={"plane": plane}))
                 except SwimidError as error:
-                    errors[key] = told(error)
+                    errors[key] = describe_error(error)
             try:
                 answer["markers"] = [self._proposal(marker, choice) for marker in self._markers(choice)]
             except SwimidError as error:
-                errors["picks"] = told(error)
+                errors["picks"] = describe_error(error)
         return answer | {"errors": errors, "notices": [asdict(notice) for notice in notices]}
 
     def attempt(self, content: Any) -> dict[str, Any]:
         """Follow the markers of a choice through some frames, and return where they were found."""
-        trial = yamlio.validate(content, Trial, Path("page"))
-        markers, common = self._chosen(trial.choice)
+        trial = yamlio.validate(content, TrialRequest, Path("page"))
+        markers, common = self._read_choice(trial.choice)
         if trial.first:
             # The start points are those of the first frame of the film.
             markers = [marker.model_copy(update={"start_px": None}) for marker in markers]
-        if self.reader.at(trial.first, _no_step)[0] != trial.first:
-            raise InputError(f"has no frame {trial.first}", file=self.video)
+        self._read_frame(trial.first)
         within = slice(trial.first, trial.first + trial.count)
-        with recorded() as notices, self.progress("trying") as step:
+        with record_warnings() as notices, self.progress("trying") as step:
             track = follow(self.video, setup_of(markers, common), step=step, within=within).track
         return {
             "first": trial.first,
             "count": len(track.times),
-            "markers": [_found(track, name) for name in track.names],
+            "markers": [_summarise_track(track, name) for name in track.names],
             "notices": [asdict(notice) for notice in notices],
         }
 
-    def done(self, content: Any) -> dict[str, Any]:
+    def finish(self, content: Any) -> dict[str, Any]:
         """Try the choice on the whole film, write the setup, and return what the command prints."""
-        choice = yamlio.validate({"choice": content}, _Chosen, Path("page")).choice
-        markers, common = self._chosen(choice)
+        choice = yamlio.validate({"choice": content}, ChoiceRequest, Path("page")).choice
+        markers, common = self._read_choice(choice)
         self.draft = self._finish(markers, common, self.progress)
         outputs = [str(path) for path in self.draft.outputs]
         following = "".join(self.draft.next_command(path) for path in outputs[:1])
@@ -286,22 +287,27 @@ class Session:
         """Return the setup entries of the picked markers, or that of the whole body."""
         if choice.background or not choice.picks:
             return [BODY] * choice.background
-        index, _, frame = self.reader.at(choice.frame, _no_step)
-        if index != choice.frame:
-            raise InputError(f"has no frame {choice.frame}", file=self.video)
+        frame = self._read_frame(choice.frame)
         picks = [Pick(one.name, one.x, one.y) for one in choice.picks]
         places = {one.name: one.at_m for one in reversed(choice.picks)}
-        markers = pick_markers(frame, kinds_of(picks), path=self.video, index=index)
+        markers = pick_markers(frame, kinds_of(picks), path=self.video, index=choice.frame)
         return [marker.model_copy(update={"at_m": places[marker.name]}) for marker in markers]
 
-    def _chosen(self, choice: Choice) -> tuple[list[Marker], dict[str, Any]]:
+    def _read_frame(self, number: int) -> Frame:
+        """Return a frame of the film; raise an error if the film is shorter."""
+        index, _, frame = self.reader.at(number, _no_step)
+        if index != number:
+            raise InputError(f"has no frame {number}: its last frame is {index}", file=self.video)
+        return frame
+
+    def _read_choice(self, choice: Choice) -> tuple[list[Marker], dict[str, Any]]:
         """Return markers and other keys of the setup; raise the first error of the choice."""
         markers = self._markers(choice)
         if not markers:
             raise UsageError("no marker is picked", hint="click on a marker in the picture")
         setup = setup_of(markers, choice.common)
         if setup.scale is not None:
-            with recorded():
+            with record_warnings():
                 self._scale(setup)
         return markers, choice.common
 
@@ -322,19 +328,21 @@ class Session:
         return proposal | {"outlines": outlines, "patches": len(patches)}
 
 
-class _Chosen(yamlio.Document):
+class ChoiceRequest(yamlio.Document):
+    """Choice of the user that is checked or written."""
+
     choice: Choice
 
 
-def told(error: SwimidError) -> dict[str, Any]:
+def describe_error(error: SwimidError) -> dict[str, Any]:
     """Return class, message and hint of an error. The command prints the same message and hint."""
     return {"type": type(error).__name__, "message": error.message, "hint": error.hint}
 
 
-def _found(track: RawTrack, name: str) -> dict[str, Any]:
+def _summarise_track(track: RawTrack, name: str) -> dict[str, Any]:
     """Return the share of frames in which a marker was found, its fault, and its circle in each frame."""
     row = track.row(name)
-    found = track.found[row]
+    found = track.is_whole[row]
     table = np.column_stack([track.x[row], track.y[row], np.sqrt(track.area[row] / np.pi)]).round(2)
     circles = [circle if seen else None for circle, seen in zip(table.tolist(), found, strict=True)]
     fault = marker_fault(track, name)[1]

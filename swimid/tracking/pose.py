@@ -2,10 +2,10 @@
 
 A :class:`Plane` (lens, scale or homography, heights) maps pixels to metres, and :func:`build` returns the
 pose. Coordinates are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother with uneven steps, gaps
-and estimated noise (:func:`smooth`). The state of one coordinate is position and velocity (driven by white
-acceleration), or position, velocity and acceleration (driven by white jerk). The powers of the driving noise
-and of the measurement noise maximise the likelihood of the innovations. The model with the larger likelihood
-is used.
+and estimated noise (:func:`smooth_path`). The state of one coordinate is position and velocity (driven by
+white acceleration), or position, velocity and acceleration (driven by white jerk). The powers of the driving
+noise and of the measurement noise maximise the likelihood of the innovations. The model with the larger
+likelihood is used.
 
 The estimation of the noise, and the calibration of the standard deviation in gaps, run the filter hundreds of
 times. Therefore the filter is a compiled loop.
@@ -28,9 +28,9 @@ from scipy.optimize import minimize_scalar
 from swimid.errors import NoTrustworthyResult
 from swimid.files.kernels import numba
 from swimid.logs.log import runs, unwrap
-from swimid.logs.plane import Plane
 from swimid.logs.sampling import Held, find_held
-from swimid.tracking.frames import CUT, LOST, STATUS, Array, RawTrack
+from swimid.points.plane import Plane
+from swimid.tracking.frames import CUT, LOST, STATUS_NAMES, Array, RawTrack
 from swimid.tracking.setup import Setup
 
 #: Minimum number of measured frames in a segment of a track. Shorter segments are left out.
@@ -59,10 +59,10 @@ TWO_SIDED = 1.96
 #: and number of known samples on each side of such a segment.
 N_STRETCHES, MARGIN = 40, 20
 #: Minimum number of samples in a segment from which the noise of a track is estimated.
-MIN_SAMPLES = 6
+MIN_NOISE_SAMPLES = 6
 #: Decimal logarithms of the ratios of driving noise to measurement noise at which the likelihood of a track
 #: is compared first.
-RATIOS = np.arange(-9.0, 4.5)
+NOISE_EXPONENTS = np.arange(-9.0, 4.5)
 #: Variance of the unknown initial position in the Kalman filter, relative to the measurement variance. For
 #: velocity and acceleration the variance is divided by the second and fourth power of the time step.
 START_VARIANCE = 1e7
@@ -72,7 +72,7 @@ START_VARIANCE = 1e7
 
 
 @dataclass(frozen=True)
-class Smoothed:
+class SmoothedPath:
     """Smoothed coordinates of a path, with velocities, standard deviations and their common noise.
 
     Attributes
@@ -104,7 +104,7 @@ class Smoothed:
 
 
 @numba.njit(cache=True)
-def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def compute_steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Return transition matrix and noise covariance of the Kalman filter for each time step.
 
     The model is a chain of ``order`` integrators. White noise of power q drives the highest derivative. Entry
@@ -195,13 +195,13 @@ def kalman(
     means, covariances = np.zeros((len(times), order)), np.zeros((len(times), order, order))
     means[0, 0], covariances[0] = values[np.isfinite(values)][0], start
     innovations = np.full((2, len(times)), np.nan)
-    _forward(values, variances, *_steps(times, q, order), means, covariances, innovations)
+    _forward(values, variances, *compute_steps(times, q, order), means, covariances, innovations)
     return means, covariances, innovations
 
 
 def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
     """Return smoothed means and covariances from the output of :func:`kalman` (Rauch, Tung and Striebel)."""
-    transitions, noises = _steps(times, q, order)
+    transitions, noises = compute_steps(times, q, order)
     moved = transitions @ covariances[:-1]
     gains = np.linalg.solve(moved @ transitions.mT + noises, moved).mT
     keep = np.eye(order) - gains @ transitions
@@ -214,7 +214,7 @@ def rts(times: Array, means: Array, covariances: Array, q: float, order: int) ->
     return smooth, spread
 
 
-def _start(order: int, variance: float, step: float) -> Array:
+def make_start_covariance(order: int, variance: float, step: float) -> Array:
     """Return the covariance of the unknown initial state in the Kalman filter, shape (order, order)."""
     return np.diag([START_VARIANCE * variance / step ** (2 * i) for i in range(order)])
 
@@ -229,7 +229,7 @@ def _likelihood(
     ``order`` innovations of each segment determine the unknown initial state and are not used.
     """
     squares, logs, count = 0.0, 0.0, 0
-    q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
+    q, start = ratio / step ** (2 * order - 1), make_start_covariance(order, 1.0, step)
     for times, values, weights in pieces:
         _, _, (innovations, expected) = kalman(times, values, weights, q, order, start)
         seen = np.flatnonzero(~np.isnan(innovations))[order:]
@@ -251,8 +251,8 @@ def _estimate_noise(
     def cost(exponent: float) -> float:
         return -_likelihood(pieces, 10.0**exponent, order, step)[0]
 
-    middle = int(np.argmin([cost(exponent) for exponent in RATIOS]))
-    bounds = (RATIOS[max(middle - 1, 0)], RATIOS[min(middle + 1, len(RATIOS) - 1)])
+    middle = int(np.argmin([cost(exponent) for exponent in NOISE_EXPONENTS]))
+    bounds = (NOISE_EXPONENTS[max(middle - 1, 0)], NOISE_EXPONENTS[min(middle + 1, len(NOISE_EXPONENTS) - 1)])
     ratio = float(10.0 ** minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.02}).x)
     likelihood, variance = _likelihood(pieces, ratio, order, step)
     return likelihood, ratio, variance
@@ -263,7 +263,7 @@ def _smooth_piece(
 ) -> tuple[Array, Array, Array]:
     """Return smoothed means, covariances and normalised innovations of one coordinate in a segment."""
     variance, power, order = noise
-    start = _start(order, variance, step)
+    start = make_start_covariance(order, variance, step)
     means, covariances, (off, expected) = kalman(times, values, variance * weights, power, order, start)
     means, covariances = rts(times, means, covariances, power, order)
     normalised = off / np.sqrt(expected)
@@ -297,7 +297,7 @@ def _gap_factor(
     return max(1.0, float(np.percentile(np.concatenate(errors), 95)) / 1.96)
 
 
-def smooth(
+def smooth_path(
     times: Array,
     values: Array,
     weights: Array,
@@ -305,7 +305,7 @@ def smooth(
     *,
     min_sd: float = 0.0,
     trusted: NDArray[np.bool_] | None = None,
-) -> Smoothed:
+) -> SmoothedPath:
     """Smooth each segment of a path. All coordinates have the same noise variance.
 
     Parameters
@@ -324,10 +324,6 @@ def smooth(
         Measurements from which the noise is estimated. The errors of the other measurements are correlated
         from sample to sample, so that the likelihood would attribute them to motion.
 
-    Returns
-    -------
-    Smoothed
-
     Notes
     -----
     The acceleration of a swimmer is not white noise, because it follows the stroke. Therefore the standard
@@ -338,21 +334,11 @@ def smooth(
     (Harvey, A. C., 1989, *Forecasting, structural time series models and the Kalman filter*, section 3.4).
     The smoother is that of Rauch, Tung and Striebel (1965, AIAA J. 3(8), 1445-1450, doi:10.2514/3.3166).
     """
+    step = float(np.median(np.diff(times)))
+    known = values if trusted is None else np.where(trusted, values, np.nan)
+    variance, power, order = noise = _path_noise(times, known, weights, segments, min_sd)
     names = ("position", "velocity", "position_sd", "velocity_sd", "innovation")
     out = {name: np.full(values.shape, np.nan) for name in names}
-    known = values if trusted is None else np.where(trusted, values, np.nan)
-    pieces = [
-        (times[a:b], row[a:b], weights[a:b])
-        for row, (a, b) in product(known, segments)
-        if np.count_nonzero(~np.isnan(row[a:b])) >= MIN_SAMPLES
-    ]
-    step = float(np.median(np.diff(times)))
-    order, ratio, fitted = 2, 1e-2, max(min_sd, 1e-12) ** 2
-    if pieces:
-        fits = {order: _estimate_noise(pieces, order, step) for order in (2, 3)}
-        order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
-    variance = max(fitted, min_sd**2)
-    noise = (variance, ratio * fitted / step ** (2 * order - 1), order)
     for (i, row), (a, b) in product(enumerate(values), segments):
         means, covariances, innovation = _smooth_piece(times[a:b], row[a:b], weights[a:b], noise, step)
         out["position"][i, a:b], out["velocity"][i, a:b] = means[:, 0], means[:, 1]
@@ -367,7 +353,24 @@ def smooth(
                 factors[key] = _gap_factor(times, row, weights, out["position"][i], key[1], noise)
             out["position_sd"][i, first:last] *= factors[key]
             out["velocity_sd"][i, first:last] *= factors[key]
-    return Smoothed(**out, measurement_sd=np.sqrt(variance), process_noise=float(noise[1]), order=order)
+    return SmoothedPath(**out, measurement_sd=np.sqrt(variance), process_noise=float(power), order=order)
+
+
+def _path_noise(
+    times: Array, values: Array, weights: Array, segments: list[tuple[int, int]], min_sd: float
+) -> tuple[float, float, int]:
+    """Return measurement variance, power of the driving noise and order of the likeliest model of a path."""
+    pieces = [
+        (times[a:b], row[a:b], weights[a:b])
+        for row, (a, b) in product(values, segments)
+        if np.count_nonzero(~np.isnan(row[a:b])) >= MIN_NOISE_SAMPLES
+    ]
+    step = float(np.median(np.diff(times)))
+    order, ratio, fitted = 2, 1e-2, max(min_sd, 1e-12) ** 2
+    if pieces:
+        fits = {order: _estimate_noise(pieces, order, step) for order in (2, 3)}
+        order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
+    return max(fitted, min_sd**2), ratio * fitted / step ** (2 * order - 1), order
 
 
 def warm_up() -> None:
@@ -395,11 +398,11 @@ class Pose:
     raw : ndarray, shape (2, n)
         Measured position of the reference point, or of the head marker if the positions of the markers on the
         robot are unknown.
-    path : Smoothed
+    path : SmoothedPath
         Two coordinates, in units of the world.
     raw_angle : ndarray, shape (n,), or None
         Measured heading (pitch in the vertical plane, nose up), rad, unwrapped.
-    angle : Smoothed or None
+    angle : SmoothedPath or None
         Smoothed heading, rad; None for a single marker.
     markers : ndarray, shape (m, 2, n)
         Measured position of every marker in the world; NaN if it was not measured.
@@ -418,9 +421,9 @@ class Pose:
     measured: NDArray[np.bool_]
     segment: NDArray[np.int64]
     raw: Array
-    path: Smoothed
+    path: SmoothedPath
     raw_angle: Array | None
-    angle: Smoothed | None
+    angle: SmoothedPath | None
     markers: Array
     separation: Array | None
     held: Held
@@ -448,12 +451,12 @@ class Pose:
         return [(float(seen[k]), float(seen[k + 1])) for k in missing]
 
     @property
-    def interpolated(self) -> NDArray[np.bool_]:
+    def is_interpolated(self) -> NDArray[np.bool_]:
         """Flags of frames within a segment in which the pose is interpolated, not measured, shape (n,)."""
         return (self.segment > 0) & ~self.measured
 
 
-def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
+def orient_plane(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
     """Return a copy of the plane whose x axis points ahead of a robot that is filmed from the side.
 
     With ``facing: auto`` the direction ahead is the mean direction from tail to head marker, or from the rear
@@ -467,7 +470,7 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
             ahead *= setup.places[0][0] - setup.places[1][0]
         turn = bool(ahead < 0)
     if turn:
-        return plane.turned()
+        return plane.flip_x()
     return plane
 
 
@@ -487,75 +490,124 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     times, rows = track.times, [track.row(name) for name in setup.roles]
     everyone = range(len(track.names))
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
-    hidden = np.array([hidden_px(track, i, plane) for i in everyone])
+    hidden = np.array([limit_hidden_error(track, i, plane) for i in everyone])
     # A frame repeats the previous picture if no marker centre moves between the two.
     ramp = RAMP_PX * np.arange(len(times))
     held = find_held(times, [values + ramp for row in rows for values in track.centre(row)])
-    clock, clock_sd = _picture_times(times, held)
-    measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0) & ~held.repeated
+    measured: NDArray[np.bool_] = np.all(track.is_whole[rows], axis=0) & ~held.repeated
     segments, segment = _segments(times, measured, setup.max_gap_s), np.zeros(len(times), dtype=np.int64)
     for number, (start, end) in enumerate(segments, start=1):
         segment[start:end] = number
     if not segments:
         raise NoTrustworthyResult(
             f"the markers are seen together in {int(measured.sum())} frames, never in {MIN_SEGMENT} "
-            "close enough to each other to give a speed"
+            f"with gaps of {setup.max_gap_s:g} s or less, which a speed needs",
+            hint="raise max_gap_s, or correct hsv and area_px in the setup",
         )
     measured &= segment > 0
-    head, tail = rows[0], rows[-1]
-    pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
-    trusted = ~np.any(hidden[rows] > 0, axis=0)
-    weights = _weights(track, head, hidden[head])
-    raw = np.where((segment > 0) & ~held.repeated, markers[head], np.nan)
-    lever, forward = np.zeros(2), markers[head] - markers[tail]
-    white, lasting = MIN_NOISE_PX * pixel, SYSTEMATIC_PX * pixel
-    angle = raw_angle = separation = None
-    if tail != head:
-        separation = np.hypot(*forward)
-        distance = float(np.nanmedian(separation))
-        centroid = _centroid_errors(np.where(measured & trusted, separation, np.nan))
-        white, lasting = max(white, centroid[0]), float(np.hypot(centroid[1], lasting))
-        both = np.maximum(weights, _weights(track, tail, hidden[tail]))
-        if setup.places is not None:
-            # Compute the mid-point only where both markers are measured. With one marker only, an error of
-            # the scale would shift the reference point.
-            raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
-            places = np.array(setup.places)
-            lever, weights = -places.mean(axis=0), both
-            ahead, aside = places[0] - places[1]
-            forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
-        raw_angle = np.where(measured, unwrap(np.arctan2(forward[1], forward[0])), np.nan)
-        turn = np.sqrt(2) / max(distance, 1e-12)
-        angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
-        # The centre and the rear point of a silhouette follow from the same outline. Therefore the distance
-        # between them does not show all errors of the heading.
-        along = lasting if setup.markers[0].method == "background" else centroid[1]
-        # Add the errors of partly hidden markers, which do not average out: they last as long as the markers
-        # are hidden.
-        off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
-        angle = _widened(angle, turn * along, off)
-        # Turn the lever from the mid-point of the markers to the reference point by the smoothed heading. The
-        # measured heading would add its noise to the path.
-        raw = raw + _turned(lever, angle.position[0])
-    path = smooth(clock, raw, weights, segments, min_sd=white, trusted=trusted)
-    used = [head] if setup.places is None else rows
-    path = _widened(path, lasting, hidden[used].max(axis=0) * pixel / TWO_SIDED)
-    if angle is not None:
-        # Add the position error that results from the error of the heading. It is perpendicular to the line
-        # from the mid-point of the markers to the reference point.
-        across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
-        velocity_sd = np.hypot(path.velocity_sd, across * angle.velocity_sd)
-        path = replace(_widened(path, across * angle.position_sd), velocity_sd=velocity_sd)
+    body = _MarkedBody(track, setup, plane, rows, markers, hidden, measured)
+    clock, clock_sd = _picture_times(times, held)
+    angle = body.smooth_angle(clock, segments)
+    raw, path = body.smooth_position(clock, segments, (segment > 0) & ~held.repeated, angle)
     if held.repeated.any():
         path = _at_stamps(path, clock, times, segments, clock_sd)
         if angle is not None:
             angle = _at_stamps(angle, clock, times, segments, clock_sd)
-    path, angle = _with_plane_error(path, angle, plane, separation)
-    heading = (raw_angle, angle, markers, separation)
+    path, angle = _with_plane_error(path, angle, plane, body.separation)
+    heading = (body.raw_angle, angle, markers, body.separation)
     return Pose(times, measured, segment, raw, path, *heading, held, hidden, plane, rows)
 
 
-def _widened(values: Smoothed, *sds: Array | float) -> Smoothed:
+class _MarkedBody:
+    """Rigid body through the head and the tail marker, or a point if there is one marker only.
+
+    Its noise follows from the distance between the two markers.
+    """
+
+    separation: Array | None = None
+    raw_angle: Array | None = None
+
+    def __init__(
+        self,
+        track: RawTrack,
+        setup: Setup,
+        plane: Plane,
+        rows: list[int],
+        markers: Array,
+        hidden: Array,
+        measured: NDArray[np.bool_],
+    ) -> None:
+        head, tail = rows[0], rows[-1]
+        self.setup, self.rows, self.markers, self.hidden = setup, rows, markers, hidden
+        self.measured, self.trusted = measured, ~np.any(hidden[rows] > 0, axis=0)
+        self.weights = [_weights(track, row, hidden[row]) for row in rows]
+        self.pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
+        # Standard deviations of the white error of a marker's centre, and of the error that does not average
+        # out: of the heading, and of the position.
+        self.white, self.along = MIN_NOISE_PX * self.pixel, 0.0
+        self.lasting = SYSTEMATIC_PX * self.pixel
+        if tail == head:
+            return
+        forward = markers[head] - markers[tail]
+        self.separation = np.hypot(*forward)
+        self.distance = float(np.nanmedian(self.separation))
+        white, self.along = _centroid_errors(np.where(measured & self.trusted, self.separation, np.nan))
+        self.white, self.lasting = max(self.white, white), float(np.hypot(self.along, self.lasting))
+        if setup.markers[0].method == "background":
+            # The centre and the rear point of a silhouette follow from the same outline. Therefore the
+            # distance between them does not show all errors of the heading.
+            self.along = self.lasting
+        if setup.places is not None:
+            ahead, aside = np.subtract(*setup.places)
+            forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
+        self.raw_angle = np.where(measured, unwrap(np.arctan2(forward[1], forward[0])), np.nan)
+
+    def smooth_angle(self, clock: Array, segments: list[tuple[int, int]]) -> SmoothedPath | None:
+        """Return the smoothed heading; None for a single marker."""
+        if self.raw_angle is None:
+            return None
+        turn = np.sqrt(2) / max(self.distance, 1e-12)
+        weights, least = np.maximum(*self.weights), turn * self.white
+        angle = smooth_path(
+            clock, self.raw_angle[None], weights, segments, min_sd=least, trusted=self.trusted
+        )
+        # Add the errors of partly hidden markers, which do not average out: they last as long as the markers
+        # are hidden.
+        off = np.hypot(*self.hidden[self.rows]) * self.pixel / TWO_SIDED / self.distance
+        return _add_errors(angle, turn * self.along, off)
+
+    def smooth_position(
+        self,
+        clock: Array,
+        segments: list[tuple[int, int]],
+        fresh: NDArray[np.bool_],
+        angle: SmoothedPath | None,
+    ) -> tuple[Array, SmoothedPath]:
+        """Return measured and smoothed position of the reference point. ``fresh`` are the frames to use."""
+        head, weights, used = self.rows[0], self.weights[0], self.rows[:1]
+        raw, lever = np.where(fresh, self.markers[head], np.nan), np.zeros(2)
+        if self.setup.places is not None and angle is not None:
+            # Compute the mid-point only where both markers are measured. With one marker only, an error of
+            # the scale would shift the reference point.
+            raw = np.where(self.measured, self.markers[self.rows].mean(axis=0), np.nan)
+            lever, weights = -np.mean(self.setup.places, axis=0), np.maximum(*self.weights)
+            used = self.rows
+        if angle is not None:
+            # Turn the lever from the mid-point of the markers to the reference point by the smoothed heading.
+            # The measured heading would add its noise to the path.
+            raw = raw + _rotate(lever, angle.position[0])
+        path = smooth_path(clock, raw, weights, segments, min_sd=self.white, trusted=self.trusted)
+        path = _add_errors(path, self.lasting, self.hidden[used].max(axis=0) * self.pixel / TWO_SIDED)
+        if angle is not None:
+            # Add the position error that results from the error of the heading. It is perpendicular to the
+            # line from the mid-point of the markers to the reference point.
+            across = np.abs(_rotate(np.array([-lever[1], lever[0]]), angle.position[0]))
+            velocity_sd = np.hypot(path.velocity_sd, across * angle.velocity_sd)
+            path = replace(_add_errors(path, across * angle.position_sd), velocity_sd=velocity_sd)
+        return raw, path
+
+
+def _add_errors(values: SmoothedPath, *sds: Array | float) -> SmoothedPath:
     """Return a copy of smoothed coordinates whose standard deviations include further independent errors.
 
     ``sds`` are the standard deviations of these errors.
@@ -582,8 +634,8 @@ def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
 
 
 def _at_stamps(
-    values: Smoothed, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
-) -> Smoothed:
+    values: SmoothedPath, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
+) -> SmoothedPath:
     """Return smoothed coordinates at the time stamps of the frames, from those at the times of exposure.
 
     ``clock_sd`` is half of the interval of the offset common to all pictures, so that the 95 % band contains
@@ -593,22 +645,22 @@ def _at_stamps(
     for a, b in segments:
         curve = CubicHermiteSpline(clock[a:b], values.position[:, a:b], values.velocity[:, a:b], axis=1)
         position[:, a:b], velocity[:, a:b] = curve(times[a:b]), curve(times[a:b], 1)
-    return _widened(replace(values, position=position, velocity=velocity), velocity * clock_sd)
+    return _add_errors(replace(values, position=position, velocity=velocity), velocity * clock_sd)
 
 
 def _with_plane_error(
-    path: Smoothed, angle: Smoothed | None, plane: Plane, separation: Array | None
-) -> tuple[Smoothed, Smoothed | None]:
+    path: SmoothedPath, angle: SmoothedPath | None, plane: Plane, separation: Array | None
+) -> tuple[SmoothedPath, SmoothedPath | None]:
     """Return path and heading with standard deviations that include the error of the calibration points."""
     moved = plane.variations(path.position)
-    path = _widened(path, *moved)
+    path = _add_errors(path, *moved)
     if angle is None or separation is None:
         return path, angle
     line = float(np.nanmedian(separation)) * np.stack([np.cos(angle.position[0]), np.sin(angle.position[0])])
     # Compute the change of the heading: one end of the line between the markers moves across this line,
     # relative to the other end.
     apart = (moved - plane.variations(path.position - line)) / np.nansum(line**2, axis=0)
-    return path, _widened(angle, *(apart[:, 1] * line[0] - apart[:, 0] * line[1]))
+    return path, _add_errors(angle, *(apart[:, 1] * line[0] - apart[:, 0] * line[1]))
 
 
 def _centroid_errors(separation: Array) -> tuple[float, float]:
@@ -629,7 +681,7 @@ def _centroid_errors(separation: Array) -> tuple[float, float]:
     return float(np.sqrt(total - lasting)), float(np.sqrt(lasting))
 
 
-def _turned(vector: Array, angle: Array) -> Array:
+def _rotate(vector: Array, angle: Array) -> Array:
     """Return a vector given along body axes as a vector along world axes, for each heading, shape (2, n)."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
@@ -647,7 +699,7 @@ def _segments(times: Array, measured: NDArray[np.bool_], max_gap_s: float) -> li
     return [(int(part[0]), int(part[-1]) + 1) for part in parts]
 
 
-def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
+def limit_hidden_error(track: RawTrack, marker: int, plane: Plane) -> Array:
     """Return the maximum error in the centre of a partly hidden marker, px, shape (n,); 0 if whole.
 
     The centre of the whole marker is the mean of the centres of the visible and of the hidden part, weighted
@@ -660,7 +712,7 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     pixels reduce the areas of single frames.
     """
     off = np.zeros(len(track.times))
-    seen = np.flatnonzero(track.found[marker])
+    seen = np.flatnonzero(track.is_whole[marker])
     if len(seen) < MIN_SEGMENT:
         return off
     area = track.area[marker, seen]
@@ -701,7 +753,7 @@ def _scatter(short: Array) -> float:
 
 def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
     """Return the variance of each measured centre of a marker relative to a typical one, shape (n,)."""
-    seen = track.found[marker]
+    seen = track.is_whole[marker]
     weights = np.ones(len(track.times))
     if seen.any():
         usual = float(np.median(track.confidence[marker, seen]))
@@ -746,11 +798,11 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
         out[f"{angle_name}_raw_rad"] = pose.raw_angle
     out["frame"] = np.arange(len(pose.times))
     out["found"] = pose.measured.astype(int)
-    out["interpolated"] = pose.interpolated.astype(int)
+    out["interpolated"] = pose.is_interpolated.astype(int)
     out["segment"] = pd.array(pose.segment, dtype="Int64")
     out["segment"][pose.segment == 0] = pd.NA
     worst, best = track.status[pose.rows].min(axis=0), track.status[pose.rows].max(axis=0)
-    word = np.array(STATUS, dtype=object)[np.where(worst == LOST, LOST, best)]
+    word = np.array(STATUS_NAMES, dtype=object)[np.where(worst == LOST, LOST, best)]
     word[(worst > LOST) & track.at_edge[pose.rows].any(axis=0)] = CUT
     out["status"] = word
     out["confidence"] = np.min(track.confidence[pose.rows], axis=0)
@@ -759,6 +811,6 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
         if unit == "m":
             out[f"{name}_x_m"], out[f"{name}_{up}_m"] = pose.markers[i]
         out[f"{name}_area_px"], out[f"{name}_confidence"] = track.area[i], track.confidence[i]
-        out[f"{name}_status"] = np.array(STATUS)[track.status[i]]
+        out[f"{name}_status"] = np.array(STATUS_NAMES)[track.status[i]]
         out[f"{name}_at_edge"] = track.at_edge[i].astype(int)
     return out

@@ -26,13 +26,13 @@ from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import SLACK, Array, ColourModel, Frame, RawTrack, Video, marker_mask
 from swimid.tracking.options import Pick
 from swimid.tracking.setup import HsvRange, Marker, Setup
-from swimid.tracking.tracker import Run
+from swimid.tracking.tracker import FilmTrack
 
 #: Number of frames of a film that are searched for colours, and width to which they are reduced, px.
 N_SAMPLES, SAMPLE_WIDTH = 48, 960
 #: Minimum fraction of the pixels of a moving patch that differ from the empty scene. In at least this
 #: fraction of the pixels, the empty scene must also have another colour than the patch.
-MOVING = 0.3
+MIN_DIFFERENT_SHARE = 0.3
 #: Minimum score of a colour that is proposed as a marker, and maximum number of hues that are examined.
 MIN_SCORE, MAX_HUES = 0.02, 8
 #: Maximum colour differences between a picked pixel and the other pixels of its patch, grey levels. All of
@@ -71,7 +71,7 @@ class Samples:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class MarkerCandidate:
     """Colour that is examined as the colour of a marker. Lengths are in px of the picture."""
 
     #: Common name of the hue, hue in the middle of the colour range (degrees), and colour range.
@@ -91,7 +91,7 @@ class Candidate:
         return f"{self.name} (hue {self.hue_deg:g} deg): {self.reason}"
 
 
-def sample(path: Path, *, step: Step) -> Samples:
+def sample_frames(path: Path, *, step: Step) -> Samples:
     """Return about :data:`N_SAMPLES` frames, spread evenly over a film."""
     video = Video(path)
     keeper = frames.FrameKeeper(2 * N_SAMPLES, max(video.claimed // N_SAMPLES, 1), SAMPLE_WIDTH)
@@ -100,7 +100,8 @@ def sample(path: Path, *, step: Step) -> Samples:
         keeper.take(index, frame)
     kept = list(keeper.kept.values())
     if len(kept) < 4:
-        raise NoTrustworthyResult(f"{path.name} has only {len(kept)} frames: too few to see what moves")
+        text = f"{path.name} has only {len(kept)} frames: too few to see what moves"
+        raise NoTrustworthyResult(text, hint="pick the markers by hand: --marker name@x,y")
     background = np.median(np.stack(kept[:: max(len(kept) // 25, 1)]), axis=0).astype(np.uint8)
     still = cv2.blur(background, (3, 3))
     differing = [frames.find_difference(frame, still)[2] for frame in kept]
@@ -109,7 +110,7 @@ def sample(path: Path, *, step: Step) -> Samples:
     return Samples(video, np.array(list(keeper.kept)), kept, factor, background, moving)
 
 
-def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
+def find_candidates(samples: Samples) -> tuple[list[MarkerCandidate], list[MarkerCandidate]]:
     """Return the colours in a film that may belong to markers, best first; and the rejected colours.
 
     Raises
@@ -136,13 +137,13 @@ def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]
     if not good:
         raise NoTrustworthyResult(
             f"nothing in {samples.video.path.name} looks like a marker: a compact patch of one colour that "
-            f"moves. {listed(passed)}{frames.describe_colours(samples.frames[::6])}",
+            f"moves. {describe_rejected(passed)}{frames.describe_colours(samples.frames[::6])}",
             hint="pick it by hand: --marker name@x,y with --frame",
         )
     return good, passed
 
 
-def listed(passed: list[Candidate]) -> str:
+def describe_rejected(passed: list[MarkerCandidate]) -> str:
     """Return a sentence on the rejected colours and the reasons; empty if no colour was rejected."""
     return f"Passed over: {'; '.join(map(str, passed))}. " if passed else ""
 
@@ -184,7 +185,7 @@ def two_digits(value: float) -> float:
     return float(round(value, 2))
 
 
-def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
+def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> MarkerCandidate:
     """Return a candidate for one hue, with a score computed from the patches of the hue in all frames."""
     colours, hue, count = colour_range(hsv, peak), _degrees(peak), len(samples.frames)
     name, model = frames.hue_name(hue), ColourModel(colours)
@@ -201,7 +202,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
             found.append((area, x, y, fill, np.mean(middle)))
     if len(found) < max(3, 0.05 * count):
         reason = f"does not move (but for {len(found)} of {count} samples)"
-        return Candidate(name, hue, colours, reason=reason)
+        return MarkerCandidate(name, hue, colours, reason=reason)
     areas, *place, compact, purity = np.array(found).T
     spread = 1.4826 * float(np.median(np.abs(np.log(areas / np.median(areas)))))
     way = float(np.max(np.ptp(np.percentile(place, [5, 95], axis=1), axis=0)))
@@ -216,10 +217,10 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
     )
     if score < MIN_SCORE:
         reason = f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
-        return Candidate(name, hue, colours, reason=reason)
+        return MarkerCandidate(name, hue, colours, reason=reason)
     low, high = samples.factor**2 * np.percentile(areas, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
-    return Candidate(name, hue, colours, score, len(found) / count, sized)
+    return MarkerCandidate(name, hue, colours, score, len(found) / count, sized)
 
 
 def _patches(
@@ -241,7 +242,12 @@ def _patches(
     for label in range(1, count):
         left, top, width, height, area = stats[label]
         inside = left > 0 and top > 0 and left + width < columns and top + height < rows
-        if area >= least and inside and moved[label] > MOVING * area and stays[label] < (1 - MOVING) * area:
+        if (
+            area >= least
+            and inside
+            and moved[label] > MIN_DIFFERENT_SHARE * area
+            and stays[label] < (1 - MIN_DIFFERENT_SHARE) * area
+        ):
             fill = min(area / (0.785 * max(width, height) ** 2), 1.0)
             found.append((float(area), float(centres[label][0]), float(centres[label][1]), float(fill)))
     return sorted(found, reverse=True)
@@ -268,7 +274,9 @@ def setup_of(markers: list[Marker], common: Mapping[str, Any]) -> Setup:
     head, *rest = [name for marker in markers for name in marker.names]
     entries = [marker.model_dump(mode="json", exclude_none=True) for marker in markers]
     stated = {key: value for key, value in common.items() if value is not None}
-    return setup_format.of({"markers": entries, "head": head, "tail": next(iter(rest), None), **stated})
+    return setup_format.read_setup(
+        {"markers": entries, "head": head, "tail": next(iter(rest), None), **stated}
+    )
 
 
 def pick_markers(
@@ -371,7 +379,7 @@ def _range_of(hsv: Frame, patch: Frame) -> HsvRange | None:
     near = cv2.dilate(patch, _SQUARE, iterations=3)
     ring = cv2.subtract(cv2.dilate(near, _SQUARE, iterations=10), near)
     inside, around = hsv[(core if core.any() else patch) > 0], hsv[ring > 0]
-    return _separated(_colours(inside), inside.astype(float), around.astype(float))
+    return _narrow_range(_colours(inside), inside.astype(float), around.astype(float))
 
 
 def _colours(inside: Frame) -> HsvRange:
@@ -394,7 +402,7 @@ def _colours(inside: Frame) -> HsvRange:
     )
 
 
-def _separated(colours: HsvRange, inside: Array, around: Array) -> HsvRange | None:
+def _narrow_range(colours: HsvRange, inside: Array, around: Array) -> HsvRange | None:
     """Return the colour range of a patch, narrowed to exclude the surroundings; None if impossible.
 
     A bound of the range is moved where patch and surroundings differ most in saturation or value. The new
@@ -426,14 +434,14 @@ def _separated(colours: HsvRange, inside: Array, around: Array) -> HsvRange | No
 
 
 def marker_fault(
-    track: RawTrack, name: str, min_share: float = frames.MIN_SHARE, scene: Array | None = None
+    track: RawTrack, name: str, min_share: float = frames.MIN_FOUND_SHARE, scene: Array | None = None
 ) -> tuple[str, str]:
     """Return the code and the text of a warning if a marker is hardly found or does not move.
 
     Code and text are empty if the marker is often found and moves. ``scene`` is that of
     :func:`measure_range`.
     """
-    share, (_, radii) = float(track.found[track.row(name)].mean()), track.measure_range(name, scene)
+    share, (_, radii) = float(track.is_whole[track.row(name)].mean()), track.measure_range(name, scene)
     if share < min_share:
         return "SWM040", f"cannot be followed (found in {100 * share:.1f} % of the frames)"
     if radii < frames.MIN_RADII:
@@ -441,7 +449,7 @@ def marker_fault(
     return "", ""
 
 
-def distance_change(run: Run, one: str, other: str) -> float | None:
+def distance_change(run: FilmTrack, one: str, other: str) -> float | None:
     """Return the relative change of the distance between two markers, without the effect of perspective.
 
     The result is the larger of two values: the robust standard deviation of the distance after rectification,
@@ -460,7 +468,7 @@ def distance_change(run: Run, one: str, other: str) -> float | None:
     """
     track = run.track
     i, j = track.row(one), track.row(other)
-    both = track.found[i] & track.found[j]
+    both = track.is_whole[i] & track.is_whole[j]
     if both.sum() < frames.MIN_DETECTIONS:
         return None
     # The axes of the array are: x and y, marker, frame.
@@ -473,7 +481,7 @@ def distance_change(run: Run, one: str, other: str) -> float | None:
     turns = float(np.ptp(heading)) > math.radians(60.0)
 
     def scatter_of(view: Array) -> Array:
-        apart = np.log(np.maximum(np.hypot(*np.diff(_rectified(points, view), axis=1)[:, 0]), 1e-9))
+        apart = np.log(np.maximum(np.hypot(*np.diff(_rectify(points, view), axis=1)[:, 0]), 1e-9))
         return np.asarray(apart - np.median(apart))
 
     bound, limit = np.array([0.7, 0.7, 0.6, 0.6])[: 4 if turns else 2], frames.MAX_DISTANCE_SD[1]
@@ -494,7 +502,7 @@ def distance_change(run: Run, one: str, other: str) -> float | None:
     return max(1.4826 * float(np.median(np.abs(left))), drift)
 
 
-def _rectified(points: Array, view: Array) -> Array:
+def _rectify(points: Array, view: Array) -> Array:
     """Return image points, shape (2, m, n), after rectification by a homography.
 
     ``view`` contains the vector l, and optionally the two parameters of the matrix M (see

@@ -14,9 +14,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from swimid.errors import InputError
 from swimid.files import yamlio
-from swimid.files.tabular import repeated
+from swimid.files.tabular import find_repeated
 from swimid.files.yamlio import Document
-from swimid.logs.scale import Camera, Point, Points, Positive, Scale
+from swimid.points.scale import Camera, Point, Points, Positive, Scale
 
 FORMAT = "swimid-setup/1"
 
@@ -24,15 +24,15 @@ FORMAT = "swimid-setup/1"
 Box = tuple[float, float, float, float]
 
 
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+def _check_order(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] > value[1]:
         raise ValueError(f"[{value[0]:g}, {value[1]:g}] must be [smallest, largest]")
     return value
 
 
 _Fraction = Annotated[float, Field(ge=0, le=1)]
-_Span = Annotated[tuple[_Fraction, _Fraction], AfterValidator(_ordered)]
-_Area = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
+_Span = Annotated[tuple[_Fraction, _Fraction], AfterValidator(_check_order)]
+_Area = Annotated[tuple[Positive, Positive], AfterValidator(_check_order)]
 _Hue = Annotated[float, Field(ge=0, le=360)]
 
 
@@ -119,7 +119,7 @@ class Setup(Document):
     @model_validator(mode="after")
     def _names_fit(self) -> Setup:
         names = self.marker_names
-        twice = repeated(names)
+        twice = find_repeated(names)
         if twice is not None:
             raise ValueError(f"two markers are named '{twice}'")
         for role, chosen in (("head", self.head), ("tail", self.tail)):
@@ -130,12 +130,19 @@ class Setup(Document):
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
             raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:
-            raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
+            text = "no marker is the head: give head, and tail for a heading; there are"
+            raise ValueError(f"{text}: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":
-            raise ValueError(f"facing: {self.facing} goes with plane: vertical")
+            raise ValueError(
+                f"facing: {self.facing} goes with plane: vertical, and the plane is {self.plane}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _boxes_fit(self) -> Setup:
         for box in self.ignore_px:
             if box[2] <= box[0] or box[3] <= box[1]:
-                raise ValueError(f"box {list(box)} must be [left, top, right, bottom]")
+                raise ValueError(f"box {list(box)} has no area; a box is [left, top, right, bottom]")
         return self
 
     @model_validator(mode="after")
@@ -189,7 +196,7 @@ class Setup(Document):
         return (known[0], known[1]) if len(known) > 1 else None
 
 
-def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
+def read_setup(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
     """Return a checked setup from a setup file, a ``Setup``, or a dictionary with the keys of a setup file.
 
     Raises

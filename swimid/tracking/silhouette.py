@@ -64,7 +64,7 @@ class Silhouette:
     def step(self, time: float, frame: Frame) -> None:
         """Find the body in the next frame of the film, and store the detection."""
         self._times.append(time)
-        for row in self._measure(frames.reduced(frame, WIDTH)):
+        for row in self._measure(frames.reduce_frame(frame, WIDTH)):
             self._rows.extend(row)
 
     def _measure(self, small: Frame) -> tuple[Row, Row]:
@@ -114,7 +114,7 @@ class Silhouette:
             text += f"other out by ignore_px: [[left, top, right, bottom]], or by area_px of '{name}'"
             others[name] = text
         track = RawTrack.of_table(self._times, self._setup.marker_names, table, {}, {}, others)
-        if not track.found.any():
+        if not track.is_whole.any():
             return track
         ahead = track.head_first(*track.names)
         if ahead is not None and (ahead < 0.5) == (self._setup.swims == "head-first"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,9 +13,9 @@ from pydantic import Field
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import provenance, yamlio
-from swimid.logs.scale import Camera
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, record_warnings, silent, warn
 from swimid.options import takes
+from swimid.points.scale import Camera
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
@@ -107,54 +107,87 @@ def track_camera(
     >>> draft = track_setup("pool.mp4", camera=made.file.camera)  # doctest: +SKIP
     """
     files, board = list(_files(pictures)), options.board
-    with recorded(repeat=True) as notices, progress("finding the board", len(files)) as step:
+    with record_warnings(repeat=True) as notices, progress("finding the board", len(files)) as step:
         seen, size = _corners(files, board, step)
     if len(seen) < MIN_PICTURES:
         text = f"{len(seen)} of {len(files)} pictures show a board of {options.squares} squares; at least "
         hint = f"tilt the board to all sides, in all parts of the picture; if {options.squares} counts "
         hint += f"inner corners, give --squares {board[0] + 2}x{board[1] + 2}"
         raise NoTrustworthyResult(f"{text}{MIN_PICTURES} at different tilts are needed", hint=hint)
-    corner = np.zeros((board[0] * board[1], 3), np.float32)
-    corner[:, :2] = 1e-3 * options.square_mm * np.mgrid[: board[0], : board[1]].T.reshape(-1, 2)
-    world, image = [corner] * len(seen), [one.astype(np.float32) for one in seen.values()]
-    rms, matrix, lens, turns, _, errors, _, each = cv2.calibrateCameraExtended(world, image, size, None, None)
-    values = np.r_[matrix[0, 0], matrix[1, 1], matrix[:2, 2], lens.ravel()[:5]].tolist()
-    errors, each = errors.ravel()[:9].tolist(), each.ravel().tolist()
-    normals = [cv2.Rodrigues(turn)[0][:, 2] for turn in turns]
-    cosine = min(abs(float(one @ other)) for one, other in combinations(normals, 2))
-    parts = np.unique((4 * np.concatenate(list(seen.values())) // size).astype(int), axis=0)
-    checks = _checks(len(seen), float(np.degrees(np.arccos(min(cosine, 1.0)))), len(parts), rms, each)
-    focal = 100 * max(errors[0] / values[0], errors[1] / values[1])
-    value, limit, passed = f"± {focal:.2g} %", f"± {MAX_FOCAL_SE:.0%}", focal <= 100 * MAX_FOCAL_SE
-    reason = f"the focal length has a standard error of {focal:.2g} %"
-    checks.append(ev.check("Focal length", value, passed, limit, reason=reason))
+    fit = _calibrate(seen, size, board, 1e-3 * options.square_mm)
+    values, errors = fit.values, fit.errors
     document = CameraFile(
-        camera=Camera(matrix=matrix.tolist(), size_px=size, distortion=tuple(values[4:])),
-        reprojection_error_px=float(rms),
+        camera=Camera(matrix=fit.matrix.tolist(), size_px=size, distortion=tuple(values[4:])),
+        reprojection_error_px=fit.rms_px,
         standard_errors=dict(zip(NAMES, errors, strict=True)),
         pictures=list(seen),
         provenance=provenance.collect(files, settings=options.settings()),
     )
+    evidence = _make_evidence(fit, seen, f"{len(seen)} of {len(files)}, {size[0]} x {size[1]} px", size)
+    update = {"notices": list(notices), "provenance": document.provenance}
+    return Calibration.of(document, evidence.model_copy(update=update)).write_output(output)
+
+
+class _CameraFit(NamedTuple):
+    """Camera that OpenCV fits to the corners of a board.
+
+    ``values`` and ``errors`` are those of :data:`NAMES`, ``tilt_deg`` is the largest angle between two
+    boards, and ``each_px`` the reprojection error of each picture.
+    """
+
+    matrix: Array
+    values: list[float]
+    errors: list[float]
+    tilt_deg: float
+    rms_px: float
+    each_px: list[float]
+
+
+def _calibrate(
+    seen: dict[str, Array], size: tuple[int, int], board: tuple[int, int], square_m: float
+) -> _CameraFit:
+    """Fit camera and lens to the corners of the board in each picture."""
+    corner = np.zeros((board[0] * board[1], 3), np.float32)
+    corner[:, :2] = square_m * np.mgrid[: board[0], : board[1]].T.reshape(-1, 2)
+    world, image = [corner] * len(seen), [one.astype(np.float32) for one in seen.values()]
+    rms, matrix, lens, turns, _, errors, _, each = cv2.calibrateCameraExtended(world, image, size, None, None)
+    values = np.r_[matrix[0, 0], matrix[1, 1], matrix[:2, 2], lens.ravel()[:5]].tolist()
+    normals = [cv2.Rodrigues(turn)[0][:, 2] for turn in turns]
+    cosine = min(abs(float(one @ other)) for one, other in combinations(normals, 2))
+    tilt = float(np.degrees(np.arccos(min(cosine, 1.0))))
+    return _CameraFit(matrix, values, errors.ravel()[:9].tolist(), tilt, float(rms), each.ravel().tolist())
+
+
+def _make_evidence(
+    fit: _CameraFit, seen: dict[str, Array], pictures: str, size: tuple[int, int]
+) -> ev.Evidence:
+    """Return the evidence of a calibration, with checks and tables."""
+    values, errors = fit.values, fit.errors
+    parts = np.unique((4 * np.concatenate(list(seen.values())) // size).astype(int), axis=0)
+    checks = _checks(len(seen), fit.tilt_deg, len(parts), fit.rms_px, fit.each_px)
+    focal = 100 * max(errors[0] / values[0], errors[1] / values[1])
+    value, limit, passed = f"± {focal:.2g} %", f"± {MAX_FOCAL_SE:.0%}", focal <= 100 * MAX_FOCAL_SE
+    reason = f"the focal length has a standard error of {focal:.2g} %"
+    checks.append(ev.make_check("Focal length", value, passed, limit, reason=reason))
     rows: list[dict[str, Any]] = [
         {"parameter": name, "value": value, "standard error": error}
         for name, value, error in zip(NAMES, values, errors, strict=True)
     ]
-    answer = f"Focal length {numbers.measured(values[0], errors[0])} px, reprojection error {rms:.2g} px."
-    evidence = ev.Evidence(
+    caption = "Focal lengths and centre in px, distortion of OpenCV."
+    focal_px = numbers.format_estimate(values[0], errors[0])
+    answer = f"Focal length {focal_px} px, reprojection error {fit.rms_px:.2g} px."
+    return ev.Evidence(
         command="track camera",
         title=f"Calibration of a camera from {len(seen)} pictures",
-        verdict=ev.judged(answer, checks),
-        facts={"Pictures": f"{len(seen)} of {len(files)}, {size[0]} x {size[1]} px"},
+        verdict=ev.make_verdict(answer, checks),
+        facts={"Pictures": pictures},
         checks=checks,
         tables=[
-            ev.table("parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."),
-            ev.leaf_table("pictures", "Reprojection errors, px", dict(zip(seen, each, strict=True))),
+            ev.make_table("parameters", "Camera", rows, caption),
+            ev.leaf_table("pictures", "Reprojection errors, px", dict(zip(seen, fit.each_px, strict=True))),
         ],
-        notices=ev.notices(notices),
         methods=["The camera was calibrated with OpenCV from pictures of a checkerboard (Zhang 2000)."],
-        provenance=document.provenance,
     )
-    return Calibration.of(document, evidence).saved(output)
 
 
 def _files(given: Sequence[str | Path]) -> Iterator[Path]:
@@ -163,7 +196,7 @@ def _files(given: Sequence[str | Path]) -> Iterator[Path]:
         if not path.exists():
             raise InputError("cannot be read: no such file", file=path, hint="check the path")
         inside = sorted(path.iterdir()) if path.is_dir() else [path]
-        yield from (one for one in inside if one.suffix.lower() in frames.ENDINGS or one == path)
+        yield from (one for one in inside if one.suffix.lower() in frames.PICTURE_EXTENSIONS or one == path)
 
 
 def _corners(
@@ -210,4 +243,4 @@ def _checks(count: int, tilt: float, parts: int, rms: float, each: list[float]) 
         ("Reprojection error", error, rms <= MAX_ERROR_PX, f"<= {MAX_ERROR_PX:g} px", "warn",
          f"the corners fit no camera within {MAX_ERROR_PX:g} px: {error}"),
     ]  # fmt: skip
-    return [ev.check(*row[:4], otherwise=row[4], reason=row[5]) for row in rows]
+    return [ev.make_check(*row[:4], otherwise=row[4], reason=row[5]) for row in rows]

@@ -15,14 +15,17 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
-from swimid.logs import kinematics, log, point_evidence, point_files, points
-from swimid.logs.kinematics import Swimming
+from swimid.kinematics import swimming
+from swimid.kinematics.logged import Logged
+from swimid.kinematics.speed import TrackEstimate
+from swimid.kinematics.swimming import MIN_WINDOW_SAMPLES, Swimming, measure_swimming
+from swimid.logs import log
 from swimid.logs.log import Log, runs
-from swimid.logs.plane import Plane
-from swimid.logs.points import Posed
-from swimid.logs.tracks import Estimate, Logged
-from swimid.notices import Notice, Progress, recorded, silent, warn
+from swimid.notices import Notice, Progress, record_warnings, silent, warn
 from swimid.options import takes
+from swimid.points import point_evidence, point_files, points
+from swimid.points.plane import Plane
+from swimid.points.points import Posed
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.robots import file as robot_format
@@ -30,12 +33,12 @@ from swimid.tracking import frames, pose
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Array, Frame, RawTrack, Video
 from swimid.tracking.options import TrackVideoOptions
-from swimid.tracking.pose import SYSTEMATIC_PX, Pose, Smoothed
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose, SmoothedPath
 from swimid.tracking.setup import Setup
-from swimid.tracking.tracker import Run, follow
+from swimid.tracking.tracker import FilmTrack, follow
 
 #: Type of a row in the table of results: key, name, value and unit of a quantity.
-Row = tuple[str, str, Estimate | None, str]
+Row = tuple[str, str, TrackEstimate | None, str]
 
 #: Columns of the log whose values are checked for a wrong scale.
 SCALED = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
@@ -83,11 +86,6 @@ class Track(Logged):
     pose: Pose | None = None
     setup: Setup | None = None
 
-    keys = {
-        "frames": int, "found": int, "found_share": float, "duration_s": float, "interpolated": int,
-        "gaps": int, "longest_gap_s": float, "unit": str, "swimming": dict[str, Any],
-    }  # fmt: skip
-
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
         if self.evidence is None or atomic.is_device(path):
@@ -109,18 +107,15 @@ def track_video(
 ) -> Track:
     """Track the markers of a film, and estimate pose, speeds and stroke of the robot.
 
-    The setup is a file, a Setup or a dict with the colours of the markers, the scale and the camera.
-    ``track_setup`` drafts a setup. The log contains all frames, even if speeds and stroke are those of a part
-    of the film.
+    The setup is a file, a Setup or a dict. The log has all frames, whatever the window of the speeds.
 
     Parameters
     ----------
     video : path
         A film, a folder of pictures, or a pattern of their names (``%05d.png``).
     output : path, optional
-        Log to write, CSV or Parquet by its ending. ``<stem>.evidence.json`` and ``<stem>.png`` are written to
-        the same folder. Without ``output`` nothing is written;
-        :meth:`~swimid.results.result.Result.save` writes the files later.
+        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` and ``<stem>.png`` in the
+        same folder. :meth:`~swimid.results.result.Result.save` writes the files later.
     metadata : dict, optional
         Additional ``# key: value`` lines of the log.
     progress : Progress
@@ -129,57 +124,58 @@ def track_video(
     Returns
     -------
     Track
-        ``.frame`` has a row for each of the n frames: ``t_s``, pose (m, rad; px without a scale), speeds
-        (m/s, rad/s), their standard deviations, the measurements, and each marker. ``.data["swimming"]``
-        contains speed, stroke and accelerations with their 95 % intervals.
+        ``.frame`` has a row for each frame: pose (m, rad; px without a scale), speeds (m/s, rad/s), their
+        standard deviations, and each marker. ``.data["swimming"]`` has speed and stroke with 95 % intervals.
 
     Raises
     ------
-    InputError
-        The film or the setup cannot be used.
+    InputError, UsageError
+        The film, the setup or an option cannot be used, or the window has too few frames with the markers.
     NoTrustworthyResult
         A marker is found in no frame, or in too few.
-    UsageError
-        An option is out of its range, or the window contains too few frames with the markers.
 
     Notes
     -----
-    Positions are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
-    1965, doi:10.2514/3.3166). The steady part of the motion is found by the marginal standard error rule
-    (White, 1997, doi:10.1177/003754979706900601).
+    Positions are smoothed as by Rauch, Tung and Striebel (1965, doi:10.2514/3.3166). The steady part is found
+    by the marginal standard error rule (White, 1997, doi:10.1177/003754979706900601).
 
     Examples
     --------
-    >>> made = track_video("pool.mp4", setup="setup.yaml")  # doctest: +SKIP
-    >>> made.frame[["t_s", "x_m", "y_m", "yaw_rad"]].plot(x="t_s")  # doctest: +SKIP
+    >>> track_video("pool.mp4", setup="setup.yaml").frame.plot("t_s", "x_m")  # doctest: +SKIP
     """
     video, setup, overlay_path = Path(video), options.setup, options.overlay_path
     if output is not None:
         output = atomic.check_writable(output, inputs=(video, setup))
     if overlay_path is not None:
         overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
-    changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
-    rules = setup_format.of(setup)
-    source = setup if isinstance(setup, str | Path) else rules
-    rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
-    with recorded(repeat=True) as notices:
-        if overlay_path is not None:
-            film = Video(video)
-            check_length(overlay_path, film.claimed, film.width, film.height)
-        with progress(f"tracking {video.name}") as step:
-            run = follow(video, rules, step=step, file=str(provenance.path_of(source)))
+    with record_warnings(repeat=True) as notices:
+        run, source = _follow_film(video, options, progress)
         result, painter = _evaluate(run, source, options, metadata or {}, notices)
-        with atomic.together():
-            if overlay_path is not None:
-                remark = painter.write(overlay_path, progress)
-                if remark and result.evidence is not None:
-                    result = replace(result, evidence=result.evidence.model_copy(update={"notes": [remark]}))
-            result = result.saved(output)
-    return result if overlay_path is None else replace(result, outputs=[*result.outputs, overlay_path])
+        if overlay_path is None:
+            return result.write_output(output)
+        with atomic.write_together():
+            painter.write(overlay_path, progress, result)
+            result = result.write_output(output)
+    return replace(result, outputs=[*result.outputs, overlay_path])
+
+
+def _follow_film(
+    video: Path, options: TrackVideoOptions, progress: Progress
+) -> tuple[FilmTrack, str | Path | Setup]:
+    """Follow the markers through a film; return the track in pixels, and the setup file or the setup."""
+    rules = setup_format.read_setup(options.setup)
+    source = options.setup if isinstance(options.setup, str | Path) else rules
+    changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
+    rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
+    if options.overlay_path is not None:
+        film = Video(video)
+        check_length(options.overlay_path, film.claimed, film.width, film.height)
+    with progress(f"tracking {video.name}") as step:
+        return follow(video, rules, step=step, file=str(provenance.path_of(source))), source
 
 
 def _evaluate(
-    run: Run,
+    run: FilmTrack,
     source: str | Path | Setup,
     options: TrackVideoOptions,
     metadata: dict[str, Any],
@@ -193,18 +189,18 @@ def _evaluate(
     plane = video.plane(rules, str(provenance.path_of(source)))
     _demand_markers(run)
     faults = [notice.text for notice in notices if notice.code in ("SWM043", "SWM044")]
-    plane = pose.facing(track, rules, plane)
+    plane = pose.orient_plane(track, rules, plane)
     made = pose.build(track, rules, plane)
-    checks = checks_of(track, made, rules, run.kept)
+    swum = _swimming(made, (options.from_s, options.to_s))
+    checks = checks_of(track, made, rules, run.kept, swum)
     if faults:
         reason = "; ".join(faults)
-        checks.insert(0, ev.check("Frames of the film", "not all", False, "all", reason=reason))
-    swum = _swimming(made, (options.from_s, options.to_s))
+        checks.insert(0, ev.make_check("Frames of the film", "not all", False, "all", reason=reason))
     if swum.stroke is not None:
         if swum.doubt:
             warn("SWM033", swum.doubt)
         value, limit = f"{swum.stroke.frequency_hz:.4g} Hz", "heading and path agree"
-        checks.append(ev.check("One stroke", value, not swum.doubt, limit, reason=swum.doubt))
+        checks.append(ev.make_check("One stroke", value, not swum.doubt, limit, reason=swum.doubt))
     columns = pose.columns(made, track, rules)
     joints = _joints(columns, rules, run, provenance.path_of(source).parent)
     head = _metadata(run, plane, made.times) | metadata
@@ -214,43 +210,43 @@ def _evaluate(
         facts["Pixels"] = f"{video.pixel_aspect:.4g} times as wide as high; px count those of the file"
     if joints is not None:
         checks += point_evidence.checks(joints)
-    verdict = ev.judged(_answer(made, swum), checks)
     rows = _rows(swum, rules, plane.unit)
-    tables, figures = [_table(rows, swum.steady)], _figures(made, rules, swum)
-    methods, references, findings = _methods(rules, made), [*REFERENCES], {}
-    if joints is not None:
-        stroke_hz = None if swum.stroke is None else swum.stroke.frequency_hz
-        beat = point_evidence.wave_of(joints, stroke_hz)
-        facts["Joints"] = point_evidence.facts(joints)["Points"]
-        tables += point_evidence.tables(joints, beat)
-        figures += point_evidence.figures(joints, beat)
-        methods += point_evidence.METHODS
-        references += point_evidence.REFERENCES
-        findings["points"] = joints.data
+    settings = options.settings(setup=rules.model_dump(mode="json", exclude_none=True))
     evidence = ev.Evidence(
         command="track video",
         title=f"Track of {video.path.name}",
-        verdict=verdict,
+        verdict=ev.make_verdict(_answer(made, swum), checks),
         facts=facts,
         checks=checks,
-        tables=tables,
-        figures=figures,
+        tables=[_table(rows, swum.steady)],
+        figures=_figures(made, rules, swum),
         images=painter.images(),
-        notices=ev.notices(notices),
-        methods=methods,
-        references=references,
-        provenance=provenance.collect(
-            [video.path, source],
-            settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
-        ),
+        notices=list(notices),
+        methods=_methods(rules, made),
+        references=[*REFERENCES],
+        provenance=provenance.collect([video.path, source], settings=settings),
     )
-    data = _data(made, rows, swum) | findings | {"verdict": verdict.model_dump()}
+    data = _data(made, rows, swum)
+    if joints is not None:
+        _add_joints(evidence, joints, swum)
+        data["points"] = joints.data
+    data["verdict"] = evidence.verdict.model_dump()
     data["checks"] = [check.model_dump() for check in checks]
     document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
     return Track("track video", "", data, (), evidence, document, columns, made, rules), painter
 
 
-def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
+def _add_joints(evidence: ev.Evidence, joints: Posed, swum: Swimming) -> None:
+    """Add facts, tables, figures and methods on the joint angles to the evidence, in place."""
+    beat = point_evidence.wave_of(joints, None if swum.stroke is None else swum.stroke.frequency_hz)
+    evidence.facts["Joints"] = point_evidence.facts(joints)["Points"]
+    evidence.tables += point_evidence.tables(joints, beat)
+    evidence.figures += point_evidence.figures(joints, beat)
+    evidence.methods += point_evidence.POINT_METHODS
+    evidence.references += point_evidence.REFERENCES
+
+
+def _metadata(run: FilmTrack, plane: Plane, times: Array) -> dict[str, Any]:
     """Return the metadata of the log: those of the film, and the reference point of the pose."""
     rules, video = run.setup, run.video
     head: dict[str, Any] = {
@@ -271,7 +267,7 @@ def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
     return head | {"reference": rules.robot or "robot", "markers_at_m": places}
 
 
-def _joints(columns: dict[str, Any], setup: Setup, run: Run, folder: Path) -> Posed | None:
+def _joints(columns: dict[str, Any], setup: Setup, run: FilmTrack, folder: Path) -> Posed | None:
     """Add the joint angles that markers on other links show to the columns of a log, in place.
 
     The robot file places the markers (``points``). Return None without a marker on a further link.
@@ -295,7 +291,7 @@ def _joints(columns: dict[str, Any], setup: Setup, run: Run, folder: Path) -> Po
     return found
 
 
-def _demand_markers(run: Run) -> None:
+def _demand_markers(run: FilmTrack) -> None:
     """Raise an error if a marker that the pose needs is found too rarely."""
     track, total = run.track, len(run.track.times)
     if total < 2:
@@ -303,8 +299,8 @@ def _demand_markers(run: Run) -> None:
         raise InputError(f"has {total} frame; a track needs several", hint=hint)
     for name in run.setup.roles:
         row = track.row(name)
-        count, cut = int(track.found[row].sum()), int(track.at_edge[row].sum())
-        if count >= max(frames.MIN_SHARE * total, pose.MIN_SEGMENT):
+        count, cut = int(track.is_whole[row].sum()), int(track.at_edge[row].sum())
+        if count >= max(frames.MIN_FOUND_SHARE * total, pose.MIN_SEGMENT):
             continue
         text = f"in no frame of {total}"
         if count:
@@ -335,7 +331,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     seen, path = pose.times[pose.measured], pose.path
     begin, end = (one if one is not None else seen[k] for one, k in zip(window_s, (0, -1), strict=True))
     inside = int(((seen >= begin) & (seen <= end)).sum())
-    if inside < kinematics.MIN_WINDOW_SAMPLES and window_s != (None, None):
+    if inside < MIN_WINDOW_SAMPLES and window_s != (None, None):
         raise UsageError(
             f"only {inside} frames with the markers are between {begin:g} and {end:g} s; the track runs from "
             f"{seen[0]:.4g} to {seen[-1]:.4g} s",
@@ -347,7 +343,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     if pose.angle is not None and pose.separation is not None:
         angle = pose.angle.position[0]
         angle_error = math.sqrt(2) * error / max(float(np.nanmedian(pose.separation)), 1e-12)
-    track = kinematics.Track(
+    track = swimming.SwimTrack(
         time_s=pose.times,
         measured=pose.measured,
         raw=pose.raw,
@@ -358,7 +354,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         error=error,
         angle_error=angle_error,
     )
-    return kinematics.measure(track, window_s)
+    return measure_swimming(track, window_s)
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
@@ -399,7 +395,7 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
         "found": count,
         "found_share": count / total,
         "duration_s": float(pose.times[-1]),
-        "interpolated": int(pose.interpolated.sum()),
+        "interpolated": int(pose.is_interpolated.sum()),
         "segments": int(pose.segment.max()),
         "gaps": len(pose.gaps),
         "longest_gap_s": max((end - start for start, end in pose.gaps), default=0.0),
@@ -419,7 +415,7 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
 # ---------------------------------------------------------------- checks
 
 
-def _judged(
+def _judge(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> ev.Check:
     """Return a check that passes, or else warns or (with ``fails``) fails.
@@ -428,23 +424,30 @@ def _judged(
     """
     if code and not passed:
         warn(code, reason)
-    return ev.check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
+    return ev.make_check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
 
 
-def _graded(
+def _grade(
     code: str, name: str, value: str, limit: str, size: float, limits: tuple[float, float], reason: str
 ) -> ev.Check:
     """Return a check of a value that warns above the first limit and fails above the second limit."""
-    return _judged(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
+    return _judge(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
 
 
 def checks_of(
-    track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None
+    track: RawTrack,
+    pose: Pose,
+    setup: Setup,
+    kept: dict[int, Frame] | None = None,
+    swum: Swimming | None = None,
 ) -> list[ev.Check]:
-    """Return all checks of a track in order of importance. ``kept`` are some frames of the film."""
+    """Return all checks of a track in order of importance.
+
+    ``kept`` are some frames of the film, and ``swum`` are the speeds and the stroke of the track.
+    """
     return [
         *_presence(track, pose, setup),
-        _motion(track, setup),
+        _motion(track, setup, swum),
         *_camera(kept or {}),
         *_looks(track),
         *_others(track, setup),
@@ -468,7 +471,7 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     # found either.
     inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
     lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
-    bridged, empty = int((pose.interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
+    bridged, empty = int((pose.is_interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
     reason = (
         f"{total - count} of {total} frames show no marker (not all of them, or not whole): {bridged} are "
         f"bridged and flagged interpolated, {empty} are empty"
@@ -477,7 +480,7 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
         warn("SWM040", reason)
     value = f"{count} of {total} ({100 * count / total:.1f} %)"
     passed, fails = max(lost, 1 - count / total) <= MAX_UNSEEN[0], lost > MAX_UNSEEN[1]
-    yield _judged("", "Frames found", value, ">= 95 %", passed, reason, fails=fails)
+    yield _judge("", "Frames found", value, ">= 95 %", passed, reason, fails=fails)
     reasons = []
     if t[first] - t[0] > setup.max_gap_s:
         before = "cut by the edge of the picture before" if enters else "nothing of it before"
@@ -488,15 +491,19 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
         place = f"frame {last}, at {track.x[head, last]:.0f}, {track.y[head, last]:.0f} px"
         reasons.append(f"last seen at {t[last]:.2f} s of {t[-1]:.2f} s ({place}; {after})")
     value, limit = f"{t[first]:.2f} s and {t[last]:.2f} s", f"within {setup.max_gap_s:g} s of the ends"
-    yield _judged("SWM065", "First and last sight", value, limit, not reasons, "; ".join(reasons))
+    yield _judge("SWM065", "First and last sight", value, limit, not reasons, "; ".join(reasons))
     longest, segments = max((end - start for start, end in pose.gaps), default=0.0), int(pose.segment.max())
     reason = f"the track has {segments} segments: gaps over max_gap_s = {setup.max_gap_s:g} s are left empty"
     limit = f"<= {setup.max_gap_s:g} s"
-    yield _judged("SWM047", "Longest gap", f"{longest:.3f} s", limit, segments == 1, reason)
+    yield _judge("SWM047", "Longest gap", f"{longest:.3f} s", limit, segments == 1, reason)
 
 
-def _motion(track: RawTrack, setup: Setup) -> ev.Check:
-    """Check that at least one marker moves, because a motionless object passes all other checks."""
+def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
+    """Check that at least one marker moves, because a motionless object passes all other checks.
+
+    A robot that hardly leaves its place passes if it has a stroke. The stroke of a robot keeps its phase
+    (:func:`swimid.kinematics.frequency.find_beats`). Ripples or passing objects that shift a centre do not.
+    """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
     # Compute the distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh
@@ -509,8 +516,11 @@ def _motion(track: RawTrack, setup: Setup) -> ev.Check:
         reason += ", which is its noise"
     reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
-    passed = radii >= frames.MIN_RADII and not still
-    return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
+    strokes = swum is not None and swum.stroke is not None and not swum.doubt
+    if strokes:
+        limit = f">= {noise:.2g} px of noise, with a stroke"
+    passed = (radii >= frames.MIN_RADII or strokes) and not still
+    return _judge("SWM067", "Motion", value, limit, passed, reason, fails=still)
 
 
 def _camera(kept: dict[int, Frame]) -> Iterator[ev.Check]:
@@ -521,22 +531,22 @@ def _camera(kept: dict[int, Frame]) -> Iterator[ev.Check]:
     width = next(iter(kept.values())).shape[1]
     largest, limit = frames.check_camera(shift, width, ", and so do positions and speeds in the log")
     reason = f"the camera moves: the whole scene shifts by {largest:.1f} px"
-    yield _judged("", "Camera", f"{largest:.1f} px", f"<= {limit:.1f} px", largest <= limit, reason)
+    yield _judge("", "Camera", f"{largest:.1f} px", f"<= {limit:.1f} px", largest <= limit, reason)
 
 
 def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
     """Check how often markers other than head and tail are found, and whether they move."""
-    shares = {n: float(track.found[track.row(n)].mean()) for n in track.names if n not in setup.roles}
+    shares = {n: float(track.is_whole[track.row(n)].mean()) for n in track.names if n not in setup.roles}
     if not shares:
         return
     worst = min(shares, key=lambda n: shares[n])
     value = f"{worst} in {100 * shares[worst]:.1f} %"
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
-    yield _graded("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
+    yield _grade("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
     still = [n for n in shares if shares[n] > 0 and track.measure_range(n)[1] < frames.MIN_RADII]
     reason = f"markers never left the radius of one place: {', '.join(still)}. Are they still things?"
     value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {frames.MIN_RADII:g} radius"
-    yield _judged("SWM067", "Other markers move", value, limit, not still, reason)
+    yield _judge("SWM067", "Other markers move", value, limit, not still, reason)
 
 
 def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
@@ -552,14 +562,14 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     spread = 1.4826 * float(np.median(np.abs(separation - middle))) / middle
     value = f"{middle:.4g} {pose.plane.unit} ± {100 * spread:.2f} %"
     reason = f"the distance of head and tail marker scatters by {100 * spread:.1f} %"
-    yield _graded("", "Marker separation", value, "± 2 %", spread, frames.MAX_DISTANCE_SD, reason)
+    yield _grade("", "Marker separation", value, "± 2 %", spread, frames.MAX_DISTANCE_SD, reason)
     design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
     design[:, 1:] -= design[:, 1:].mean(0)
     fit, *_ = np.linalg.lstsq(design, separation, rcond=None)
     drift = float(np.ptp(design[:, 1:] @ fit[1:])) / middle
     reason = f"the distance of head and tail marker changes by {100 * drift:.1f} % across the picture"
     name, value = "Separation across the picture", f"{100 * drift:.2f} %"
-    yield _graded("SWM042", name, value, "<= 2 %", drift, MAX_LENGTH_ERROR, reason)
+    yield _grade("SWM042", name, value, "<= 2 %", drift, MAX_LENGTH_ERROR, reason)
     if setup.places is None:
         return
     known_m = math.dist(*setup.places)
@@ -569,7 +579,7 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
         "so is every length in the log, or their places on the robot are wrong"
     )
     name, value = "Marker distance against the robot", f"{100 * off:+.2f} % of {known_m:g} m"
-    yield _graded("SWM042", name, value, "within 2 %", abs(off), MAX_LENGTH_ERROR, reason)
+    yield _grade("SWM042", name, value, "within 2 %", abs(off), MAX_LENGTH_ERROR, reason)
 
 
 def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[ev.Check]:
@@ -598,7 +608,7 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[ev.Check]:
         f"tail '{setup.tail}' in the setup, or say there how it swims (swims: head-first or tail-first)"
     )
     value, passed = f"{100 * share:.0f} % of the way", not astern - ahead > least
-    yield _judged("SWM100", f"Swims {way}", value, "most of the way", passed, reason, fails=True)
+    yield _judge("SWM100", f"Swims {way}", value, "most of the way", passed, reason, fails=True)
 
 
 def _timing(pose: Pose) -> Iterator[ev.Check]:
@@ -606,25 +616,25 @@ def _timing(pose: Pose) -> Iterator[ev.Check]:
     share, largest = float(np.mean(np.abs(steps - 1) > JITTER)), float(steps.max())
     reason = f"{100 * share:.1f} % of the frames come at uneven steps (up to {largest:.1f} times the usual)"
     value = f"{100 * share:.1f} % uneven"
-    yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
+    yield _judge("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
     count, total = int(pose.held.repeated.sum()), len(pose.times)
     if count:
         reason = (
             f"{count} of {total} pictures repeat the one before and are left out: the camera took "
             f"{1 / pose.held.period_s:.4g} pictures/s, up to {1e3 * pose.held.lateness_s:.3g} ms early"
         )
-        yield _judged("SWM058", "Repeated pictures", f"{count} of {total}", "none", False, reason)
+        yield _judge("SWM058", "Repeated pictures", f"{count} of {total}", "none", False, reason)
 
 
 def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
     """Check whether markers are cut by the edge of the picture, are partly hidden, or jump."""
-    count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.seen[pose.rows].any(axis=0)
+    count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.is_visible[pose.rows].any(axis=0)
     share = count / max(int(seen.sum()), 1)
     reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
     if count:
         warn("SWM045", reason)
     value = f"{count} frames"
-    yield _judged("", "At the edge of the picture", value, "<= 1 %", share <= MAX_HIDDEN_SHARE, reason)
+    yield _judge("", "At the edge of the picture", value, "<= 1 %", share <= MAX_HIDDEN_SHARE, reason)
     off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
     count = int(np.sum(off > 0))
     reason = (
@@ -632,34 +642,34 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
         f"px off in frame {int(np.argmax(off))}"
     )
     passed = count / measured <= MAX_HIDDEN_SHARE
-    yield _judged("SWM066", "Hidden in part", f"{count} frames", "<= 1 %", passed, reason)
+    yield _judge("SWM066", "Hidden in part", f"{count} frames", "<= 1 %", passed, reason)
     innovations = [one.innovation for one in (pose.path, pose.angle) if one is not None]
     far = np.nanmax(np.abs(np.concatenate(innovations)), axis=0, initial=0.0) > JUMP_SIGMA
     count, limit = int(far.sum()), f"0 beyond {JUMP_SIGMA:g} sigma"
     reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: is it the marker?"
-    yield _graded("", "Jumps", f"{count} frames", limit, count / measured, (0.0, 0.02), reason)
+    yield _grade("", "Jumps", f"{count} frames", limit, count / measured, (0.0, 0.02), reason)
 
 
 def _calibration(pose: Pose) -> Iterator[ev.Check]:
     plane = pose.plane
     if plane.unit == "px":
         reason = "positions are in pixels: the setup has no scale"
-        yield _judged("", "Calibration", "none", "a scale", False, reason)
+        yield _judge("", "Calibration", "none", "a scale", False, reason)
     elif plane.residual_px > 1e-2:
         value = f"{plane.residual_px:.2f} px, {1000 * plane.residual:.2f} mm rms"
         reason = f"the calibration points misfit by {plane.residual_px:.1f} px"
-        yield _graded("", "Calibration", value, "<= 1 px", plane.residual_px, (1.0, 4.0), reason)
+        yield _grade("", "Calibration", value, "<= 1 px", plane.residual_px, (1.0, 4.0), reason)
 
 
 def _looks(track: RawTrack) -> Iterator[ev.Check]:
     """Check whether another object was taken for a marker, or may be the marker."""
     for name, text in track.others.items():
-        yield _judged("SWM172", f"Objects like {name}", "more than markers", "one each", False, text)
+        yield _judge("SWM172", f"Objects like {name}", "more than markers", "one each", False, text)
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
         value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
         reason = f"marker '{name}' was first confused with another object: {value}, which stayed longer"
-        yield _judged("SWM064", f"Object followed as {name}", value, "one object", False, reason)
+        yield _judge("SWM064", f"Object followed as {name}", value, "one object", False, reason)
 
 
 # ---------------------------------------------------------------- evidence
@@ -672,9 +682,9 @@ def _answer(pose: Pose, found: Swimming) -> str:
     if found.steady:
         kind, speed = "steady", found.advance
     if speed is not None:
-        text += f", {kind} speed {numbers.number(speed.value, 4, f'{pose.plane.unit}/s')}"
+        text += f", {kind} speed {numbers.format_number(speed.value, 4, f'{pose.plane.unit}/s')}"
     if found.frequency_hz is not None:
-        text += f", stroke {numbers.number(found.frequency_hz.value, 4, 'Hz')}"
+        text += f", stroke {numbers.format_number(found.frequency_hz.value, 4, 'Hz')}"
     return f"{text}."
 
 
@@ -685,7 +695,7 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
     if pose.angle is not None:
         noise += f", heading {pose.angle.measurement_sd:.2g} rad"
     facts = {
-        "Found": f"{count} of {len(pose.times)} frames, {int(pose.interpolated.sum())} bridged",
+        "Found": f"{count} of {len(pose.times)} frames, {int(pose.is_interpolated.sum())} bridged",
         "Measurement noise": noise,
     }
     if setup.plane == "vertical":
@@ -707,7 +717,7 @@ def _table(rows: list[Row], steady: bool) -> ev.Table:
             best, low, high = (factor * one for one in astuple(value))
             words = numbers.unit_text(unit)
             shown.append({"quantity": name, "value": best, "95 % from": low, "to": high, "unit": words})
-    return ev.table(
+    return ev.make_table(
         "swimming",
         "Speed and stroke",
         shown,
@@ -743,50 +753,41 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     up, turn, side = setup.axes
     spans = [ev.Span(start=start, end=end, label="gap") for start, end in pose.gaps][:MAX_GAPS]
     every = slice(None, None, max(len(t) // MAX_POINTS, 1))
-    (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
+    raw_x, raw_y = pose.raw[:, every]
 
     def over_time(label: str, traces: Sequence[ev.Trace], marks: Sequence[ev.Mark] = ()) -> ev.Panel:
         return ev.panel("time (s)", label, traces, spans=spans, marks=list(marks))
 
-    def measured_and_smoothed(
-        label: str, values: Smoothed, row: int, raw: Array, factor: float = 1.0
+    def plot_coordinate(
+        label: str, values: SmoothedPath, row: int, raw: Array, factor: float = 1.0
     ) -> ev.Panel:
         smooth, sd = factor * values.position[row, every], factor * values.position_sd[row, every]
-        marks = ev.apart(t[every], raw)
+        marks = ev.select_marks(t[every], raw)
         seen_t, seen = t[every][marks], factor * raw[marks]
         measured = ev.Trace(x=seen_t, y=seen, label="measured", style="points", group=0)
         return over_time(label, [measured, ev.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0)])
 
     coordinates = [
-        measured_and_smoothed(f"x ({unit})", pose.path, 0, raw_x),
-        measured_and_smoothed(f"{up} ({unit})", pose.path, 1, raw_y),
+        plot_coordinate(f"x ({unit})", pose.path, 0, raw_x),
+        plot_coordinate(f"{up} ({unit})", pose.path, 1, raw_y),
     ]
     names = (f"speed along x ({unit}/s)", f"speed along {up} ({unit}/s)")
     speeds = dict(zip(names, pose.path.velocity, strict=True))
     if pose.angle is not None and pose.raw_angle is not None and pose.body_velocity is not None:
         degrees, raw_angle = np.degrees(1.0), pose.raw_angle[every]
-        coordinates.append(measured_and_smoothed(f"{turn} (°)", pose.angle, 0, raw_angle, degrees))
+        coordinates.append(plot_coordinate(f"{turn} (°)", pose.angle, 0, raw_angle, degrees))
         sideways = numbers.BODY_SPEEDS[f"{side}_m_s"]
         names = (f"surge speed ({unit}/s)", f"{sideways} ({unit}/s)")
         speeds = dict(zip(names, pose.body_velocity, strict=True))
         speeds[f"{turn} rate (°/s)"] = degrees * pose.angle.velocity[0]
     begin = ev.Mark(at=found.begin_s, axis="x", label="averaging window")
     window = [begin, ev.Mark(at=found.end_s, axis="x")]
-    first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
-    path = [
-        ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
-        ev.Trace(x=x, y=y, label="smoothed", group=0),
-        ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
-    ]
-    about = "Path of the reference point."
-    if pose.gaps:
-        about += " The line without points is a gap."
     seen = np.ones(len(t), dtype=bool)
     for start, end in pose.gaps:
         seen &= (t <= start) | (t >= end)
     curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
-        ev.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
+        _path_figure(pose, f"x ({unit})", f"{up} ({unit})", every),
         ev.panels(
             "pose",
             "Pose over time",
@@ -802,13 +803,28 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     ]
 
 
+def _path_figure(pose: Pose, x_title: str, y_title: str, every: slice) -> ev.Figure:
+    """Return the figure of the measured and the smoothed path, thinned to some frames."""
+    (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
+    first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
+    path = [
+        ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
+        ev.Trace(x=x, y=y, label="smoothed", group=0),
+        ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
+    ]
+    about = "Path of the reference point."
+    if pose.gaps:
+        about += " The line without points is a gap."
+    return ev.make_figure("path", "Path", about, x_title, y_title, path, equal_aspect=True)
+
+
 # ---------------------------------------------------------------- frames with the track drawn in
 
 
 class Painter:
     """Painter that draws a track into the frames of its film."""
 
-    def __init__(self, run: Run, pose: Pose) -> None:
+    def __init__(self, run: FilmTrack, pose: Pose) -> None:
         self.run, self.track, self.pose = run, run.track, pose
         self._path = pose.plane.to_image(*pose.path.position)
         self._tip: Array | None = None
@@ -830,33 +846,35 @@ class Painter:
         for m in np.flatnonzero(self.track.status[:, i] != frames.LOST):
             radius = int(np.sqrt(self.track.area[m, i] / np.pi) + 4 * size)
             colour = INTERPOLATED if self.track.at_edge[m, i] else frames.MEASURED
-            centre = _fixed_point(self.track.x[m, i], self.track.y[m, i])
+            centre = _to_fixed_point(self.track.x[m, i], self.track.y[m, i])
             cv2.circle(frame, centre, 8 * radius, colour, line, cv2.LINE_AA, shift=3)
         here = self._path[:, i]
         if np.isfinite(here[0]):
             colour = frames.MEASURED if self.pose.measured[i] else INTERPOLATED
             if self._tip is not None and np.isfinite(self._tip[0, i]):
-                ends = _fixed_point(*here), _fixed_point(*self._tip[:, i])
+                ends = _to_fixed_point(*here), _to_fixed_point(*self._tip[:, i])
                 cv2.arrowedLine(frame, *ends, colour, line, cv2.LINE_AA, 3, 0.2)
             place = tuple(np.round(here).astype(int))
             cv2.drawMarker(frame, place, colour, cv2.MARKER_CROSS, int(14 * size), line, cv2.LINE_AA)
         place = (int(8 * size), int(frame.shape[0] - 10 * size))
-        frames.write_text(frame, f"{times[i]:.2f} s  frame {i}", place, 0.55 * size, line)
+        frames.draw_text(frame, f"{times[i]:.2f} s  frame {i}", place, 0.55 * size, line)
         return frame
 
     def images(self) -> list[ev.Image]:
         """Return the stored frames of the film for the report, with the track drawn into them."""
         images = []
         for i, frame in self.run.kept.items():
-            drawn = frames.reduced(self.run.video.squared(self.draw(i, frame.copy())), IMAGE_WIDTH)
+            drawn = frames.reduce_frame(
+                self.run.video.to_square_pixels(self.draw(i, frame.copy())), IMAGE_WIDTH
+            )
             data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
             title = f"Frame {i}, t = {self.track.times[i]:.2f} s"
             image = {"media_type": "image/jpeg", "base64": base64.b64encode(data).decode()}
             images.append(ev.Image(id=f"frame-{i}", title=title, caption=CAPTION, **image))
         return images
 
-    def write(self, path: Path, progress: Progress) -> str:
-        """Write a copy of the film with the track drawn into it; return a remark, or an empty text.
+    def write(self, path: Path, progress: Progress, result: Track) -> None:
+        """Write a copy of the film with the track drawn into it; add a remark on its format to the evidence.
 
         The film is decoded again, because the track is known only after the film was read once, and its
         frames do not fit into memory. The second decoding takes an eighth of the time of tracking with an
@@ -866,18 +884,19 @@ class Painter:
         width, height = round(source.pixel_aspect * source.width) // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
         again = Video(source.path).frames()
-        with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
+        with atomic.replace_file(path) as temporary, progress("overlay", total=len(times)) as step:
             writer = open_writer(temporary, rate, width, height)
             try:
                 for i, (time, (_, frame)) in enumerate(zip(times, again, strict=False)):
-                    drawn = source.squared(self.draw(i, frame))
+                    drawn = source.to_square_pixels(self.draw(i, frame))
                     writer.write(float(time), drawn[:height, :width])
                     step()
             finally:
                 writer.close()
-        return REMARK.format("overlay") if isinstance(writer, Mpeg4) else ""
+        if isinstance(writer, Mpeg4) and result.evidence is not None:
+            result.evidence.notes.append(REMARK.format("overlay"))
 
 
-def _fixed_point(x: float, y: float) -> tuple[int, int]:
+def _to_fixed_point(x: float, y: float) -> tuple[int, int]:
     """Return a picture position in eighths of a pixel, the unit in which OpenCV draws with ``shift=3``."""
     return round(8 * float(np.clip(x, -1e5, 1e5))), round(8 * float(np.clip(y, -1e5, 1e5)))

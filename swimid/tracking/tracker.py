@@ -21,8 +21,8 @@ from scipy.optimize import linear_sum_assignment
 
 from swimid.errors import InputError
 from swimid.logs.log import runs
-from swimid.logs.plane import camera_matrix
 from swimid.notices import Step, warn
+from swimid.points.plane import camera_matrix
 from swimid.tracking import frames
 from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Box, HsvRange, Marker, Setup
@@ -39,7 +39,7 @@ RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
 #: marker. Longer sequences are not tested for another colour or size.
 FALSE_SHARE = 0.2
 #: Maximum spacing of the picture pixels that are used for a coarse colour mask, px.
-MAX_STEP = 4
+MAX_MASK_STEP = 4
 #: Minimum area of a patch in a coarse colour mask, as a fraction of the minimum area of the marker.
 COARSE_AREA_SHARE = 0.4
 #: Maximum number of patches of a colour that are measured in one picture. It limits the computing time for a
@@ -117,7 +117,7 @@ class Target:
         self.x, self.y, self.time = blob.x, blob.y, time
         self.sights += 1
         self.missed = 0
-        self.moved = self.moved or blob.away(*self.detections[1:3]) > 2 * self.radius
+        self.moved = self.moved or blob.distance_to(*self.detections[1:3]) > 2 * self.radius
 
     def _row(self, blob: Blob) -> Row:
         """Return a detection as a row of values for the track. An unusual area reduces the confidence."""
@@ -165,7 +165,7 @@ class Target:
 
 
 @dataclass
-class Group:
+class MarkerGroup:
     """Targets for all markers of one colour, with the objects of this colour that are not markers."""
 
     marker: Marker
@@ -232,16 +232,27 @@ class Group:
             return []
         if self.marker.start_px is not None:
             starts = dict(zip(self.marker.names, self.marker.start_px, strict=True))
-            distances = np.array([[blob.away(*starts[target.name]) for blob in blobs] for target in new])
+            distances = np.array(
+                [[blob.distance_to(*starts[target.name]) for blob in blobs] for target in new]
+            )
             return [(new[i], blobs[j]) for i, j in zip(*linear_sum_assignment(distances), strict=True)]
         best = sorted(blobs, key=self.merit, reverse=True)[: len(new)]
         return list(zip(new, sorted(best, key=lambda blob: blob.x), strict=False))
 
     def note_rivals(self, rivals: list[Blob], frame: int) -> None:
-        """Store objects that have the colour of the markers, so that none is taken for a lost marker.
+        """Store objects that have the colour of the markers, so that none is taken for a lost marker."""
+        self._note_scenery(rivals)
+        self.most_rivals = max(self.most_rivals, len(rivals))
+        known = next((target for target in self.targets if target.whole), None)
+        if known is not None:
+            bright = [b for b in rivals if not b.at_edge and b.contrast > 0.5 * known.contrast]
+            like = [(b.x, b.y) for b in bright if 0.5 < b.area / known.usual_area < 2.0]
+            self.looks.append((frame, (self.targets[0].x, self.targets[0].y), like))
+        self.next_look = frame + self.pause
+        self.pause = min(2 * self.pause, 60)
 
-        Objects that stay in place while a marker moves are stored as scenery.
-        """
+    def _note_scenery(self, rivals: list[Blob]) -> None:
+        """Store objects that stay in place while a marker moves as scenery."""
         here = [(target.x, target.y) for target in self.targets]
         moved = any(
             math.dist(place, before) > target.radius + 2
@@ -252,19 +263,9 @@ class Group:
             self.scenery += [blob for blob in still if not is_among(blob, self.scenery)]
         if moved or not self.seen_from or math.isnan(self.seen_from[0][0]):
             self.rivals, self.seen_from = rivals, here
-        self.most_rivals = max(self.most_rivals, len(rivals))
-        known = [target for target in self.targets if target.whole]
-        if known:
-            size, contrast = known[0].usual_area, known[0].contrast
-            whole = [one for one in rivals if not one.at_edge and one.contrast > 0.5 * contrast]
-            like = [(one.x, one.y) for one in whole if 0.5 < one.area / size < 2.0]
-            self.looks.append((frame, here[0], like))
-        self.next_look = frame + self.pause
-        self.pause = min(2 * self.pause, 60)
 
-    @property
-    def moving_others(self) -> str:
-        """Sentence on other objects that look like the marker and move; empty if there are none.
+    def describe_moving_others(self) -> str:
+        """Return a sentence on other objects that look like the marker and move; empty if there are none.
 
         An object has moved if it is more than two radii away from all places of such objects in the other
         searches of the whole picture. Moved objects count if they are seen in half of the searches in which
@@ -292,18 +293,92 @@ class Group:
 
 def mask_step(length: float) -> int:
     """Return the pixel spacing of a mask that resolves a length: the length itself, from 1 to MAX_STEP px."""
-    return max(min(int(length), MAX_STEP), 1)
+    return max(min(int(length), MAX_MASK_STEP), 1)
 
 
 def is_among(blob: Blob, others: Sequence[Blob]) -> bool:
     """Return whether a blob has position and area of one of ``others``, which were seen in another frame."""
-    near = [other for other in others if blob.away(other.x, other.y) < 0.25 * other.radius + 1.5]
+    near = [other for other in others if blob.distance_to(other.x, other.y) < 0.25 * other.radius + 1.5]
     return any(0.4 < blob.area / other.area < 2.5 for other in near)
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
     """Return whether a blob is more than 2 px away from each of the blobs found before in the same frame."""
-    return all(blob.away(other.x, other.y) > 2 for other in others)
+    return all(blob.distance_to(other.x, other.y) > 2 for other in others)
+
+
+class ColourSearch:
+    """Search of a picture for the blobs of one colour.
+
+    Parameters
+    ----------
+    setup : Setup
+        Setup with the boxes of the picture that are ignored.
+    width, height : int
+        Size of the picture, px.
+    """
+
+    def __init__(self, setup: Setup, width: int, height: int) -> None:
+        self._ignored, self._size = setup.ignore_px, (width, height)
+
+    def search_window(
+        self, group: MarkerGroup, frame: Frame, cx: float, cy: float, half: float, step: int = 1
+    ) -> tuple[list[Blob], Box | None]:
+        """Return the blobs inside a square window, and the box about the largest patch that the window cuts.
+
+        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
+        every ``step``-th pixel, and the centre of a blob is computed from all pixels.
+        """
+        width, height = self._size
+        x0, y0 = max(int(cx - half), 0), max(int(cy - half), 0)
+        x1, y1 = min(int(cx + half) + 2, width), min(int(cy + half) + 2, height)
+        if min(x1 - x0, y1 - y0) < 3 * step:
+            return [], None
+        window = frame[y0:y1, x0:x1]
+        mask = frames.marker_mask(frames.thin_window(window, step), group.model)
+        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
+        patches = frames.find_patches(mask, group.area_px, step=step, inside=inside)
+        blobs = []
+        for patch in [patch for patch in patches if not patch.clipped]:
+            blob = frames.measure_blob(window, patch, step, (x0, y0), self._size)
+            if blob and not self._is_ignored(blob.x, blob.y) and not is_among(blob, group.scenery):
+                blobs.append(blob)
+        if step > 1 and any(blob.at_edge for blob in blobs):
+            # On a coarse mask, a marker that ends just before the edge of the window looks cut. Search again
+            # on all pixels.
+            return self.search_window(group, frame, cx, cy, half)
+        cut = max((patch for patch in patches if patch.clipped), key=lambda patch: patch.area, default=None)
+        return blobs, None if cut is None else cut.box((x0, y0), step)
+
+    def search_picture(self, group: MarkerGroup, frame: Frame, area: float) -> list[Blob]:
+        """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
+
+        ``area`` is the expected area of a blob in px, or 0 if unknown.
+        """
+        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self._size) / 2))
+        blobs = self._search_mask(group, frame, area, step)
+        if not blobs and not area and step > 1:
+            blobs = self._search_mask(group, frame, area, 1)
+        return blobs
+
+    def _search_mask(self, group: MarkerGroup, frame: Frame, area: float, step: int) -> list[Blob]:
+        """Return the blobs of the whole picture, found on a mask of every ``step``-th pixel."""
+        mask = frames.marker_mask(frames.thin_window(frame, step), group.model)
+        coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
+        expected = area or group.area_px[1] / COARSE_AREA_SHARE
+        coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
+        boxes = [patch.box((0, 0), step) for patch in coarse]
+        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
+        blobs: list[Blob] = []
+        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
+            half = 0.5 * size + 2 * step + frames.MARGIN
+            found, _ = self.search_window(group, frame, x, y, half, mask_step(size / 12))
+            blobs += [blob for blob in found if is_new(blob, blobs)]
+        return blobs
+
+    def _is_ignored(self, x: float, y: float) -> bool:
+        """Return whether a point of the picture is in a box that the setup ignores."""
+        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self._ignored)
 
 
 class Follower:
@@ -318,13 +393,13 @@ class Follower:
 
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.setup = setup
-        self._size = (width, height)
+        self._search = ColourSearch(setup, width, height)
         # The default area of a marker is from 12 px to 5 % of the picture.
-        self.groups: list[Group] = []
+        self.groups: list[MarkerGroup] = []
         for marker in setup.markers:
             model, targets = ColourModel(marker.hsv or HsvRange()), [Target(name) for name in marker.names]
             area_px = marker.area_px or (12.0, 0.05 * width * height)
-            self.groups.append(Group(marker, model, area_px, targets))
+            self.groups.append(MarkerGroup(marker, model, area_px, targets))
         #: Statistics of the distance (px) between each two markers of different colours: number of distances,
         #: their sum, and the sum of their squares. They are computed only if several markers have the same
         #: colour.
@@ -373,103 +448,59 @@ class Follower:
             rows[detections[:, 0].astype(int)] = detections[:, 1:]
             drop_false_detections(rows)
         rivals = {g.marker.name: g.most_rivals for g in self.groups if g.most_rivals}
-        moving = {group.marker.name: group.moving_others for group in self.groups}
+        moving = {group.marker.name: group.describe_moving_others() for group in self.groups}
         others = {name: text for name, text in moving.items() if text}
         names = self.setup.marker_names
         return RawTrack.of_table(self._times, names, table, rivals, self._mistaken, others)
 
-    # ------------------------------------------------------------ patches of a colour
-
-    def _search_window(
-        self, group: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
-    ) -> tuple[list[Blob], Box | None]:
-        """Return the blobs inside a square window, and the box about the largest patch that the window cuts.
-
-        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
-        every ``step``-th pixel, and the centre of a blob is computed from all pixels.
-        """
-        width, height = self._size
-        x0, y0 = max(int(cx - half), 0), max(int(cy - half), 0)
-        x1, y1 = min(int(cx + half) + 2, width), min(int(cy + half) + 2, height)
-        if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
-            return [], None
-        window = frame[y0:y1, x0:x1]
-        mask = frames.marker_mask(frames.thinned(window, step), group.model)
-        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
-        found = frames.find_patches(mask, group.area_px, step=step, inside=inside)
-        whole = [patch for patch in found if not patch.clipped]
-        measured = [frames.measure(window, patch, step, (x0, y0), self._size) for patch in whole]
-        seen = [blob for blob in measured if blob is not None and not self._is_ignored(blob.x, blob.y)]
-        blobs = [blob for blob in seen if not is_among(blob, group.scenery)]
-        if step > 1 and any(blob.at_edge for blob in blobs):
-            # On a coarse mask, a marker that ends just before the edge of the window looks cut. Search again
-            # on all pixels.
-            return self._search_window(group, frame, cx, cy, half)
-        cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
-        return blobs, None if cut is None else cut.box((x0, y0), step)
-
-    def _search_picture(self, group: Group, frame: Frame, area: float) -> list[Blob]:
-        """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
-
-        ``area`` is the expected area of a blob in px, or 0 if unknown.
-        """
-        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self._size) / 2))
-        blobs = self._search_coarse(group, frame, area, step)
-        if not blobs and not area and step > 1:
-            blobs = self._search_coarse(group, frame, area, 1)
-        return blobs
-
-    def _search_coarse(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
-        mask = frames.marker_mask(frames.thinned(frame, step), group.model)
-        coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
-        expected = area or group.area_px[1] / COARSE_AREA_SHARE
-        coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
-        boxes = [patch.box((0, 0), step) for patch in coarse]
-        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
-        blobs: list[Blob] = []
-        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
-            half = 0.5 * size + 2 * step + frames.MARGIN
-            found, _ = self._search_window(group, frame, x, y, half, mask_step(size / 12))
-            blobs += [blob for blob in found if is_new(blob, blobs)]
-        return blobs
-
-    def _is_ignored(self, x: float, y: float) -> bool:
-        """Return whether a point of the picture is in a box that the setup ignores."""
-        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self.setup.ignore_px)
-
     # ------------------------------------------------------------ one colour in one frame
 
-    def _follow(self, group: Group, time: float, frame: Frame) -> dict[str, Blob]:
+    def _follow(self, group: MarkerGroup, time: float, frame: Frame) -> dict[str, Blob]:
         """Find the targets of one colour in a frame; return the blob of each target, by its name."""
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
-        lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
+        lost = [t for t in group.targets if t.name not in sights]
+        lost = [t for t in lost if not self._is_hidden(t, known, sights, time)]
         unsure = [t for t in known if t.name in sights and not t.whole]
         if lost or unsure:
-            blobs = self._others(group, frame, lost, sights)
-            for target, blob in self._find_lost(group, lost, blobs, time):
-                sights[target.name] = blob
-                blobs = [b for b in blobs if b is not blob]
-            for target in [t for t in known if t.name not in sights or t in unsure]:
-                winner = self._contest(group, target, blobs, time)
-                if winner is not None:
-                    sights[target.name] = winner
-                    blobs = [b for b in blobs if b is not winner]
-        if not lost and not unsure and self._frame >= group.next_look:
+            self._search_lost(group, time, frame, lost, sights)
+        elif self._frame >= group.next_look:
             group.note_rivals(self._others(group, frame, group.targets, sights), self._frame)
         return sights
 
+    def _search_lost(
+        self, group: MarkerGroup, time: float, frame: Frame, lost: list[Target], sights: dict[str, Blob]
+    ) -> None:
+        """Search the whole picture for lost targets and for objects that may replace targets.
+
+        The blobs that are found are added to ``sights``, in place.
+        """
+        unsure = [t for t in group.targets if t.name in sights and not t.whole]
+        blobs = self._others(group, frame, lost, sights)
+        for target, blob in self._find_lost(group, lost, blobs, time):
+            sights[target.name] = blob
+            blobs = [b for b in blobs if b is not blob]
+        for target in list(group.targets):
+            if not target.sights or (target.name in sights and target not in unsure):
+                continue
+            winner = self._contest(group, target, blobs, time)
+            if winner is not None:
+                sights[target.name] = winner
+                blobs = [b for b in blobs if b is not winner]
+
     def _others(
-        self, group: Group, frame: Frame, targets: list[Target], sights: dict[str, Blob]
+        self, group: MarkerGroup, frame: Frame, targets: list[Target], sights: dict[str, Blob]
     ) -> list[Blob]:
         """Return the blobs of a colour in the whole picture that are not assigned to a target.
 
         The search expects blobs as large as the markers of ``targets``.
         """
         area, taken = max((target.area for target in targets), default=0.0), list(sights.values())
-        return [blob for blob in self._search_picture(group, frame, area) if is_new(blob, taken)]
+        return [blob for blob in self._search.search_picture(group, frame, area) if is_new(blob, taken)]
 
-    def _in_windows(self, group: Group, known: list[Target], time: float, frame: Frame) -> dict[str, Blob]:
+    def _in_windows(
+        self, group: MarkerGroup, known: list[Target], time: float, frame: Frame
+    ) -> dict[str, Blob]:
         """Find the known targets in windows about predicted positions; return the blob of each, by name."""
         candidates: list[Blob] = []
         for target in known:
@@ -488,7 +519,7 @@ class Follower:
                 sights.pop(second.name, None)
         return sights
 
-    def _in_window(self, group: Group, target: Target, time: float, frame: Frame) -> list[Blob]:
+    def _in_window(self, group: MarkerGroup, target: Target, time: float, frame: Frame) -> list[Blob]:
         """Return the blobs in a window about the predicted position of a target.
 
         The window grows until one of its blobs resembles the target.
@@ -496,7 +527,7 @@ class Follower:
         cx, cy = target.predict(time)
         half = 1.3 * target.radius + target.search_range(time - target.time) + 4
         for status in (frames.WINDOW, frames.GROWN, frames.GROWN):
-            blobs, cut = self._search_window(group, frame, cx, cy, half, mask_step(target.radius / 6))
+            blobs, cut = self._search.search_window(group, frame, cx, cy, half, mask_step(target.radius / 6))
             if any(group.is_alike(target, blob) for blob in blobs):
                 for blob in blobs:
                     blob.status = status
@@ -506,10 +537,10 @@ class Follower:
             half *= 2
         return []
 
-    def _cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
+    def _cost(self, group: MarkerGroup, target: Target, blob: Blob, time: float) -> float:
         """Return the cost of assigning a blob to a target, from prediction error and area."""
         allowed = target.radius + 2 * target.search_range(time - target.time)
-        away = blob.away(*target.predict(time))
+        away = blob.distance_to(*target.predict(time))
         if away > allowed + target.radius or not group.is_alike(target, blob):
             return IMPOSSIBLE
         cost = (away / allowed) ** 2
@@ -531,13 +562,13 @@ class Follower:
             mean = float(total / count)
             if (squares - total * mean) / (count - 1) >= (MAX_RIGID_SD * mean) ** 2:
                 continue
-            error = abs(blob.away(*partner.predict(time)) / mean - 1)
+            error = abs(blob.distance_to(*partner.predict(time)) / mean - 1)
             if error > MAX_RIGID_DEVIATION:
                 return IMPOSSIBLE
             worst = max(worst, (error / MAX_RIGID_DEVIATION) ** 2)
         return worst
 
-    def _hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
+    def _is_hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
         """Return whether a lost target touches another lost marker of the same colour.
 
         The two then look like one large blob, and the whole picture is not searched for the target.
@@ -548,7 +579,7 @@ class Follower:
         return any(_meet(target, other, sights, time) for other in others)
 
     def _find_lost(
-        self, group: Group, lost: list[Target], blobs: list[Blob], time: float
+        self, group: MarkerGroup, lost: list[Target], blobs: list[Blob], time: float
     ) -> list[tuple[Target, Blob]]:
         """Return the lost targets that are found in the whole picture, each with the blob assigned to it."""
         pairs = group.choose_first([target for target in lost if not target.sights], blobs)
@@ -561,7 +592,7 @@ class Follower:
             pairs += [(missing[i], blobs[j]) for i, j in assign(cost)]
         return pairs
 
-    def _return_cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
+    def _return_cost(self, group: MarkerGroup, target: Target, blob: Blob, time: float) -> float:
         """Return the cost of assigning a blob anywhere in the picture to a lost target."""
         gone_s = time - target.time
         if not group.is_alike(target, blob, gone_s):
@@ -569,7 +600,7 @@ class Follower:
         recent, place = gone_s <= self.setup.max_gap_s, (target.x, target.y)
         if recent:
             place = target.predict(time)
-        away = blob.away(*place)
+        away = blob.distance_to(*place)
         if recent and target.sights >= 3:
             near = 4 * target.radius + 10 + 0.2 * target.missed * target.radius
             near += 2 * max(math.hypot(target.vx, target.vy), target.pace) * gone_s
@@ -577,11 +608,11 @@ class Follower:
             if away > near or misfit >= IMPOSSIBLE:
                 return IMPOSSIBLE
             return min(away * (1 + misfit), IMPOSSIBLE)
-        if any(blob.away(rival.x, rival.y) < 0.7 * rival.radius for rival in group.rivals):
+        if any(blob.distance_to(rival.x, rival.y) < 0.7 * rival.radius for rival in group.rivals):
             return IMPOSSIBLE
         return 1e3 + away / (1e-3 + blob.confidence)
 
-    def _contest(self, group: Group, target: Target, blobs: list[Blob], time: float) -> Blob | None:
+    def _contest(self, group: MarkerGroup, target: Target, blobs: list[Blob], time: float) -> Blob | None:
         """Follow another object that may be the marker, if the target is missed or was never seen whole.
 
         The known appearance of the target may be that of a reflection, or of a half hidden marker. Another
@@ -683,7 +714,7 @@ def drop_false_detections(rows: NDArray[np.float64]) -> None:
 
 
 @dataclass(frozen=True)
-class Run:
+class FilmTrack:
     """Result of tracking a film: the track in pixels before smoothing, the setup, and some frames."""
 
     track: RawTrack
@@ -697,7 +728,7 @@ class Run:
 
 def follow(
     path: Path, setup: Setup, *, step: Step, file: str | None = None, within: slice = slice(None)
-) -> Run:
+) -> FilmTrack:
     """Follow the markers of a setup through a film, and return the track.
 
     A motionless object of the colour of a marker is not the marker if there are other objects of the same
@@ -724,7 +755,7 @@ def follow(
     return second
 
 
-def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within: slice) -> Run:
+def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within: slice) -> FilmTrack:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
         camera_matrix(setup.camera, video.width, video.height, file, video.pixel_aspect)
@@ -747,4 +778,4 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within:
         step()
     kept = list(keeper.kept.items())
     chosen = np.unique(np.linspace(0, len(kept) - 1, REPORT_FRAMES).round().astype(int))
-    return Run(follower.track(), video, setup, dict(kept[k] for k in chosen))
+    return FilmTrack(follower.track(), video, setup, dict(kept[k] for k in chosen))

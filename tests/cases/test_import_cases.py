@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.logs import log, mapping
+from swimid.imports import mapping
+from swimid.logs import log
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -43,7 +44,7 @@ def drafted(swimid: Run) -> Callable[[str], str]:
 
 def _mapped(file: str) -> mapping.MappedLog:
     """Read a file with the mapping in ``map.yaml``."""
-    return mapping.apply(mapping.of("map.yaml"), file)
+    return mapping.apply(mapping.read_mapping("map.yaml"), file)
 
 
 def _answer(text: str, **answers: str) -> None:

@@ -1,4 +1,4 @@
-"""The logs of docs/examples/eel, which `docs/examples/eel.md` walks through.
+"""The logs of docs/examples/eel, which `docs/learn/own-robot.md` walks through.
 
     python -m tests.generators.eel_logs
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import interpolate, signal
 
 import swimid
-from swimid.logs import beat
+from swimid.kinematics.frequency import find_beats
 from validation.coverage.rows import ALARM, alarms
 
 Array = NDArray[np.float64]
@@ -71,5 +71,5 @@ def one(seed: int) -> dict[str, float]:
     found = alarms(swimid.import_log(swim(rng)), "swim, ")
     for name, feedback in NOISES.items():
         time = np.arange(rng.integers(300, 2000)) / rng.choice([20.0, 50.0, 200.0])
-        found[f"{name}, {ALARM}beat"] = float(bool(beat.find_beats(time, noise(rng, len(time), feedback))))
+        found[f"{name}, {ALARM}beat"] = float(bool(find_beats(time, noise(rng, len(time), feedback))))
     return found

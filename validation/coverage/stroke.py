@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs import beat, tracks
+from swimid.kinematics.jumps import clean_track
+from swimid.kinematics.speed import net_speed
+from swimid.kinematics.stroke import add_time_error, find_slowest, find_stroke
 
 Array = NDArray[np.float64]
 REPEATS = 400
@@ -43,21 +45,21 @@ def one(seed: int) -> dict[str, float]:
     for kind, held in (("every sample", None), ("held samples", rng.uniform(0.4, 0.95))):
         for length, strokes in (("short", rng.uniform(1.5, 3.8)), ("long", rng.uniform(5.0, 30.0))):
             stamps, place, truth = recording(rng, strokes, held)
-            cleaning = tracks.clean(stamps, list(place.T))
+            cleaning = clean_track(stamps, list(place.T))
             good = cleaning.good
             columns = dict(zip(("x_m", "y_m"), place[good].T, strict=True))
             assert cleaning.held is not None
             times = cleaning.held.measured_s[good]
-            stroke = beat.find_stroke(times, columns)
-            slow = beat.find_slowest(times, columns)
+            stroke = find_stroke(times, columns)
+            slow = find_slowest(times, columns)
             if stroke is not None:
-                stroke = beat.add_time_error(stroke, cleaning.held.measured_sd_s, stamps)
+                stroke = add_time_error(stroke, cleaning.held.measured_sd_s, stamps)
                 low, high = stroke.beat.interval_hz
                 hits[f"{length}, {kind}: frequency"] = float(low <= truth["frequency_hz"] <= high)
             elif length == "long":
                 hits[f"{length}, {kind}: frequency"] = 0.0
             periodic = stroke.beat if stroke is not None else slow[1] if slow is not None else None
-            speed = tracks.net_speed(
+            speed = net_speed(
                 times,
                 place[good],
                 None if periodic is None else periodic.frequency_hz,

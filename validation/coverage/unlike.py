@@ -249,7 +249,9 @@ def measure(condition: Condition, rng: np.random.Generator) -> dict[str, float]:
     drops = draw(condition, rng)
     trials = [drop.trial(str(k)) for k, drop in enumerate(drops)]
     # Leave out the searches around the estimates. This cost is smooth.
-    fit = output_error.complete(output_error.fit(Falling(condition.fixed), trials, tested=False))
+    fit = output_error.complete_fit(
+        output_error.fit_output_error(Falling(condition.fixed), trials, tested=False)
+    )
     assert fit.differences is not None
     if condition.hidden:
         name = f"hidden differences of friction are reported{SHARE.format(95, 100)}"

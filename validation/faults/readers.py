@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from swimid.logs import mapping
-from swimid.logs.foreign import open_table
+from swimid.imports import mapping
+from swimid.imports.formats import open_table
 from tests.conftest import SAMPLES
 from tests.test_fuzz_import import KINDS
 from tests.test_fuzz_readers import FORMATS, ODD_CELLS, ODD_SCALARS

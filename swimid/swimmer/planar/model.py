@@ -1,14 +1,10 @@
-"""Model of a robot in a plane: input arrays from a robot file, interface for effects, and simulation.
-
-Each kind of element (:mod:`swimid.robots.planar`) has a function in ``ADDERS`` that adds rows to the input
-arrays of the equations of motion. :class:`Assembly` collects and checks them.
-"""
+"""Model of a robot in a plane: checks of its robot file, interface for effects, and simulation."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -16,205 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import TailBeat
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
-from swimid.logs import wave
+from swimid.kinematics import wave
 from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer import drive
+from swimid.swimmer.engine import PASSIVE, place_frame, tendon_torque
 from swimid.swimmer.lanes import Room
-from swimid.swimmer.model import Run, Swimmer, flows, trial_parameter, turned
-from swimid.swimmer.planar import engine
+from swimid.swimmer.model import SimulationRequest, Swimmer, flows, rotate_vector, trial_parameter
+from swimid.swimmer.planar.engine import COLUMNS, PLANAR_ENGINE, observe_camera
 from swimid.swimmer.tree import (
     SYMMETRIC,
-    Axis,
+    MovingJoint,
     Polynomial,
-    Row,
-    Rows,
-    Table,
+    PolynomialTable,
     Tree,
     check_apparent,
-    given,
-    quantities,
-    strips,
+    list_quantities,
 )
 
 Point = tuple[float, float]
-Frames = tuple[Array, Array, Array]
-
-
-def _add_mass(
-    rows: Rows,
-    link: str,
-    at: Sequence[Polynomial],
-    forward: Polynomial,
-    port: Polynomial,
-    turning: Polynomial,
-) -> None:
-    """Add a point mass with one value for each direction, and a moment of inertia about this point."""
-    x, y = at
-    about = turning + forward * y * y + port * x * x
-    rows.add_inertia(link, [forward, 0.0, -(forward * y), port, port * x, about])
-
-
-def _point(station: float | str, offset: float | str) -> list[Polynomial]:
-    """Return the position of a point in the axes of its link, from its station and its offset."""
-    return [-Polynomial.of(station), Polynomial.of(offset)]
-
-
-def _added_mass(element: parts.AddedMass, link: parts.Link, rows: Rows) -> None:
-    """Add the added mass of a link at a station, by default at its centre of mass.
-
-    The added mass enters the kinetic energy only (tendon fish Eq 2, dolphin Eq 3). The added-mass force of
-    Eqs 6 and 7 in these papers is a derivative of this energy, and must not be applied again.
-    """
-    station = given(element.at_m, link.com_m)
-    masses = element.surge_kg, element.sway_kg, element.inertia_kg_m2
-    _add_mass(rows, link.name, _point(station, element.offset_m), *(Polynomial.of(m) for m in masses))
-
-
-def _damping(element: parts.Damping, link: parts.Link, rows: Rows) -> None:
-    """Add the moment ``-(linear + quadratic |r|) r`` against the rotation of a link at the rate r."""
-    turning = element.quadratic_N_m_s2_rad2, element.linear_N_m_s_rad
-    rows.add("drag", link.name, [*[0.0] * 6, *turning])
-
-
-def _drag(element: parts.Drag, link: parts.Link, rows: Rows) -> None:
-    """Add Morison drag ``-rho/2 c S |v| v`` along each axis of a link (tendon fish, Eq 7).
-
-    The drag acts at a point or on strips. The areas are divided among the strips by the weights of Gauss's
-    rule.
-    """
-    half = 0.5 * rows.density_kg_m3
-    gains = (
-        half * Polynomial.of(element.axial_area_m2) * Polynomial.of(element.axial_coefficient),
-        half * Polynomial.of(element.normal_area_m2) * Polynomial.of(element.normal_coefficient),
-        Polynomial.of(element.axial_linear_N_s_m),
-        Polynomial.of(element.normal_linear_N_s_m),
-    )
-    places: Iterable[tuple[Any, float]] = [(element.at_m, 1.0)]
-    if element.at_m is None:
-        places = strips(element.from_m or 0.0, given(element.to_m, link.length_m), element.strips)
-    for station, share in places:
-        row: Row = [*_point(station, element.offset_m), *(share * g for g in gains), 0.0, 0.0]
-        rows.add("drag", link.name, row)
-
-
-def _foil(element: parts.Foil, link: parts.Link, rows: Rows) -> None:
-    """Add lift and drag of a fin with the polar of a flat plate (dolphin, Eq 9)."""
-    chord = math.radians(element.chord_deg)
-    polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
-    gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
-    at = _point(element.at_m, element.offset_m)
-    rows.add("foil", link.name, [*at, gain, *polar, math.cos(chord), math.sin(chord)])
-
-
-def _force(element: parts.Force, link: parts.Link, rows: Rows) -> None:
-    """Add a constant force at a point of a link, in the axes of the link or of the world."""
-    at, world = _point(element.at_m, element.offset_m), float(element.frame == "world")
-    rows.add("force", link.name, [*at, element.forward_N, element.port_N, world])
-
-
-def _hydrostatics(element: parts.Hydrostatics, link: parts.Link, rows: Rows) -> None:
-    """Add the weight of a link at its centre of mass, and its buoyancy, for motion in the vertical plane."""
-    gravity = rows.gravity_m_s2
-    weight = -gravity * Polynomial.of(link.mass_kg)
-    rows.add("force", link.name, [*_point(link.com_m, link.com_offset_m), 0.0, weight, 1.0])
-    lift = gravity * rows.density_kg_m3 * Polynomial.of(element.volume_m3)
-    if lift.terms:
-        station = given(element.buoyancy_at_m, link.com_m)
-        where = _point(station, element.buoyancy_offset_m)
-        rows.add("force", link.name, [*where, 0.0, lift, 1.0])
-
-
-def _slender_body(element: parts.SlenderBody, link: parts.Link, rows: Rows) -> None:
-    """Add added mass ``c_m rho pi h^2 / 4`` and drag ``rho/2 (c_f p, c_d h) |v| v`` per length.
-
-    Both act on strips of a link with a height h and a perimeter p that vary along it (dolphin, Eqs 4, 7 and
-    8).
-    """
-    at = np.array([s.station_m for s in element.sections])
-    heights = np.array([s.height_m for s in element.sections])
-    girths = np.array([s.perimeter_m for s in element.sections])
-    low, high = float(at[0]), float(at[-1])
-    for station, share in strips(low, high, element.strips):
-        height, girth = float(np.interp(station, at, heights)), float(np.interp(station, at, girths))
-        half = 0.5 * rows.density_kg_m3 * share * (high - low)
-        mass = 0.5 * half * math.pi * height**2 * Polynomial.of(element.added_mass_coefficient)
-        forward, none = mass * float(element.added_mass_direction == "both"), Polynomial.of(0.0)
-        _add_mass(rows, link.name, _point(station, 0.0), forward, mass, none)
-        friction = half * girth * Polynomial.of(element.friction_coefficient)
-        drag = half * height * Polynomial.of(element.drag_coefficient)
-        rows.add("drag", link.name, [-station, 0.0, friction, drag, *[0.0] * 4])
-
-
-def _trailing_edge(element: parts.TrailingEdge, link: parts.Link, rows: Rows) -> None:
-    """Add the momentum shed into the wake at a trailing edge (Lighthill 1971, Proc. R. Soc. Lond. B 179:125).
-
-    With the velocity u of the edge along the axis of its link, the velocity w across, and the added mass m
-    per length at the edge, the reaction of the water on a slender body is
-
-        ``[-m u w n + 1/2 m w^2 t] at the edge - d/dt integral of m w n over the body``
-
-    with unit vectors n across and t along. The integral is the impulse of the lateral added mass of the
-    links, and acts through their kinetic energy. The other terms are added here. They take the power 1/2 m u
-    w^2, which the wake carries away. The theory does not cover an edge that moves backwards (u < 0). Such an
-    edge sheds nothing: the force across is then zero, and the remaining force resists the motion.
-    """
-    station = given(element.at_m, link.length_m)
-    half = 0.5 * Polynomial.of(element.added_mass_kg_m)
-    rows.add("wake", link.name, [*_point(station, element.offset_m), half])
-
-
-def _load(element: parts.Load, link: parts.Link, rows: Rows) -> None:
-    """Add a force and a moment in the axes of a link that are proportional to an input."""
-    at = _point(element.at_m, element.offset_m)
-    world = float(element.frame == "world")
-    row = [*at, element.forward_N, element.port_N, element.moment_N_m, world, 0.0]
-    rows.add_load(link.name, element.input, row)
-
-
-def _propeller(element: parts.Propeller, link: parts.Link, rows: Rows) -> None:
-    """Add a propeller whose thrust depends on its rate and on the velocity of advance."""
-    axis = math.radians(element.axis_deg)
-    point: Row = [*_point(element.at_m, element.offset_m)]
-    rows.add_propeller(element, point, [math.cos(axis), math.sin(axis)])
-
-
-def _rudder(element: parts.Rudder, link: parts.Link, rows: Rows) -> None:
-    """Add the normal force on a rudder, and the lateral force on the hull that it induces."""
-    stations = element.at_m, element.hull_force_at_m, element.inflow_at_m
-    points = [_point(given(station, element.at_m), element.offset_m) for station in stations]
-    rows.add_rudder(element, [entry for point in points for entry in point])
-
-
-def _moving_mass(element: parts.MovingMass, link: parts.Link, rows: Rows) -> None:
-    """Add a mass that an input moves along a line of a link."""
-    rows.add_mass(element, [*_point(element.at_m, element.offset_m)])
-
-
-def _derivatives(element: parts.Derivatives, link: parts.Link, rows: Rows) -> None:
-    """Add forces and moments that are products of the velocities of a point of a link."""
-    point: Row = [*_point(given(element.at_m, link.com_m), element.offset_m)]
-    rows.add_terms(element, point, engine.COMPONENTS, engine.VELOCITIES)
-
-
-#: Functions that add the rows of an element to the input arrays, by kind of element.
-ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
-    "added-mass": _added_mass,
-    "damping": _damping,
-    "drag": _drag,
-    "foil": _foil,
-    "force": _force,
-    "hydrostatics": _hydrostatics,
-    "load": _load,
-    "propeller": _propeller,
-    "rudder": _rudder,
-    "moving-mass": _moving_mass,
-    "derivatives": _derivatives,
-    "slender-body": _slender_body,
-    "trailing-edge": _trailing_edge,
-}
+LinkFrames = tuple[Array, Array, Array]
 
 
 #: Minimum and maximum radius of gyration of a link, as a multiple of its length. Other values indicate a
@@ -237,7 +56,7 @@ LOSS = re.compile(
 MAX_QUANTITY = 1e15
 
 
-class Assembly(Tree):
+class PlanarTree(Tree):
     """Links of a robot in a plane, with their input arrays and checks (:class:`swimid.swimmer.tree.Tree`).
 
     Parameters
@@ -245,36 +64,28 @@ class Assembly(Tree):
     body : Multilink
     fluid : Fluid
 
-    Attributes
-    ----------
-    world_forces : bool
-        Whether forces with a fixed direction in the world act, such as weight.
     """
 
     part = "multilink"
-    elements = ("drag", "foil", "force", "wake", "load", "propeller", "rudder", "term", "slider")
-    engine, adders = engine, ADDERS
+    engine, up = PLANAR_ENGINE, (0.0, 1.0, 0.0)
 
-    def __init__(self, body: parts.Multilink, fluid: Fluid) -> None:
+    def __init__(self, body: parts.MultilinkRobot, fluid: Fluid) -> None:
         super().__init__(body)
-        self._sizes = self._sized()
-        rows = self.fill(fluid)
-        self.world_forces = any(row[4] == 1.0 for _, row in rows.elements["force"])
-        self.world_forces |= any(row[5] == 1.0 for _, row in rows.elements["load"])
-        self.world_forces |= any(getattr(element, "weighs", False) for element in body.elements)
+        self._sizes = self._list_sizes()
+        self.fill(fluid)
 
-    def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
+    def _list_sizes(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], PolynomialTable]:
         """Return path, dimension, sign constraint and value of each quantity in the robot file.
 
         The dimension is 1 for a length, 2 for an area and 0 otherwise. The sign constraint is true if the
-        quantity must not be negative. The values are a :class:`Table` of the coefficients.
+        quantity must not be negative. The values are a :class:`PolynomialTable` of the coefficients.
         """
-        named = list(quantities(self.body, self.part))
+        named = list(list_quantities(self.body, self.part))
         paths = [path for path, _ in named]
         keys = [path.rsplit(".", 1)[-1] for path in paths]
         powers = [2 * key.endswith("area_m2") or int(bool(LENGTH.fullmatch(key))) for key in keys]
         losses = [LOSS.fullmatch(path) is not None for path in paths]
-        table = Table([[Polynomial.of(quantity)] for _, quantity in named], 1, self.names)
+        table = PolynomialTable([[Polynomial.of(quantity)] for _, quantity in named], 1, self.names)
         return paths, np.array(powers), np.array(losses), table
 
     @property
@@ -316,27 +127,6 @@ class Assembly(Tree):
                 text = f"{numbers[k]:g} {unit} is out of proportion to a robot {span:g} m long"
                 hint = f"lengths are in m, areas in m2: is it in {small}?"
             raise InputError(text, column=paths[k], hint=hint)
-
-    def _add_rigid(self, link: parts.Link, rows: Rows) -> None:
-        mass = Polynomial.of(link.mass_kg)
-        x, y = _point(link.com_m, link.com_offset_m)
-        inertia = Polynomial.of(link.inertia_kg_m2)
-        if link.inertia_about == "front":
-            inertia = inertia - mass * (x * x + y * y)
-        _add_mass(rows, link.name, (x, y), mass, mass, inertia)
-
-    def _add_torque(self, joint: parts.Joint, rows: Rows) -> None:
-        assert joint.torque is not None
-        gain = Polynomial.of(joint.torque.gain_N_m)
-        for link, moment in ((joint.child, gain), (joint.parent, -gain)):
-            rows.add_load(link, joint.torque.input, [0.0, 0.0, 0.0, 0.0, moment, 0.0, 0.0])
-
-    def _place(self, joint: parts.Joint | None) -> Row:
-        if joint is None:
-            return [0.0, 0.0, 1.0, 0.0]
-        station = given(joint.at_m, self.links[self.index[joint.parent]].length_m)
-        mount = math.radians(joint.mount_deg)
-        return [*_point(station, joint.offset_m), math.cos(mount), math.sin(mount)]
 
 
 def _centre(row: Array) -> Point:
@@ -381,16 +171,16 @@ def _check_link(link: parts.Link, own: Array, span: float) -> None:
 # ---------------------------------------------------------------- links as effects use them
 
 STIFFNESS, CUBIC, DAMPING, FRICTION = (
-    engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping", "friction")
+    PASSIVE.index(n) for n in ("stiffness", "cubic", "damping", "friction")
 )
-WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
-QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
+WIRE = slice(PASSIVE.index("spring"), PASSIVE.index("crank") + 1)
+QUADRATIC = [COLUMNS["drag"].index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
 #: Angle for the stiffness of a straight joint with a tendon, rad. The stiffness is the torque at this angle,
 #: divided by the angle.
-SMALL = 1e-4
+SMALL_ANGLE_RAD = 1e-4
 
 
-class Body:
+class PlanarBody:
     """Interface to the links of a planar robot for effects, at the start values of the parameters.
 
     The argument ``tables`` of the methods has the input arrays of the equations of motion, by name
@@ -456,7 +246,7 @@ class Body:
 
     # -------------------------------------------------------- positions of the links
 
-    def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
+    def frames(self, values: Array, columns: Mapping[str, Array]) -> LinkFrames:
         """Return position (x, y, m) of the front end and heading (rad) of each link, shape (links, n) each.
 
         Parameters
@@ -487,7 +277,7 @@ class Body:
             heading[i] = heading[parent] + mount + angles.get(i, np.zeros(n))
         return x, y, heading
 
-    def rear_ends(self, frames: Frames) -> tuple[Array, Array]:
+    def rear_ends(self, frames: LinkFrames) -> tuple[Array, Array]:
         """Return the position (x, y) of the rear end of each link, m, shape (links, n) each."""
         x, y, heading = frames
         length = np.array(self.lengths_m)[:, None]
@@ -501,7 +291,7 @@ class Body:
         return wave.spine(topology[:, 0].tolist(), moving.tolist())
 
     @cached_property
-    def joints(self) -> dict[int, Axis]:
+    def joints(self) -> dict[int, MovingJoint]:
         """Moving joint of each link with its parent, by the index of the link."""
         return {axis.link: axis for axis in (*self.driven, *self.passive)}
 
@@ -591,7 +381,7 @@ class Body:
         wire = row[WIRE]
         if wire[0] == 0.0:
             return float(row[STIFFNESS])
-        return float(row[STIFFNESS] - engine.tendon_torque(SMALL, *wire) / SMALL)
+        return float(row[STIFFNESS] - tendon_torque(SMALL_ANGLE_RAD, *wire) / SMALL_ANGLE_RAD)
 
     def damping(self, tables: dict[str, Any], joint: int) -> float:
         """Return the damping of a passive joint: torque divided by rate, N m s/rad."""
@@ -605,7 +395,7 @@ class Body:
         """Return the inertia of a passive joint's child link about the joint, with added mass, kg m2."""
         return float(tables["inertia"][self.passive[joint].link, 5])
 
-    def carried(self, tables: dict[str, Any], actuator: int) -> tuple[float, float]:
+    def compute_actuator_load(self, tables: dict[str, Any], actuator: int) -> tuple[float, float]:
         """Return inertia and quadratic drag, about an actuator, of all links that this actuator moves.
 
         All joints are straight, and the base is at rest. The inertia is in kg m2 and includes added mass. The
@@ -641,9 +431,9 @@ class Body:
 
     @cached_property
     def loads(self) -> list[tuple[float, float]]:
-        """Inertia and quadratic drag of the links that each actuator moves, as :meth:`carried` states."""
+        """Inertia and quadratic drag of the links of each actuator (:meth:`compute_actuator_load`)."""
         tables = self.tables()
-        return [self.carried(tables, k) for k in range(len(self.actuators))]
+        return [self.compute_actuator_load(tables, k) for k in range(len(self.actuators))]
 
     def normal_drag(self, tables: dict[str, Any]) -> tuple[NDArray[np.int64], Array]:
         """Return the points at which drag across links acts.
@@ -740,13 +530,12 @@ class SwimmerScales(Scales):
     @property
     def force(self) -> float:
         """Drag at the typical speed, plus the force that accelerates the robot to it in one trial, N."""
-        body, speed = self.model.body, self.speed
-        return body.axial_drag(body.tables()) * speed**2 + self.inertia * speed / self.duration
+        return self.model.typical_force(self)
 
 
 #: For each plane of motion: its second axis, symbol and name of the velocity along this axis, and name of the
 #: rotation.
-PLANES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
+PLANE_NAMES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
 
 
 class MultilinkModel(Swimmer):
@@ -762,8 +551,6 @@ class MultilinkModel(Swimmer):
 
     name = "multilink"
     offers = frozenset({"command", "tables", "force", "flow", "output", "clock"})
-    coordinates, speeds = 3, 3
-    engine = engine
     camera = (
         trial_parameter(
             "camera_rotation", "rad", 0.02, "axes of the measured position against those of the heading"
@@ -771,17 +558,17 @@ class MultilinkModel(Swimmer):
     )
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
-    tree: Assembly
+    tree: PlanarTree
     #: Cached interface to the links, with the parameters from which it was computed.
-    _body: tuple[tuple[Parameter, ...], Body] | None = None
+    _body: tuple[tuple[Parameter, ...], PlanarBody] | None = None
 
-    def _tree(self) -> Assembly:
-        second, v, sideways, turn = PLANES[self.links.plane]
+    def _tree(self) -> PlanarTree:
+        second, v, sideways, turn = PLANE_NAMES[self.links.plane]
         self.pose = ("x_m", f"{second}_m", f"{turn}_rad")
         self.velocity = ("u_m_s", f"{v}_m_s", f"{turn}_rate_rad_s")
         self.places, self.rates = ("x", second, turn), ("surge", sideways, f"{turn}_rate")
         self.reactions = ("force_x_N", f"force_{second}_N", f"torque_{turn}_N_m")
-        return Assembly(self.links, self.robot.fluid)
+        return PlanarTree(self.links, self.robot.fluid)
 
     def _offsets(self) -> tuple[str, ...]:
         return self.starts
@@ -789,7 +576,7 @@ class MultilinkModel(Swimmer):
     # -------------------------------------------------------- links and drive
 
     @property
-    def links(self) -> parts.Multilink:
+    def links(self) -> parts.MultilinkRobot:
         """Part of the robot file with links, joints and elements."""
         assert self.robot.multilink is not None
         return self.robot.multilink
@@ -799,12 +586,17 @@ class MultilinkModel(Swimmer):
         """Position of the reference point in the axes of the base, m."""
         return -self.links.reference.station_m, self.links.reference.offset_m
 
+    def start_course(self, trial: Trial) -> tuple[float, float, float]:
+        """Return the position in the plane (m) and the heading (rad) at the first sample of a trial."""
+        x, y, heading = trial.swim.get_pose()
+        return float(x), float(y), float(heading)
+
     @property
-    def body(self) -> Body:
+    def body(self) -> PlanarBody:
         """Interface to the links for effects, at the start values of the parameters."""
         known = self._body
         if known is None or known[0] is not self.parameters:
-            known = self._body = self.parameters, Body(self)
+            known = self._body = self.parameters, PlanarBody(self)
         return known[1]
 
     @property
@@ -820,14 +612,14 @@ class MultilinkModel(Swimmer):
 
     def origin(self, trial: Trial) -> dict[str, float]:
         """Return the pose of the robot at the first sample of a trial, by channel."""
-        return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
+        return dict(zip(self.pose, self.start_course(trial), strict=True))
 
     def _velocities_of_pose(self, seen: Callable[[str, int], float | None]) -> Sequence[float | None]:
         heading = seen(self.pose[2], 0)
         along, across, turn = (seen(column, 1) for column in self.pose)
         if heading is None or along is None or across is None:
             return ()
-        return *turned(along, across, -heading).tolist(), turn
+        return *rotate_vector(along, across, -heading).tolist(), turn
 
     # -------------------------------------------------------- simulation
 
@@ -845,19 +637,19 @@ class MultilinkModel(Swimmer):
         """
         return self.tree.world_forces and self.free_base
 
-    def attitude(self) -> list[int]:
-        """Return the indices, in a state vector, of base angles that affect the motion."""
-        return [2] * self._heading_matters()
+    @cached_property
+    def _memory(self) -> list[int]:
+        return [2] * self._heading_matters() + super()._memory
 
     def _heading(self, values: Array, trial: Trial) -> float:
         """Return the heading at the first sample of a trial, with its estimated offset, rad."""
-        return float(trial.swim.posed()[2]) + self.value(values, self.starts[2])
+        return float(trial.swim.get_pose()[2]) + self.value(values, self.starts[2])
 
     def at_reference(self, wrench: Array) -> Array:
         """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
         fx, fy, moment = wrench.T
         a, b = self.reference_m
-        along, across = turned(fx, fy, math.radians(self.links.heading_deg))
+        along, across = rotate_vector(fx, fy, math.radians(self.links.heading_deg))
         return np.column_stack([along, across, moment - a * fy + b * fx])
 
     def _mounts(self) -> list[float]:
@@ -874,15 +666,15 @@ class MultilinkModel(Swimmer):
         if hooks.flow:
             _, water = flows(hooks, np.array([begin_s]))
             heading = self._heading(values, trial)
-            start[n : n + 2] -= turned(float(water[0, 0]), float(water[0, 1]), -heading)
+            start[n : n + 2] -= rotate_vector(float(water[0, 0]), float(water[0, 1]), -heading)
         if self._heading_matters():
             start[2] = self._heading(values, trial)
 
-    def frame(self, run: Run) -> Array:
+    def frame(self, run: SimulationRequest) -> Array:
         """Return the coordinate frame of the simulation in the world, for external forces."""
-        x, y, _ = run.trial.swim.posed()
+        x, y, _ = run.trial.swim.get_pose()
         heading = 0.0 if self._heading_matters() else self._heading(run.values, run.trial)
-        return engine.placed((x, y, heading), self.reference_m)
+        return place_frame((x, y, heading), self.reference_m)
 
     def _room(self) -> Room:
         body = self.body
@@ -891,24 +683,24 @@ class MultilinkModel(Swimmer):
         filled = {"inertia": body.hull, "force": np.s_[:, :2]}
         return Room(body.room(), filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 
-    def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
+    def _add_water_motion(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
         moved, speed = flows(hooks, np.append(begin_s, time_s))
         x, y, heading = self.pose
         found[x] = found[x] + moved[1:, 0] - moved[0, 0]
         found[y] = found[y] + moved[1:, 1] - moved[0, 1]
-        u, v = turned(speed[1:, 0], speed[1:, 1], -found[heading])
+        u, v = rotate_vector(speed[1:, 0], speed[1:, 1], -found[heading])
         along, across, _ = self.velocity
         found[along], found[across] = found[along] + u, found[across] + v
 
-    def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+    def observe(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point, in the axes of the camera."""
-        pose = trial.swim.posed()
+        pose = trial.swim.get_pose()
         x, y, turned = values[self._offset].tolist()
         # a simulation starts at the origin, and along x unless forces with a fixed direction in the world act
         heading = 0.0 if self._heading_matters() else float(pose[2]) + turned
         spin = heading + self.value(values, "camera_rotation")
         origin = (float(pose[0]) + x, float(pose[1]) + y)
-        seen = engine.seen(states, self.tree.unknowns, self.reference_m, origin, heading, spin)
+        seen = observe_camera(states, self.tree.unknowns, self.reference_m, origin, heading, spin)
         return dict(zip((*self.pose, *self.velocity), seen, strict=True))
 
 
@@ -918,9 +710,9 @@ def warm_up() -> None:
 
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.linspace(0.0, 0.1, 6)
-    beat = Beat("a-cpg", 1.0, 0.3)
+    beat = TailBeat("a-cpg", 1.0, 0.3)
     model.simulate(
         np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, swim=SwimInput(beat))
     )
     drive.simulate_servo(np.zeros(5), 0.1, 1.0, 1.0)
-    drive.measured(np.arange(6.0), np.zeros(6))
+    drive.fit_spline(np.arange(6.0), np.zeros(6))

@@ -16,88 +16,56 @@ composite inertias. One LDL^T factorisation gives the accelerations (Featherston
 Algorithms, chapters 5, 6 and 9; Kadapa et al., sea lion, Eq 1).
 
 The state of a robot with p passive hinges is ``(x, y, z, qw, qx, qy, qz, passive angles.., velocity of the
-base in its own axes (u, v, w), its angular velocity, passive rates..)``. The functions do not check indices,
-because :mod:`swimid.swimmer.spatial.model` has checked them.
+base in its own axes (u, v, w), its angular velocity, passive rates..)``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from swimid.files.kernels import numba
-from swimid.swimmer.planar.engine import (
-    FILLED,
-    INTEGERS,
+from swimid.swimmer.engine import (
+    ELEMENT_COLUMNS,
     LEAST_SPEED,
+    LINK_COLUMNS,
+    PASSIVE,
+    Engine,
     begin_stage,
+    find_heading,
+    has_diverged,
     inflow_speed,
-    is_broken,
     passive_torque,
     positive,
     product_of,
+    reduce_input,
     rudder_force,
-    solve,
+    solve_accelerations,
     thrust_of,
     wake_growth,
-    weakened,
 )
 
-__all__ = ["FILLED", "INTEGERS"]
-#: Columns of the input array ``topology`` of the engine.
-TOPOLOGY = ("parent", "driven", "passive", "massless")
-#: Columns of the input array ``joint``: position of a hinge on the parent, direction of its axis in the
-#: child, and the matrices of the rotation ``M0 + sin M1 + (1 - cos) M2`` from child to parent, row by row.
-JOINT = (
-    *(f"at_{c}" for c in "xyz"),
-    *(f"axis_{c}" for c in "xyz"),
-    *(f"turn{m}_{r}{c}" for m in range(3) for r in range(3) for c in range(3)),
-)
-#: Columns of the input array ``inertia``: blocks A, B and D of the apparent inertia matrix of a link.
-INERTIA = (
-    *(f"A{p}" for p in ("00", "01", "02", "11", "12", "22")),
-    *(f"B{r}{c}" for r in range(3) for c in range(3)),
-    *(f"D{p}" for p in ("00", "01", "02", "11", "12", "22")),
-)
-#: Columns of the input array ``drag``, with one row for each drag point. The column ``size`` is half the
-#: range of height in which a point leaves the water; 0 if the point always counts as under water.
-DRAG = (*"xyz", *(f"quadratic_{c}" for c in "xyz"), *(f"linear_{c}" for c in "xyz"), "size")
-DAMPING = ("quadratic_p", "quadratic_q", "quadratic_r", "linear_p", "linear_q", "linear_r")
-FOIL = (
-    "x", "y", "z", "half_rho_area", "cl", "cd0", "cd1",
-    "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z", "size",
-)  # fmt: skip
-FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
-#: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link. ``world``
-#: and ``loss`` are as in the plane.
-LOAD = (*"xyz", *(f"force_{c}" for c in "xyz"), *(f"moment_{c}" for c in "xyz"), "world", "loss")
-#: Columns of the input arrays ``propeller``, ``rudder`` and ``term``, as in the plane. ``side`` is the
-#: direction across the hull in which the rudder pushes at a negative angle.
-PROPELLER = (
-    *"xyz", *(f"axis_{c}" for c in "xyz"), "static", "slope", "curve", "share", "wake", "jet", "wake_decay",
-    "wake_port", "wake_starboard",
-)  # fmt: skip
-RUDDER = (
-    *"xyz", *(f"hull_{c}" for c in "xyz"), *(f"inflow_{c}" for c in "xyz"), *(f"side_{c}" for c in "xyz"),
-    "lift", "drag_share", "hull_share", "straightening_port", "straightening_starboard", "ratio", "gain",
-    "covered",
-)  # fmt: skip
-TERM = (*"xyz", "coefficient")
-SLIDER = (*"xyz", *(f"travel_{c}" for c in "xyz"), "mass", "weight")
+#: Columns of the input arrays.
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "topology": ("parent", "driven", "passive", "massless"),
+    **LINK_COLUMNS,
+    "passive": PASSIVE,
+    **{name: columns for name, columns in ELEMENT_COLUMNS.items() if name != "wake"},
+}
 #: Index in a row of ``term_link`` of each velocity, and of each component of force and moment.
-VELOCITIES = {
+SPATIAL_VELOCITIES = {
     name: i for i, name in enumerate(("1", *"uvwpqr", *(f"|{letter}|" for letter in "uvwpqr"), "U", "/U"))
 }
-COMPONENTS = {name: i for i, name in enumerate("XYZKMN")}
+SPATIAL_COMPONENTS = {name: i for i, name in enumerate("XYZKMN")}
 
+#: Minimum squared cosine of the pitch angle of a link at which its heading is defined.
+LEAST_HEADING = 1e-12
 #: First columns of the quantities of a link in the work array: rotation to the parent (9 columns), v, w, v',
 #: w', f, m (3 each), A (6), B (9), D (6), rotation to the world (9) and position in the world (3). The last
 #: constant is the number of columns.
 _R, _V, _W, _DV, _DW, _F = 0, 9, 12, 15, 18, 21
-_M, _A, _B, _D, _TURN, _PLACE, _WORK = 24, 27, 33, 42, 48, 57, 60
+_M, _A, _B, _D, _TURN, _PLACE, _N_WORK = 24, 27, 33, 42, 48, 57, 60
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
@@ -143,7 +111,7 @@ def _apply(w, k, v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _transposed(w, k, v):  # type: ignore[no-untyped-def]
+def _apply_transpose(w, k, v):  # type: ignore[no-untyped-def]
     """Return the product of the transpose of the 3 by 3 matrix at column ``k`` of a row, and a vector."""
     return (
         w[k] * v[0] + w[k + 3] * v[1] + w[k + 6] * v[2],
@@ -163,7 +131,7 @@ def _symmetric(w, k, v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _moving(w, at):  # type: ignore[no-untyped-def]
+def _point_velocity(w, at):  # type: ignore[no-untyped-def]
     """Return the velocity of a point of a link, in the axes of the link."""
     return _plus(_at(w, _V), _cross(_at(w, _W), at))
 
@@ -182,6 +150,19 @@ def wet(height, size):  # type: ignore[no-untyped-def]
     return s * s * (3.0 - 2.0 * s)
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _put_attitude(w, qw, qx, qy, qz):  # type: ignore[no-untyped-def]
+    """Write the rotation of the base to the world, which a quaternion of any length gives."""
+    norm = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    qw, qx, qy, qz = qw * norm, qx * norm, qy * norm, qz * norm
+    first = (1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy))
+    second = (2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx))
+    third = (2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy))
+    _put(w, _TURN, first)
+    _put(w, _TURN + 3, second)
+    _put(w, _TURN + 6, third)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore[no-untyped-def]
     """Compute velocities, accelerations, wrenches and inertias of all links, from the base outwards.
@@ -192,24 +173,7 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
     for i in range(topology.shape[0]):
         w = work[i]
         if i == 0:
-            qw, qx, qy, qz = state[3], state[4], state[5], state[6]
-            norm = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-            qw, qx, qy, qz = qw * norm, qx * norm, qy * norm, qz * norm
-            _put(
-                w,
-                _TURN,
-                (1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)),
-            )
-            _put(
-                w,
-                _TURN + 3,
-                (2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)),
-            )
-            _put(
-                w,
-                _TURN + 6,
-                (2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)),
-            )
+            _put_attitude(w, state[3], state[4], state[5], state[6])
             _put(w, _PLACE, _at(state, 0))
             for m in range(6):
                 w[_V + m] = state[twist + m]
@@ -231,10 +195,10 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
                 w[m] = joint[i, 6 + m] + s * joint[i, 15 + m] + (1.0 - c) * joint[i, 24 + m]
             place, axis = _at(joint[i], 0), _at(joint[i], 3)
             # compute velocity and acceleration of the hinge, in the axes of the link
-            _put(w, _V, _transposed(w, _R, _moving(u, place)))
-            _put(w, _W, _transposed(w, _R, _at(u, _W)))
-            _put(w, _DV, _transposed(w, _R, _plus(_at(u, _DV), _cross(_at(u, _DW), place))))
-            _put(w, _DW, _transposed(w, _R, _at(u, _DW)))
+            _put(w, _V, _apply_transpose(w, _R, _point_velocity(u, place)))
+            _put(w, _W, _apply_transpose(w, _R, _at(u, _W)))
+            _put(w, _DV, _apply_transpose(w, _R, _plus(_at(u, _DV), _cross(_at(u, _DW), place))))
+            _put(w, _DW, _apply_transpose(w, _R, _at(u, _DW)))
             if d >= 0 or k >= 0:
                 # add the motion of the hinge, with s = axis speed: v' += v x s, w' += w_parent x s + axis
                 # bend, w += s
@@ -245,7 +209,7 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
                 _put(w, _W, _plus(_at(w, _W), turning))
             _put(w, _PLACE, _plus(_at(u, _PLACE), _apply(u, _TURN, place)))
             for m in range(3):
-                _put(w, _TURN + 3 * m, _transposed(w, _R, _at(u, _TURN + 3 * m)))
+                _put(w, _TURN + 3 * m, _apply_transpose(w, _R, _at(u, _TURN + 3 * m)))
         for m in range(21):
             w[_A + m] = inertia[i, m]
         if topology[i, 3] != 0:
@@ -259,7 +223,7 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
 def _momenta(w, v, spin):  # type: ignore[no-untyped-def]
     """Return the linear and the angular momentum of a link for its linear and angular velocity."""
     p = _plus(_symmetric(w, _A, v), _apply(w, _B, spin))
-    return p, _plus(_transposed(w, _B, v), _symmetric(w, _D, spin))
+    return p, _plus(_apply_transpose(w, _B, v), _symmetric(w, _D, spin))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
@@ -295,7 +259,7 @@ def _drags(drag_link, drag, surface, work):  # type: ignore[no-untyped-def]
     """Add the drag at points of the links, along each axis of a link."""
     for e in range(drag.shape[0]):
         w, at = work[drag_link[e]], _at(drag[e], 0)
-        vx, vy, vz = _moving(w, at)
+        vx, vy, vz = _point_velocity(w, at)
         fx = -(drag[e, 3] * abs(vx) + drag[e, 6]) * vx
         fy = -(drag[e, 4] * abs(vy) + drag[e, 7]) * vy
         fz = -(drag[e, 5] * abs(vz) + drag[e, 8]) * vz
@@ -316,7 +280,7 @@ def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
     """Add the lift and the drag of fins, each at a point of a link. Flow along the span has no effect."""
     for e in range(foil.shape[0]):
         w, at = work[foil_link[e]], _at(foil[e], 0)
-        chord, normal, v = _at(foil[e], 7), _at(foil[e], 10), _moving(w, at)
+        chord, normal, v = _at(foil[e], 7), _at(foil[e], 10), _point_velocity(w, at)
         along, across = _dot(v, chord), _dot(v, normal)
         square = along * along + across * across
         # at a point at rest, where the force is zero, avoid a division by zero
@@ -338,7 +302,7 @@ def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
     for e in range(force.shape[0]):
         w, at, own = work[force_link[e]], _at(force[e], 0), _at(force[e], 3)
         if force[e, 6] != 0.0:
-            own = _transposed(w, _TURN, own)
+            own = _apply_transpose(w, _TURN, own)
         _push(w, at, _times(_share(w, at, force[e, 7], surface), own))
 
 
@@ -348,17 +312,17 @@ def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-d
     for e in range(load.shape[0]):
         w, at, force = work[load_link[e]], _at(load[e], 0), _at(load[e], 3)
         if load[e, 9] != 0.0:
-            force = _transposed(w, _TURN, force)
-        size = weakened(row[load_input[e], 0], load[e, 10], _dot(_moving(w, at), force))
+            force = _apply_transpose(w, _TURN, force)
+        size = reduce_input(row[load_input[e], 0], load[e, 10], _dot(_point_velocity(w, at), force))
         _push(w, at, _times(size, force))
         _put(w, _M, _plus(_at(w, _M), _times(-size, _at(load[e], 6))))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
+def _propeller_flow(e, propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
     """Return velocity of advance (m/s) and thrust (N) of propeller ``e``."""
     n = row[propeller_link[e, 1], 0]
-    velocity = _moving(work[propeller_link[e, 0]], _at(propeller[e], 0))
+    velocity = _point_velocity(work[propeller_link[e, 0]], _at(propeller[e], 0))
     along = _dot(velocity, _at(propeller[e], 3))
     # oblique motion counts in the direction horizontally to port of the axis
     aside = velocity[1] * propeller[e, 3] - velocity[0] * propeller[e, 4]
@@ -372,7 +336,7 @@ def _driven_water(e, propeller_link, propeller, row, work):  # type: ignore[no-u
 def _propellers(propeller_link, propeller, row, work):  # type: ignore[no-untyped-def]
     """Add the thrusts of propellers."""
     for e in range(propeller.shape[0]):
-        _, thrust = _driven_water(e, propeller_link, propeller, row, work)
+        _, thrust = _propeller_flow(e, propeller_link, propeller, row, work)
         w = work[propeller_link[e, 0]]
         _push(w, _at(propeller[e], 0), _times(propeller[e, 9] * thrust, _at(propeller[e], 3)))
 
@@ -382,12 +346,12 @@ def _rudders(rudder_link, rudder, propeller_link, propeller, row, work):  # type
     """Add the forces of rudders, and the forces on the hull that they induce."""
     for e in range(rudder.shape[0]):
         w, p = work[rudder_link[e, 0]], rudder_link[e, 2]
-        side, velocity = _at(rudder[e], 9), _moving(w, _at(rudder[e], 6))
+        side, velocity = _at(rudder[e], 9), _point_velocity(w, _at(rudder[e], 6))
         jet, thrust = 0.0, 0.0
         advance = velocity[0]
         if p >= 0:
             jet = propeller[p, 11]
-            advance, thrust = _driven_water(p, propeller_link, propeller, row, work)
+            advance, thrust = _propeller_flow(p, propeller_link, propeller, row, work)
         along = inflow_speed(advance, thrust, jet, rudder[e, 17], rudder[e, 18], rudder[e, 19])
         angle = row[rudder_link[e, 1], 0]
         sine, cosine = math.sin(angle), math.cos(angle)
@@ -403,7 +367,7 @@ def _terms(term_link, term, work):  # type: ignore[no-untyped-def]
     """Add the forces and moments that are products of velocities at a point of a link."""
     for e in range(term.shape[0]):
         w, component, at = work[term_link[e, 0]], term_link[e, 1], _at(term[e], 0)
-        velocity, (p, q, r) = _moving(w, at), _at(w, _W)
+        velocity, (p, q, r) = _point_velocity(w, at), _at(w, _W)
         u, v, vertical = velocity
         speed = math.sqrt(_dot(velocity, velocity))
         inverse = 1.0 / max(speed, LEAST_SPEED)
@@ -429,11 +393,11 @@ def _sliders(slider_link, slider, row, work):  # type: ignore[no-untyped-def]
         mass, weight = slider[e, 6], slider[e, 7]
         at = _plus(_at(slider[e], 0), _times(row[k, 0], travel))
         moved = _times(row[k, 1], travel)
-        spin, velocity = _at(w, _W), _plus(_moving(w, at), moved)
+        spin, velocity = _at(w, _W), _plus(_point_velocity(w, at), moved)
         # acceleration of the mass: rates of the components of its velocity, and their rotation with the link
         rate = _plus(_at(w, _DV), _plus(_cross(_at(w, _DW), at), _cross(spin, moved)))
         rate = _plus(_plus(rate, _times(row[k, 2], travel)), _cross(spin, velocity))
-        down = _transposed(w, _TURN, (0.0, 0.0, -weight))
+        down = _apply_transpose(w, _TURN, (0.0, 0.0, -weight))
         _push(w, at, _plus(down, _times(-mass, rate)))
         x, y, z = at
         w[_A] += mass
@@ -480,7 +444,7 @@ def _add_upper(w, k, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _rotated(w, product, k):  # type: ignore[no-untyped-def]
+def _rotate_matrix(w, product, k):  # type: ignore[no-untyped-def]
     """Return the rows of ``R M R'``, with the rotation R of a link to its parent and a matrix M.
 
     The matrix M is stored at column ``k``. The function ``product`` multiplies it by a vector.
@@ -504,9 +468,9 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     moment = _plus(_apply(w, _R, _at(w, _M)), _cross(place, force))
     _put(u, _F, _plus(_at(u, _F), force))
     _put(u, _M, _plus(_at(u, _M), moment))
-    a0, a1, a2 = _rotated(w, _symmetric, _A)
-    b0, b1, b2 = _rotated(w, _transposed, _B)
-    d0, d1, d2 = _rotated(w, _symmetric, _D)
+    a0, a1, a2 = _rotate_matrix(w, _symmetric, _A)
+    b0, b1, b2 = _rotate_matrix(w, _apply_transpose, _B)
+    d0, d1, d2 = _rotate_matrix(w, _symmetric, _D)
     a1, a2 = (a0[1], a1[1], a1[2]), (a0[2], a1[2], a2[2])
     # with S = r x, the velocity of the link's origin is v - S w, so that B becomes C = B - A S, and D becomes
     # D - B' S + S C
@@ -541,76 +505,39 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
         _to_parent(i, topology[i, 0], joint, work)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
-def derivative(  # type: ignore[no-untyped-def]
-    state,
-    row,
-    topology,
-    joint,
-    inertia,
-    passive,
-    drag_link,
-    drag,
-    damping_link,
-    damping,
-    foil_link,
-    foil,
-    force_link,
-    force,
-    load_link,
-    load,
-    propeller_link,
-    propeller,
-    rudder_link,
-    rudder,
-    term_link,
-    term,
-    slider_link,
-    slider,
-    load_input,
-    surface,
-    free_base,
-    forced,
-    time,
-    work,
-    matrix,
-    right,
-    rate,
-):
-    """Compute the time derivative of the state vector, and write it into ``rate``.
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _add_external_forces(time, state, work, forced):  # type: ignore[no-untyped-def]
+    """Add the external forces of effects (:class:`swimid.fitting.model.ExternalForce`).
 
-    Parameters
-    ----------
-    state, rate : ndarray, shape (13 + 2 passive hinges,)
-    row : ndarray, shape (driven hinges + inputs, 5)
-        Angle, rate, acceleration, cosine and sine of each driven hinge. The value of each input in the first
-        column.
-    topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
-    inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
-        Columns of ``swimid.swimmer.planar.engine.PASSIVE``
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, load_link, load : ndarray
-        Links and properties of the elements, with the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`,
-        :data:`FORCE` and :data:`LOAD`.
-    propeller_link, propeller, rudder_link, rudder, term_link, term, slider_link, slider : ndarray
-        Integers (:data:`swimid.swimmer.planar.engine.INTEGERS`) and properties of the elements, with the
-        columns :data:`PROPELLER`, :data:`RUDDER`, :data:`TERM` and :data:`SLIDER`.
-    load_input : ndarray of int
-        Row of ``row`` with the input of each load.
-    surface : float, m
-        Height of the water surface in the world.
-    free_base : bool
-        Whether the base moves; otherwise it keeps its pose.
-    forced : None
-        No forces of effects act.
-    time : float, s
-    work : ndarray, shape (links, 60)
-    matrix : ndarray, shape (n, n), n = 6 + passive hinges
-    right : ndarray, shape (n,)
-        Work arrays.
+    They act in the horizontal plane. Their axes are horizontal, and the first one has the heading of the
+    link.
     """
-    passives = passive.shape[0]
-    n = 6 + passives
-    _outwards(state, row, topology, joint, inertia, None, work)
+    links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
+    for e in range(len(links)):
+        w, at = work[links[e]], (places[e, 0], places[e, 1], 0.0)
+        length = math.sqrt(max(w[_TURN] * w[_TURN] + w[_TURN + 3] * w[_TURN + 3], LEAST_HEADING))
+        c, s = w[_TURN] / length, w[_TURN + 3] / length
+        vx, vy, _ = _apply(w, _TURN, _point_velocity(w, at))
+        velocity[0], velocity[1] = c * vx + s * vy, c * vy - s * vx
+        velocity[2] = _dot(_at(w, _TURN + 6), _at(w, _W))
+        reference = _apply(work[0], _TURN, (frame[4], frame[5], frame[7]))
+        a, b = state[0] + reference[0], state[1] + reference[1]
+        pose[0] = frame[0] + frame[2] * a - frame[3] * b
+        pose[1] = frame[1] + frame[3] * a + frame[2] * b
+        pose[2] = find_heading((frame[6], frame[2], frame[3]), (0.0, 1.0, 0.0), (c, s))
+        wrench[:] = 0.0
+        functions[e](time, pose, velocity, constants[ends[e] : ends[e + 1]], wrench)
+        fx, fy = c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1]
+        _push(w, at, _apply_transpose(w, _TURN, (fx, fy, 0.0)))
+        _put(w, _M, _plus(_at(w, _M), _times(-wrench[2], _at(w, _TURN + 6))))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
+def _add_elements(state, row, tables, forced, time, work):  # type: ignore[no-untyped-def]
+    """Add the forces of all elements and effects to the wrenches on the links."""
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, load_link, load = tables[4:14]
+    propeller_link, propeller, rudder_link, rudder, term_link, term, slider_link, slider = tables[14:22]
+    load_input, surface = tables[22], tables[23]
     _drags(drag_link, drag, surface, work)
     _dampings(damping_link, damping, work)
     _foils(foil_link, foil, surface, work)
@@ -620,10 +547,22 @@ def derivative(  # type: ignore[no-untyped-def]
     _rudders(rudder_link, rudder, propeller_link, propeller, row, work)
     _terms(term_link, term, work)
     _sliders(slider_link, slider, row, work)
+    if forced is not None:
+        _add_external_forces(time, state, work, forced)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
+def compute_spatial_rate(state, row, tables, forced, time, work, matrix, right, rate):  # type: ignore[no-untyped-def]
+    """Compute the time derivative of the state vector (:attr:`swimid.swimmer.engine.Engine.compute_rate`)."""
+    topology, joint, inertia, passive = tables[:4]
+    passives = passive.shape[0]
+    n = 6 + passives
+    _outwards(state, row, topology, joint, inertia, None, work)
+    _add_elements(state, row, tables, forced, time, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
-    if free_base:
+    if tables[-1]:
         first = 0
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = w[_A], w[_A + 3], w[_A + 5]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = w[_A + 1], w[_A + 2], w[_A + 4]
@@ -634,7 +573,7 @@ def derivative(  # type: ignore[no-untyped-def]
         matrix[4, 3], matrix[5, 3], matrix[5, 4] = w[_D + 1], w[_D + 2], w[_D + 4]
         for m in range(6):
             right[m] = -w[_F + m]
-    solve(matrix, right, first)
+    solve_accelerations(matrix, right, first)
     twist = 7 + passives
     _put(rate, 0, _apply(w, _TURN, _at(state, twist)))
     p, q, r = _at(state, twist + 3)
@@ -650,7 +589,7 @@ def derivative(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def settled(state):  # type: ignore[no-untyped-def]
+def normalise_quaternion(state):  # type: ignore[no-untyped-def]
     """Scale the quaternion in a state vector to length 1, in place."""
     length = 0.0
     for j in range(3, 7):
@@ -661,74 +600,61 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
-    """Integrate the equations of motion (see :func:`swimid.swimmer.planar.engine.integrate`).
+def integrate_spatial(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
+    """Integrate the equations of motion (:attr:`swimid.swimmer.engine.Engine.integrate`).
 
     The quaternion is scaled to length 1 after each step.
     """
-    topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
-    foil, force_link, force, load_link, load, propeller_link, propeller, rudder_link = tables[9:17]
-    rudder, term_link, term, slider_link, slider, load_input, surface, free_base = tables[17:]
-    steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
+    steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + tables[3].shape[0]
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
-    work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
+    work, matrix, right = np.zeros((tables[0].shape[0], _N_WORK)), np.zeros((n, n)), np.zeros(n)
     slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
     states[0] = start
     for i in range(steps + 1):
         for stage in range(4):
             begin_stage(stage, step, states[i], slope, total, trial)
-            derivative(
-                trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
-                damping_link, damping, foil_link, foil, force_link, force, load_link, load, propeller_link,
-                propeller, rudder_link, rudder, term_link, term, slider_link, slider, load_input, surface,
-                free_base, forced, begin, work, matrix, right, slope,
-            )  # fmt: skip
+            half = (stage + 1) // 2
+            time = begin + step * (i + 0.5 * half)
+            compute_spatial_rate(trial, table[2 * i + half], tables, forced, time, work, matrix, right, slope)
             if stage == 0:
                 rates[i] = slope
-                if is_broken(states[i], slope):
+                if has_diverged(states[i], slope):
                     states[i:] = math.nan
                     rates[i:] = math.nan
                     return states, rates
                 if i == steps:
                     return states, rates
         begin_stage(4, step, states[i], slope, total, states[i + 1])
-        settled(states[i + 1])
+        normalise_quaternion(states[i + 1])
     return states, rates
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
-    """Return the hinge torques in a simulation and the wrench on the base, by inverse dynamics.
-
-    See :func:`swimid.swimmer.planar.engine.torques`. The wrench has the shape (m, 6), and the torque of the
-    base is zero.
-    """
+def compute_spatial_torques(states, rates, table, tables, forced, begin, step):  # type: ignore[no-untyped-def]
+    """Return moments and base wrench (:attr:`swimid.swimmer.engine.Engine.compute_torques`)."""
     topology, joint, inertia = tables[:3]
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
-    load_link, load, propeller_link, propeller, rudder_link, rudder = tables[12:18]
-    term_link, term, slider_link, slider, load_input, surface = tables[18:24]
     links = topology.shape[0]
-    found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
+    moments, work = np.zeros((states.shape[0], links)), np.zeros((links, _N_WORK))
     wrench = np.empty((states.shape[0], 6))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        _drags(drag_link, drag, surface, work)
-        _dampings(damping_link, damping, work)
-        _foils(foil_link, foil, surface, work)
-        _forces(force_link, force, surface, work)
-        _loads(load_link, load_input, load, table[t], work)
-        _propellers(propeller_link, propeller, table[t], work)
-        _rudders(rudder_link, rudder, propeller_link, propeller, table[t], work)
-        _terms(term_link, term, work)
-        _sliders(slider_link, slider, table[t], work)
+        _add_elements(states[t], table[t], tables, forced, begin + step * t, work)
         for i in range(links - 1, 0, -1):
-            found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
+            moments[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)
         wrench[t] = work[0, _F : _F + 6]
-    return found, wrench
+    return moments, wrench
 
 
-def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
-    """Return the length of the state vector, and the shapes of the work arrays of :func:`derivative`."""
-    n = 6 + len(tables["passive"])
-    return 2 * n + 1, [(len(tables["topology"]), _WORK), (n, n), (n,)]
+SPATIAL_ENGINE = Engine(
+    columns=COLUMNS,
+    coordinates=7,
+    speeds=6,
+    work=_N_WORK,
+    velocities=SPATIAL_VELOCITIES,
+    components=SPATIAL_COMPONENTS,
+    compute_rate=compute_spatial_rate,
+    integrate=integrate_spatial,
+    compute_torques=compute_spatial_torques,
+    correct_state=normalise_quaternion,
+)

@@ -1,8 +1,4 @@
-"""Model of a robot in 3-D: input arrays from a robot file, and simulation.
-
-Each kind of element (:mod:`swimid.robots.spatial`) has a function in ``ADDERS`` that adds rows to the input
-arrays of the equations of motion. :class:`Assembly` collects and checks them.
-"""
+"""Model of a robot in 3-D: checks of its robot file, and simulation."""
 
 from __future__ import annotations
 
@@ -15,29 +11,22 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
-from swimid.fitting.model import Array, Hooks, Trial
-from swimid.logs.kinematics import angles, from_angles
+from swimid.fitting.model import TRACEABLE, Array, Hooks, Trial
+from swimid.kinematics.attitude import angles, from_angles
 from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
-from swimid.swimmer.model import Swimmer, flows, turned
-from swimid.swimmer.spatial import engine
-from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given, strips
-
-#: Row and column indices of the upper triangle of a symmetric 3 by 3 matrix, which is stored in an input
-#: array.
-UPPER = np.triu_indices(3)
-ZERO = np.zeros((3, 3))
-
-
-def _vector(entries: Sequence[Entry]) -> Any:
-    """Return entries of a robot file as an array of polynomials in its coefficients."""
-    return np.array([Polynomial.of(entry) for entry in entries], dtype=object)
-
-
-def cross_matrix(point: Any) -> Any:
-    """Return the matrix of the cross product with a vector, shape (3, 3), of numbers or polynomials."""
-    x, y, z = point
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+from swimid.swimmer.assembly import UPPER, lever_matrix
+from swimid.swimmer.engine import place_frame
+from swimid.swimmer.lanes import Room
+from swimid.swimmer.model import SimulationRequest, Swimmer, flows, rotate_vector
+from swimid.swimmer.spatial.engine import SPATIAL_ENGINE
+from swimid.swimmer.tree import (
+    SYMMETRIC,
+    Polynomial,
+    Tree,
+    check_apparent,
+    use_default,
+)
 
 
 def centre_of_mass(row: Array) -> Array:
@@ -46,197 +35,10 @@ def centre_of_mass(row: Array) -> Array:
     return np.array([whole[5, 1], whole[3, 2], whole[4, 0]]) / whole[0, 0]
 
 
-def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: Any = ZERO) -> None:
-    """Add a point mass with one value for each direction, and an inertia about this point.
-
-    The added entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) are the blocks A = M, ``B = -M S`` and
-    ``D = J - S M S`` of the inertia matrix. S is the matrix of the cross product with the position of the
-    point. The velocity of the point is ``v - S w``.
-
-    Parameters
-    ----------
-    mass : 3 by 3 entries, kg
-        Symmetric matrix M. Its product with the velocity of the point is the momentum.
-    at : 3 entries, m
-        Position of the point.
-    turning : 3 by 3 entries, kg m2
-        Inertia J about the point.
-    """
-    lever = cross_matrix(_vector(at))
-    ms = mass @ lever
-    rows.add_inertia(link, [*mass[UPPER], *(-ms).ravel(), *(turning - lever @ ms)[UPPER]])
-
-
 def full(row: Array) -> Array:
     """Return the inertia matrix that a row of the ``inertia`` input array represents, shape (6, 6)."""
     b = row[6:15].reshape(3, 3)
     return np.block([[row[:6][SYMMETRIC], b], [b.T, row[15:][SYMMETRIC]]])
-
-
-def _added_mass(element: parts.AddedMass, body: parts.Body, rows: Rows) -> None:
-    """Add added masses along the axes of a link, and added inertias about these axes."""
-    mass, turning = (np.diag(_vector(v)) for v in (element.mass_kg, element.inertia_kg_m2))
-    _add_mass(rows, body.name, mass, element.at_m, turning)
-
-
-def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, float, float]:
-    """Return Lamb's coefficients of a prolate spheroid: along its axis, across its axis, and for rotation.
-
-    Returns
-    -------
-    k1, k2 : float
-        Added masses along and across the axis, divided by the displaced mass: ``alpha_0 / (2 - alpha_0)`` and
-        ``beta_0 / (2 - beta_0)``. Eq 7 of the sea lion paper prints a_0 in place of alpha_0.
-    k : float
-        Added inertia about a cross axis, divided by the moment of inertia of the displaced water (Lamb 1932,
-        section 115): ``e^4 (b - a) / ((2 - e^2) (2 e^2 - (2 - e^2) (b - a)))`` with a = alpha_0 and b =
-        beta_0.
-
-    >>> [round(k, 3) for k in spheroid_coefficients(6.0, 1.0)]
-    [0.045, 0.917, 0.762]
-    """
-    e = math.sqrt(1.0 - (semi_minor / semi_major) ** 2)
-    log = math.log((1.0 + e) / (1.0 - e))
-    alpha = 2.0 * (1.0 - e * e) / e**3 * (0.5 * log - e)
-    beta = 1.0 / (e * e) - (1.0 - e * e) / (2.0 * e**3) * log
-    off = 2.0 - e * e
-    turning = e**4 * (beta - alpha) / (off * (2.0 * e * e - off * (beta - alpha)))
-    return alpha / (2.0 - alpha), beta / (2.0 - beta), turning
-
-
-def _spheroid(element: parts.Spheroid, body: parts.Body, rows: Rows) -> None:
-    """Add the added mass of a prolate spheroid at the centre of the spheroid (sea lion, Eqs 3 to 8)."""
-    a, b = element.semi_major_m, element.semi_minor_m
-    displaced = 4.0 / 3.0 * math.pi * rows.density_kg_m3 * a * b * b
-    k1, k2, turning = spheroid_coefficients(a, b)
-    factors = _vector(element.factors)
-    masses = factors * (np.array([k1, k2, k2]) * displaced)
-    inertia = turning * displaced * (a * a + b * b) / 5.0 * element.turning
-    # rotation about z moves water along y, and rotation about y along z, so the factors of these axes apply
-    about = factors[[0, 2, 1]] * np.array([0.0, inertia, inertia])
-    _add_mass(rows, body.name, np.diag(masses), element.at_m, np.diag(about))
-
-
-def _plate(element: parts.Plate, body: parts.Body, rows: Rows) -> None:
-    """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
-    mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
-    unit: Any = _unit(element.normal)
-    _add_mass(rows, body.name, np.outer(unit, unit) * (Polynomial.of(element.k) * mass), element.at_m)
-
-
-def _unit(direction: Sequence[float] | Array) -> Array:
-    """Return the unit vector of a direction."""
-    return np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-
-
-def _drag(element: parts.Drag, body: parts.Body, rows: Rows) -> None:
-    """Add drag ``-rho/2 C A |v| v`` and linear drag along each axis of a link (sea lion, Eq 2).
-
-    The drag acts at a point, or on a row of strips at the points of Gauss's rule.
-    """
-    half = 0.5 * rows.density_kg_m3
-    quadratic = half * _vector(element.area_m2) * _vector(element.coefficient)
-    quadratic = quadratic + _vector(element.quadratic_N_s2_m2)
-    gains = [*quadratic, *_vector(element.linear_N_s_m)]
-    ends = _vector(element.at_m), _vector(given(element.to_m, element.at_m))
-    for at, share in strips(*ends, element.strips):
-        shares = [share * gain for gain in gains]
-        rows.add("drag", body.name, [*at, *shares, element.half_height_m or 0.0])
-
-
-def _damping(element: parts.Damping, body: parts.Body, rows: Rows) -> None:
-    """Add quadratic and linear moments against rotation about the axes of a link."""
-    rows.add("damping", body.name, [*element.quadratic_N_m_s2_rad2, *element.linear_N_m_s_rad])
-
-
-def _foil(element: parts.Foil, body: parts.Body, rows: Rows) -> None:
-    """Add lift and drag of a fin with the polar of a flat plate."""
-    gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
-    polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
-    row = [
-        *element.at_m,
-        gain,
-        *polar,
-        *_unit(element.chord),
-        *_unit(element.normal),
-        element.half_height_m or 0.0,
-    ]
-    rows.add("foil", body.name, row)
-
-
-def _hydrostatics(element: parts.Hydrostatics, body: parts.Body, rows: Rows) -> None:
-    """Add the weight of a link at its centre of mass, and the buoyancy of the link."""
-    gravity = rows.gravity_m_s2
-    weight = -gravity * Polynomial.of(body.mass_kg)
-    rows.add("force", body.name, [*body.com_m, 0.0, 0.0, weight, 1.0, 0.0])
-    lift = gravity * rows.density_kg_m3 * Polynomial.of(element.volume_m3)
-    if lift.terms:
-        at = given(element.buoyancy_at_m, body.com_m)
-        rows.add("force", body.name, [*at, 0.0, 0.0, lift, 1.0, element.half_height_m or 0.0])
-
-
-def _water(element: parts.Water, body: parts.Body, rows: Rows) -> None:
-    """Add the inertia of the water inside a hull, and the weight of this water if ``weighs`` is true."""
-    mass = rows.density_kg_m3 * Polynomial.of(element.volume_m3)
-    about = np.array(element.gyration_m, dtype=object) ** 2 * mass
-    _add_mass(rows, body.name, np.diag([mass] * 3), element.at_m, np.diag(about))
-    if element.weighs:
-        weight = -rows.gravity_m_s2 * mass
-        rows.add("force", body.name, [*element.at_m, 0.0, 0.0, weight, 1.0, 0.0])
-
-
-def _force(element: parts.Force, body: parts.Body, rows: Rows) -> None:
-    """Add a constant force at a point of a link, in the axes of the link or of the world."""
-    world = float(element.frame == "world")
-    rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
-
-
-def _load(element: parts.Load, body: parts.Body, rows: Rows) -> None:
-    """Add a force and a moment in the axes of a link that are proportional to an input."""
-    world = float(element.frame == "world")
-    row: Row = [*element.at_m, *element.force_N, *element.moment_N_m, world, 0.0]
-    rows.add_load(body.name, element.input, row)
-
-
-def _propeller(element: parts.Propeller, body: parts.Body, rows: Rows) -> None:
-    """Add a propeller whose thrust depends on its rate and on the velocity of advance."""
-    rows.add_propeller(element, [*element.at_m], [*_unit(element.axis)])
-
-
-def _rudder(element: parts.Rudder, body: parts.Body, rows: Rows) -> None:
-    """Add the normal force on a rudder, and the lateral force on the hull that it induces."""
-    points = element.at_m, element.hull_force_at_m, element.inflow_at_m
-    row = [entry for point in points for entry in given(point, element.at_m)]
-    rows.add_rudder(element, [*row, *_unit(element.side)])
-
-
-def _moving_mass(element: parts.MovingMass, body: parts.Body, rows: Rows) -> None:
-    """Add a mass that an input moves along a line of a link."""
-    rows.add_mass(element, [*element.at_m])
-
-
-def _derivatives(element: parts.Derivatives, body: parts.Body, rows: Rows) -> None:
-    """Add forces and moments that are products of the velocities of a point of a link."""
-    rows.add_terms(element, [*element.at_m], engine.COMPONENTS, engine.VELOCITIES)
-
-
-#: Functions that add the rows of an element to the input arrays, by kind of element.
-ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
-    "added-mass": _added_mass,
-    "spheroid": _spheroid,
-    "plate": _plate,
-    "drag": _drag,
-    "damping": _damping,
-    "foil": _foil,
-    "hydrostatics": _hydrostatics,
-    "water": _water,
-    "force": _force,
-    "load": _load,
-    "propeller": _propeller,
-    "rudder": _rudder,
-    "moving-mass": _moving_mass,
-    "derivatives": _derivatives,
-}
 
 
 #: Height of the water surface if the robot file states none, m. It is high enough that the robot is always
@@ -244,7 +46,7 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
 NOWHERE = 1e9
 
 
-class Assembly(Tree):
+class SpatialTree(Tree):
     """Links of a robot in 3-D, with their input arrays and checks (:class:`swimid.swimmer.tree.Tree`).
 
     Parameters
@@ -261,13 +63,12 @@ class Assembly(Tree):
     """
 
     part = "multibody"
-    elements = ("drag", "damping", "foil", "force", "load", "propeller", "rudder", "term", "slider")
-    engine, adders = engine, ADDERS
+    engine, up = SPATIAL_ENGINE, (0.0, 0.0, 1.0)
 
-    def __init__(self, body: parts.Multibody, fluid: Fluid) -> None:
+    def __init__(self, body: parts.MultibodyRobot, fluid: Fluid) -> None:
         super().__init__(body)
         self.reference = np.array(body.reference.at_m)
-        self.constants = {"surface": given(body.surface_z_m, NOWHERE), **self.constants}
+        self.constants = {"surface": use_default(body.surface_z_m, NOWHERE), **self.constants}
         rows = self.fill(fluid)
         massless = [[all(not Polynomial.of(e).terms for e in row)] for row in rows.inertia]
         self.topology = np.ascontiguousarray(np.hstack([self.topology, massless]), dtype=np.int64)
@@ -301,27 +102,6 @@ class Assembly(Tree):
             if mass > 0:
                 _check_moments(rigid[i], mass, where)
 
-    def _add_rigid(self, link: parts.Body, rows: Rows) -> None:
-        mass = Polynomial.of(link.mass_kg)
-        moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
-        turning = _vector(moments)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
-        _add_mass(rows, link.name, np.diag([mass] * 3), link.com_m, turning)
-
-    def _add_torque(self, joint: parts.Hinge, rows: Rows) -> None:
-        assert joint.torque is not None
-        moment = Polynomial.of(joint.torque.gain_N_m) * _vector(_unit(joint.axis).tolist())
-        mount = Rotation.from_euler("xyz", joint.mount_deg, degrees=True)
-        # the rotation about the axis does not change the axis, so that the mounting rotation is enough
-        reaction = -(mount.as_matrix().astype(object) @ moment)
-        for link, own in ((joint.child, moment), (joint.parent, reaction)):
-            rows.add_load(link, joint.torque.input, [*[0.0] * 6, *own, 0.0, 0.0])
-
-    def _place(self, joint: parts.Hinge | None) -> Row:
-        if joint is None:
-            return [0.0] * len(engine.JOINT)
-        mount = Rotation.from_euler("xyz", joint.mount_deg, degrees=True)
-        return hinge_row(joint.at_m, np.array(joint.axis), mount)
-
 
 def _check_moments(row: Array, mass: float, where: str) -> None:
     """Raise an error if a principal moment of inertia is not positive or exceeds the sum of the others."""
@@ -337,27 +117,8 @@ def _check_moments(row: Array, mass: float, where: str) -> None:
         )
 
 
-def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
-    """Return the row of a hinge in the ``joint`` input array.
-
-    Parameters
-    ----------
-    at : sequence of 3 entries, m
-        Position of the hinge on the parent link.
-    axis : ndarray, shape (3,)
-        Direction of the hinge in the axes of the child link, of any length.
-    mount : Rotation
-        Rotation from the child's axes to the parent's axes at zero angle.
-    """
-    unit = _unit(axis)
-    cross = cross_matrix(unit)
-    zero = mount.as_matrix()
-    turns = [zero, zero @ cross, zero @ cross @ cross]
-    return [*at, *unit, *np.ravel(turns)]
-
-
 #: Input arrays whose rows begin with a point of the robot.
-POINTS = ("drag", "force", "load", "propeller", "rudder", "term", "slider", "joint")
+POINT_TABLES = ("drag", "force", "load", "propeller", "rudder", "term", "slider", "joint")
 #: Signs of roll, pitch (positive nose up) and yaw relative to rotations about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
 
@@ -374,20 +135,18 @@ class MultibodyModel(Swimmer):
     """
 
     name = "multibody"
-    offers = frozenset({"command", "tables", "flow", "output", "clock"})
+    offers = frozenset({"command", "tables", "force", "flow", "output", "clock"})
     in_space = True
-    coordinates, speeds = 7, 6
-    engine = engine
     pose = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
     reactions = (*(f"force_{c}_N" for c in "xyz"), *(f"torque_{c}_N_m" for c in "xyz"))
     places = ("x", "y", "z", "roll", "pitch", "yaw")
     rates = ("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate")
-    tree: Assembly
+    tree: SpatialTree
 
-    def _tree(self) -> Assembly:
+    def _tree(self) -> SpatialTree:
         assert self.robot.multibody is not None
-        return Assembly(self.robot.multibody, self.robot.fluid)
+        return SpatialTree(self.robot.multibody, self.robot.fluid)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -403,7 +162,7 @@ class MultibodyModel(Swimmer):
         if stated:
             return stated
         tables = self.tree.tables(self.start_coefficients)
-        points = np.vstack([tables[name][:, :3] for name in POINTS])
+        points = np.vstack([tables[name][:, :3] for name in POINT_TABLES])
         return float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
 
     def shift(self, tables: dict[str, Any], by: Array) -> None:
@@ -416,16 +175,83 @@ class MultibodyModel(Swimmer):
         mass, centre = rigid[link, 0], centre_of_mass(rigid[link])
         inertia = tables["inertia"].copy()
         for moved, place in ((-mass, centre), (mass, centre + by)):
-            lever = cross_matrix(place)
+            lever = lever_matrix(place)
             inertia[link, 6:] -= moved * np.concatenate([lever.ravel(), (lever @ lever)[UPPER]])
         tables["inertia"] = inertia
         self.tree.move_weight(tables, link, centre, by)
 
     def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
-        if hooks.flow:
+        if (hooks.flow or hooks.force) and self.free_base:
             return np.append(self._dynamic, self._at["start_yaw"])
         return self._dynamic
+
+    @property
+    def course(self) -> tuple[str, ...]:
+        """Channels of the position and of the heading."""
+        return (*self.pose[:3], "yaw_rad")
+
+    @property
+    def reference_m(self) -> Array:
+        """Position of the reference point in the axes of the base, m."""
+        return self.tree.reference
+
+    def start_course(self, trial: Trial) -> tuple[float, float, float]:
+        """Return the horizontal position (m) and the heading (rad) at the first sample of a trial."""
+        x, y, _, _, _, heading = trial.swim.get_pose(6)
+        return float(x), float(y), float(heading)
+
+    def _attitude_matters(self) -> bool:
+        """Return whether roll and pitch affect the motion of a free base: weight or a surface acts."""
+        return self.free_base and (self.tree.world_forces or self._surface_matters())
+
+    def _surface_matters(self) -> bool:
+        """Return whether the height affects the motion of a free base."""
+        return self.free_base and getattr(self.tree.body, "surface_z_m", None) is not None
+
+    def cycle_states(self, states: Array) -> Array:
+        """Return those quantities of states on which the motion over a period of the drive depends.
+
+        They include roll and pitch if weight or buoyancy acts, and the height above the base if the robot may
+        surface.
+        """
+        parts = [states[:, self._memory]]
+        if self._attitude_matters():
+            parts[:0] = angles(Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]])))[:2]
+        if self._surface_matters():
+            parts.insert(0, states[:, 2])
+        return np.column_stack(parts)
+
+    def with_cycle_state(self, start: Array, quantities: Array) -> Array:
+        """Return a state vector in which the quantities of :meth:`cycle_states` have the given values.
+
+        Without a water surface, the reference point keeps its height.
+        """
+        state = super().with_cycle_state(start, quantities)
+        first = int(self._surface_matters())
+        if self._attitude_matters() and np.isfinite(quantities).all():
+            before = Rotation.from_quat(start[[4, 5, 6, 3]])
+            turn = from_angles(*quantities[first : first + 2, None], [0.0])[0]
+            state[3:7] = np.roll(turn.as_quat(), 1)
+            state[2] += (before.apply(self.tree.reference) - turn.apply(self.tree.reference))[2]
+        if first:
+            state[2] = quantities[0]
+        return state
+
+    def frame(self, run: SimulationRequest) -> Array:
+        """Return the coordinate frame of the simulation in the world, for external forces."""
+        x, y, _ = self.start_course(run.trial)
+        *_, roll, pitch, yaw = self._first_pose(run.values, run.trial) if self.free_base else [0.0] * 6
+        begin = from_angles([roll], [pitch], [0.0])[0].apply(self.tree.reference)
+        offset = rotate_vector(begin[0], begin[1], yaw)
+        return place_frame((x - offset[0], y - offset[1], yaw), self.tree.reference)
+
+    def _room(self) -> Room:
+        hull = int(np.argmax(self.tree.rigid(self.start_coefficients)[:, 0]))
+        links = {"base": 0, "hull": hull, "last": len(self.tree.links) - 1}
+        # include the points at which weights act, because an effect that moves a mass moves its weight, too
+        filled = {"inertia": hull, "force": np.s_[:, :3]}
+        return Room({}, filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 
     def _offsets(self) -> tuple[str, ...]:
         # a simulation begins at x = y = 0 with its heading along x, so that these offsets do not affect it
@@ -441,7 +267,7 @@ class MultibodyModel(Swimmer):
         # the body is nearly level, so the rates of roll, pitch and yaw approximate those about its axes
         return [*body.tolist(), *rates[3:]]
 
-    def determined_starts(self, measured: Collection[str]) -> list[str]:
+    def list_determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the names of the initial velocities, angles and rates that measured channels determine.
 
         A side view determines only the velocities in its plane.
@@ -451,16 +277,16 @@ class MultibodyModel(Swimmer):
             for name, place, speed in zip(self.rates, self.pose, self.velocity, strict=True)
             if place not in measured and speed not in measured
         ]
-        return [name for name in super().determined_starts(measured) if name not in blind]
+        return [name for name in super().list_determined_starts(measured) if name not in blind]
 
     def at_reference(self, wrench: Array) -> Array:
         """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
         force, moment = wrench[:, :3], wrench[:, 3:]
         return np.hstack([force, moment - np.cross(self.tree.reference, force)])
 
-    def _posed(self, values: Array, trial: Trial) -> Array:
+    def _first_pose(self, values: Array, trial: Trial) -> Array:
         """Return the pose of the reference point at the first sample, with estimated offsets, shape (6,)."""
-        pose = np.array(trial.swim.posed(6), dtype=float)
+        pose = np.array(trial.swim.get_pose(6), dtype=float)
         return pose + values[self._offset]
 
     def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
@@ -468,7 +294,7 @@ class MultibodyModel(Swimmer):
         if not self.free_base:
             return
         passives = len(self.passive)
-        _, _, z, roll, pitch, yaw = self._posed(values, trial)
+        _, _, z, roll, pitch, yaw = self._first_pose(values, trial)
         turn = from_angles([roll], [pitch], [0.0])[0]
         place = -turn.apply(self.tree.reference)
         start[2] = z + place[2]
@@ -479,10 +305,10 @@ class MultibodyModel(Swimmer):
         start[10 + passives : 13 + passives] = spin
         if hooks.flow:
             _, water = flows(hooks, np.array([begin_s]))
-            x, y = turned(float(water[0, 0]), float(water[0, 1]), -float(yaw))
+            x, y = rotate_vector(float(water[0, 0]), float(water[0, 1]), -float(yaw))
             start[7 + passives : 10 + passives] -= turn.inv().apply([x, y, 0.0])
 
-    def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
+    def _add_water_motion(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
         moved, speed = flows(hooks, np.append(begin_s, time_s))
         for k, name in enumerate(self.pose[:2]):
             found[name] = found[name] + moved[1:, k] - moved[0, k]
@@ -491,12 +317,12 @@ class MultibodyModel(Swimmer):
         for k, name in enumerate(self.velocity[:3]):
             found[name] = found[name] + water[:, k]
 
-    def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+    def observe(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point from simulated states."""
         passives = len(self.passive)
         turn = Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]]))
         place = states[:, :3] + turn.apply(self.tree.reference)
-        x, y, _, _, _, yaw = self._posed(values, trial)
+        x, y, _, _, _, yaw = self._first_pose(values, trial)
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = place[:, 0] - place[0, 0], place[:, 1] - place[0, 1]
         spin = states[:, 10 + passives : 13 + passives]
