@@ -214,12 +214,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         A cleaned track has fewer samples than :data:`swimid.kinematics.speed.MIN_SAMPLES_STROKE`.
     """
     name, columns = source.path.name, source.columns
-    order = _in_order(source)
-    for note in source.notes:
-        warn("SWM057", f"{name}: {note}")
-    if order.summary:
-        _keep(columns, order.index)
-        warn("SWM057", f"{name}: rows {order.summary}")
+    order = _sort_rows(source)
     uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
     posed, markers = _add_pose(source, request, metadata)
@@ -232,8 +227,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     cleaning = speed = None
     stamps, track = columns[TIME], [known[column] for column in coordinates]
     if len(track) > 1 or cleaned:
-        angles = [log.unwrap(known[column]) for column in ANGLES if column in columns]
-        cleaning = clean_track(stamps, track, angles)
+        cleaning = clean_track(stamps, track, [log.unwrap(known[name]) for name in ANGLES if name in columns])
     if options.clean is not False:
         _take_out(columns, cleaning if cleaned else None, list(jumped.values()), name, metadata)
     measured = _select_measured(columns).items()
@@ -278,8 +272,14 @@ def _find_picture_times(times: Array, stamps: Array, cleaning: Cleaning | None) 
     return times, cleaning.held.lateness_s / np.sqrt(12.0)
 
 
-def _in_order(source: MappedLog) -> Order:
-    """Return the order of the rows with strictly increasing times; raise an error if the clock was reset."""
+def _sort_rows(source: MappedLog) -> Order:
+    """Sort the rows of a foreign log by time, in place; return their order.
+
+    Raises
+    ------
+    InputError
+        Fewer than two rows have a time of their own, or the clock was reset.
+    """
     channels = {name: values for name, values in source.columns.items() if name != TIME}
     order = mapping.in_order(source.time_s, channels)
     if len(order.index) < 2:
@@ -292,6 +292,11 @@ def _in_order(source: MappedLog) -> Order:
         line = int(source.rows[order.reset_row])
         hint = "split the file there, or state the range of a counter under 'time:': 'wraps_at: 4294967296'"
         raise InputError(text, file=source.path, line=line, column=TIME, hint=hint)
+    for note in source.notes:
+        warn("SWM057", f"{source.path.name}: {note}")
+    if order.summary:
+        _keep(source.columns, order.index)
+        warn("SWM057", f"{source.path.name}: rows {order.summary}")
     return order
 
 

@@ -618,8 +618,7 @@ def _map_columns(
     _empty_infinite(found, notes)
     unlikely = empty_unlikely(found, sources, mapping.min_likelihood)
     _convert_quaternion(found, mapping.quaternion, path)
-    if time is not None and time.frame is None and time.sources:
-        notes += _check_frame_numbers(table, table.column(time.sources[0], path))
+    notes += _check_frame_numbers(table, time, path)
     lines = table.before + np.arange(1, rows + 1, dtype=np.int64)
     if table.lines is not None:
         lines = table.lines
@@ -811,11 +810,14 @@ def _values(
     return values * column.scale + column.offset
 
 
-def _check_frame_numbers(table: ForeignTable, name: str) -> list[str]:
+def _check_frame_numbers(table: ForeignTable, time: Time | None, path: Path) -> list[str]:
     """Return a note if the name and the steps of a time column are those of a frame number.
 
     The result is a list with this note. It is empty for any other column.
     """
+    if time is None or time.frame is not None or not time.sources:
+        return []
+    name = table.column(time.sources[0], path)
     values = table.columns[name]
     if values.dtype.kind not in "iuf" or not COUNT.fullmatch(name.strip().lower()):
         return []

@@ -184,7 +184,7 @@ def _messages(path: Path, kind: str | None) -> ForeignTable:
     timed = [cells for cells in messages if cells[0] == "FMT" and "TimeUS" in cells[5:]]
     formats = {cells[3]: cells[5:] for cells in timed if not {*ARDUPILOT_FIELDS}.isdisjoint(cells[5:])}
     present = dict.fromkeys(cells[0] for cells in messages)
-    kind = choose(kind, [kind for kind in present if kind in formats], "message type", path)
+    kind = choose(kind, list(filter(formats.get, present)), "message type", path)
     found = {at: cells[1:] for at, cells in enumerate(messages, start=1) if cells[0] == kind}
     whole = {at: cells for at, cells in found.items() if len(cells) == len(formats[kind])}
     frame = pd.DataFrame.from_dict(whole, orient="index", columns=formats[kind])

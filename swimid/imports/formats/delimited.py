@@ -189,12 +189,13 @@ def _read_utf8(path: Path, options: ReaderOptions) -> tuple[bytes, list[str]]:
 def _find_layout(lines: list[str], options: ReaderOptions, path: Path, notes: list[str]) -> Layout:
     """Return the layout of a file, from the options or from its first lines; append remarks to ``notes``."""
     numbered = list(enumerate(lines, start=1))[options.skip_rows :]
-    kept = [(at, line) for at, line in numbered if line.strip()]
+    kept = {at: line for at, line in numbered if line.strip()}
+    at, texts = list(kept), list(kept.values())
     if not kept:
         raise InputError("holds no samples", file=path)
     stated_mark = _MARKS.get(options.delimiter, options.delimiter)
-    delimiter = stated_mark or _likely_delimiter([line for _, line in kept[:LINES]])
-    table = [_cells(line, delimiter) for _, line in kept]
+    delimiter = stated_mark or _likely_delimiter(texts[:LINES])
+    table = [_cells(line, delimiter) for line in texts]
     decimal = options.decimal or _decimal(table[:LINES], delimiter)
     if delimiter == decimal:
         raise InputError("a comma cannot both separate cells and mark decimals", file=path)
@@ -202,16 +203,16 @@ def _find_layout(lines: list[str], options: ReaderOptions, path: Path, notes: li
     first = _first_sample(table, width, decimal, options)
     if first is None:
         hint = "give delimiter, header or skip_rows under 'reader:' of a mapping, or mend lost line ends"
-        raise InputError("no line holds numbers", file=path, line=kept[0][0], hint=hint)
+        raise InputError("no line holds numbers", file=path, line=at[0], hint=hint)
     above, samples = table[:first], [cells for cells in table[first:] if len(cells) == width]
     units = _take_units(above)
     if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
         # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
         above[-1].append("")
-    names = _read_names(above, width, [at for at, _ in kept[: first + 1]], options, notes)
-    columns = [{*column} - {*MISSING, *map(str, options.missing)} for column in zip(*samples, strict=True)]
-    numbers = [all(_value(cell, decimal) is not None for cell in cells) for cells in columns]
-    return Layout(names, units, list(compress(names, numbers)), delimiter, decimal, kept[first][0])
+    names = _read_names(above, width, at[: first + 1], options, notes)
+    missing = {*MISSING, *map(str, options.missing)}
+    numbers = [_are_numbers({*cells} - missing, decimal) for cells in zip(*samples, strict=True)]
+    return Layout(names, units, list(compress(names, numbers)), delimiter, decimal, at[first])
 
 
 def _take_units(above: list[list[str]]) -> list[str]:
@@ -292,15 +293,20 @@ def _first_sample(table: list[list[str]], width: int, decimal: str, options: Rea
     filled = [list(filter(None, cells)) for cells in table]
     counts = np.array([sum(_is_sample(cell, decimal) for cell in cells) for cells in filled])
     sampled = (counts > 0) & (np.array(list(map(len, table))) == width)
-    candidates = np.flatnonzero(counts[:LINES] == 0).tolist()
-    headers = [k for k in candidates if k and _is_header(table[k]) and table[k] not in table[:k]]
+    sampled[0] &= not options.header
+    candidates = (np.flatnonzero(counts[1:LINES] == 0) + 1).tolist()
+    headers = [k for k in candidates if _is_header(table[k]) and table[k] not in table[:k]]
     for at in np.flatnonzero(sampled).tolist():
         later = [k for k in headers if k > at and len(filled[k]) >= len(filled[at])]
         has_text = counts[at] < len({*filled[at]} - {*MISSING})
         is_setting = has_text and any(sampled[at:k].sum() < sampled[k:].sum() for k in later)
-        if not is_setting and (at > 0 or not options.header):
+        if not is_setting:
             return at
     return None
+
+
+def _are_numbers(cells: set[str], decimal: str) -> bool:
+    return all(_value(cell, decimal) is not None for cell in cells)
 
 
 def _is_sample(cell: str, decimal: str) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.imports.table import MAX_ODD, ForeignTable, Format, ReaderOptions, choose, flat, of_records
+from swimid.imports.table import MAX_ODD, ForeignTable, Format, ReaderOptions, choose_part, flat, of_records
 
 _HINT = "a table in JSON is a list of records, an object of columns, or one record in each line"
 
@@ -35,11 +35,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
             share = f"{len(broken)} of {total} lines"
             notes.append(f"{share} are no JSON and are left out (first: line {broken[0]})")
         content, lines = list(records.values()), np.array(list(records), dtype=np.int64)
-    for part in filter(None, (select or "").split(".")):
-        if not isinstance(content, dict):
-            raise InputError(f"holds no table '{select}'", file=path)
-        content = content[choose(part, list(content), "table", path)]
-    columns = _columns(content)
+    columns = _columns(choose_part(content, select, "table", path))
     if not columns:
         raise InputError("holds no table of numbers", file=path, hint=_HINT)
     longest = max(map(len, columns.values()))

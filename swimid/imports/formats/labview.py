@@ -173,7 +173,7 @@ def _read_tdms(path: Path, options: ReaderOptions, select: str | None) -> Foreig
     if file.file_status.incomplete_final_segment:
         raise InputError("is cut off within its samples", file=path, hint="copy the file again")
     groups = {group.name: list(filter(len, group.channels())) for group in file.groups()}
-    channels = groups[choose(select, [name for name in groups if groups[name]], "group", path)]
+    channels = groups[choose(select, list(filter(groups.get, groups)), "group", path)]
     columns: dict[str, Array] = {}
     clocks: dict[str, tuple[float, float]] = {}
     metadata = {str(key): value for key, value in file.properties.items() if isinstance(value, str)}

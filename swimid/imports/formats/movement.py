@@ -41,11 +41,11 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
         text = "has no variable 'position' with the dimensions 'time' and 'space'"
         raise InputError(text, file=path, hint="movement datasets are saved by ds.to_netcdf(path)")
     if "individual" in data.dims:
-        names = [str(name) for name in data["individual"].values]
+        names = list(map(str, data["individual"].values))
         data = data.isel(individual=names.index(choose(select, names, "individual", path)))
     if "keypoint" not in data.dims:
         data = data.expand_dims(keypoint=[""])
-    position, space = data["position"], [str(axis) for axis in data["space"].values]
+    position, space = data["position"], list(map(str, data["space"].values))
     stated = position.attrs.get("space_unit") or data.attrs.get("space_unit")
     if not stated and "z" not in space:
         stated = "px"
@@ -55,8 +55,8 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     if clock is None:
         text = f"its attribute time_unit is {data.attrs.get('time_unit')!r}"
         raise InputError(text, file=path, hint="it must be 'seconds' or 'frames'")
-    about = {name: data.attrs.get(name) for name in ("source_software", "source_file", "fps")}
-    metadata = {name: value for name, value in about.items() if isinstance(value, str | float | int)}
+    about = ("source_software", "source_file", "fps")
+    metadata = {n: data.attrs[n] for n in about if isinstance(data.attrs.get(n), str | float | int)}
     columns = points(_select_points(data, factor), unit, y_axis)
     columns = {clock: data["time"].to_numpy().astype(float), **columns}
     return ForeignTable(columns, metadata=metadata)

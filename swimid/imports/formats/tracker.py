@@ -61,13 +61,14 @@ def _read_tracker(path: Path, options: ReaderOptions, select: str | None) -> For
     track = None
     if select:
         track = choose(select, tracks, "track", path)
+        tracks = [track]
     columns = {TIME: values[:, 0]}
-    hits = {k: hit for k, hit in enumerate(map(_TRACKER_NAME.fullmatch, names)) if hit and hit["axis"]}
-    hits = {k: hit for k, hit in hits.items() if track in (None, owners[k])}
+    taken = [k for k in range(len(names)) if track in (None, owners[k])]
+    hits = {k: hit for k in taken if (hit := _TRACKER_NAME.fullmatch(names[k])) and hit["axis"]}
     for k, hit in hits.items():
         factor, unit = length(options.length_unit or hit["unit"] or "m", path)
         target = f"{hit['kind']}{hit['axis']}_{unit}{_PER[hit['kind']]}"
-        if len(tracks) > 1 and track is None:
+        if len(tracks) > 1:
             target = f"{safe(owners[k])}_{target}"
         columns[target] = values[:, k] * factor
     notes = []
