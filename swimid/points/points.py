@@ -28,7 +28,8 @@ from swimid.notices import warn
 from swimid.points import bundle
 from swimid.points import linkage as links
 from swimid.points import point_files as files
-from swimid.points.bundle import Film, FilmFit
+from swimid.points.bundle import FilmFit
+from swimid.points.film import Film
 from swimid.points.linkage import Array, Complex, Flags, Linkage
 from swimid.robots import file as robot_format
 from swimid.robots import planar
