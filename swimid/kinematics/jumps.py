@@ -35,8 +35,8 @@ FASTER, ALIKE = 2.0, 5
 #: track at another place after a jump. A shorter segment is taken for a tracking error, after which the track
 #: returns.
 FEW, FEW_SHARE = 12, 0.05
-#: Maximum number of successive samples in a spike of a quantity other than a pose, if spikes are rare; and
-#: minimum expected number of longer runs of adjacent spikes, for runs of this length to count as spikes.
+#: Maximum number of successive samples in a spike of a quantity other than a pose. If spikes are so frequent
+#: that they are adjacent by chance, the maximum is the length of runs whose expected number is MIN_RUNS.
 SPIKE, MIN_RUNS = 2, 0.1
 
 

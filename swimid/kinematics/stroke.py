@@ -412,7 +412,7 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
         laps = [beat.frequency_hz for v in axes for beat in find_beats(*_prepare_samples(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
-            text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
+            text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; no other motion is periodic"
             return text, slow_hz
     if slow is not None:
         name, motion = slow
@@ -420,7 +420,7 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
         cycles = f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {MIN_CYCLES:g}"
         return text + cycles, slow_hz
     lowest = f"in {duration:.3g} s: from {MIN_CYCLES / max(duration, 1e-300):.3g} Hz on"
-    return f"nothing in it keeps a beat over {MIN_CYCLES:g} cycles or more ({lowest})", None
+    return f"no motion in it is periodic over {MIN_CYCLES:g} cycles or more ({lowest})", None
 
 
 def _beats(

@@ -88,7 +88,7 @@ def checks(posed: Posed) -> Iterator[Check]:
         value, passed = ("no", "yes")[int(posed.fit.mirrored)], not posed.fit.mirrored
         yield ev.make_check("Mirrored picture", value, passed, "no", otherwise="fail", reason=reason)
         names = ", ".join(posed.misplaced)
-        reason = f"points do not sit at their places: {names}"
+        reason = f"points are not at their stated places: {names}"
         yield ev.make_check("Places of points", names or "as stated", not names, "as stated", reason=reason)
     if "places" in posed.fit.linkage.free:
         names = posed.free_coordinates_text

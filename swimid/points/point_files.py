@@ -48,7 +48,9 @@ class PointScale(Scale):
         elif self.distance_m is None or self.points_px or self.points_m or self.metres_per_pixel:
             raise ValueError("between needs distance_m, and no other scale")
         elif safe(self.between[0]) == safe(self.between[1]):
-            raise ValueError("the two points of between are the same")
+            raise ValueError(
+                f"'between' names the point '{self.between[0]}' twice: name two different points"
+            )
         return self
 
 
@@ -78,13 +80,13 @@ class PointsFile(yamlio.Document):
         names = [safe(name) for name in (self.chain or self.points)]
         twice = find_repeated(names)
         if twice is not None:
-            raise ValueError(f"the point '{twice}' stands twice")
+            raise ValueError(f"the point '{twice}' is listed twice")
         if self.chain and self.points:
             raise ValueError("give points (with a robot) or chain (without one), not both")
         if len(self.chain) == 1:
             raise ValueError("a chain needs two points or more, from front to rear")
         if self.camera is not None and self.scale is None:
-            raise ValueError("camera needs a scale")
+            raise ValueError("'camera' is given without a scale: give 'scale', too")
         return self
 
 
@@ -254,7 +256,7 @@ class Request:
             where = str(path)
             if not robot.multilink.points:
                 text = f"the robot '{robot.name}' places no points"
-                hint = "say where they sit with --points: points: {snout: {link: head, at_m: [0, 0]}}"
+                hint = "give their places with --points: points: {snout: {link: head, at_m: [0, 0]}}"
                 raise InputError(text, file=path, column="multilink.points", hint=hint)
         return spec, robot.multilink, robot.name, where
 

@@ -289,7 +289,8 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
         placed, plane = spec.points or body.points, body.plane
     names, unit = _select_points(columns, spec, placed, where, path)
     if spec.facing == "left" and plane == "horizontal":
-        raise InputError("facing: left goes with a robot in the vertical plane", file=where, column="facing")
+        text = "'facing: left' is valid only for a robot in the vertical plane: omit it"
+        raise InputError(text, file=where, column="facing")
     shown = files.in_plane(columns, plane)
     seen = np.column_stack([files.point_coordinates(shown, name) for name in names])
     known_scale, source = None, "the file of the points is in metres"
