@@ -52,7 +52,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
 
 
 def _parse_line(line: str) -> Any:
-    """Return the record in a line of JSON lines; None for other text, as of a line that is cut off."""
+    """Return the record in a line of JSON; None if the line is no record, for example if it is cut off."""
     try:
         value = json.loads(line)
     except ValueError:
