@@ -144,7 +144,7 @@ def load(
             return trials
         return TrialSet.read(trials, own)
     if experiment is None:
-        raise UsageError("name the experiment and the robot of these trials")
+        raise UsageError("experiment or robot of these trials is missing: give both")
     given: Any = trials
     if not isinstance(trials, Sequence):
         given, keys = [], {**keys, "table": trials}  # A cruise experiment has one table for all trials.

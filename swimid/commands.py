@@ -77,7 +77,7 @@ TABLE: dict[str, list[tuple[str, str, str, str]]] = {
     ],
     "Many at once": [
         ("batch", "runs.batch:batch", "BatchOptions",
-         "Take many films, logs or trials files through chains of commands."),
+         "Process many films, logs or trials files with a sequence of commands."),
         ("compare-runs", "runs.compare_runs:compare_runs", "CompareRunsOptions",
          "Compare runs, or results of one robot from several days."),
     ],

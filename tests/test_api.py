@@ -136,7 +136,7 @@ class TestTrials:
             swimid.load([{"log": log, "pulling_mass_g": 10}], experiment="falling-weight", robot="boxfish")
         with pytest.raises(swimid.UsageError, match="did you mean 'falling-weight'"):
             swimid.load([{"log": log}], experiment="falling-wait", robot="boxfish")
-        with pytest.raises(swimid.UsageError, match="experiment and the robot"):
+        with pytest.raises(swimid.UsageError, match="experiment or robot of these trials is missing"):
             swimid.load([{"log": log}])
 
     @pytest.mark.parametrize("kind", ["log", "table", "copy"])

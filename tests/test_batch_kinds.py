@@ -83,7 +83,7 @@ def test_limits_are_bounded(lab: Path, swimid: Run, limits: str) -> None:
 def test_a_step_that_waits_for_a_user_is_refused(lab: Path, swimid: Run) -> None:
     ran = planned(swimid, PLAN.replace("plot", "{track setup: {pick: true}}") % "logs/*.csv", "--dry-run")
     assert ran.status == 3
-    assert "waits for a user" in ran.err
+    assert "waits for input of a user" in ran.err
     assert "swimid track setup --pick" in ran.err
 
 

@@ -374,7 +374,7 @@ def test_a_black_box_model_needs_a_parameter_file(swimid: Run, tmp_path: Path) -
     )
     ran = swimid("diagnose", path)
     assert ran.status == 2
-    assert "give them with --params" in ran.err
+    assert "give those of a fit with --params" in ran.err
 
 
 def test_an_unknown_effect_is_refused(swimid: Run, rig: tuple[Path, Path]) -> None:

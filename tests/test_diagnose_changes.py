@@ -84,7 +84,7 @@ def test_a_none_verdict_without_standard_errors_is_not_good(
     file, said = diagnosed(swimid, trials, "--params", first_day)
     assert (file.verdict, list(file.moved)) == ("none", ["drag_coefficient"])
     said = " ".join(said.split())
-    assert "failed: the parameters as given are others than those refitted: drag_coefficient 0.7051 →" in said
+    assert "failed: the given parameters differ from the refitted ones: drag_coefficient 0.7051 →" in said
 
 
 def repeated(folder: Path, weights_g: Sequence[float], drops: str, log: Callable[[float], str]) -> Path:

@@ -85,7 +85,7 @@ def test_the_summary_says_what_closes_the_gap_and_by_how_much() -> None:
     assert "EXPLAINED: servo-backlash (backlash_rad 0.0351 ± 0.0021 rad) explains the gap." in text
     assert "In cross-validation over trials the squared error goes from 54 as given to 1.6 times" in text
     assert "99 % of the gap closes (97.1 … 99.5 %)" in text
-    assert "A refit alone closes 70 %, and the cause closes 96 % of what it leaves." in text
+    assert "A refit alone closes 70 %, and the cause closes 96 % of the remainder." in text
     assert "c_d0 stood in for the cause: it is 0.920 ± 0.020 without the cause and 0.710 ± 0.030 with" in text
     assert "c_ma" not in text
     assert "Next experiment: Swim at 1.0 Hz" in text
@@ -138,7 +138,7 @@ def test_a_share_of_the_gap_without_an_interval_has_none() -> None:
 def test_a_changed_parameter_is_not_compared_with_the_refit_that_changes_it_as_well() -> None:
     text = cases.evidence(cases.CHANGED.model_copy(update={"closed": cases.EXPLAINED.closed})).verdict.text
     assert "A refit of all coefficients closes 70 %" in text
-    assert "of what it leaves" not in text
+    assert "of the remainder" not in text
 
 
 def test_a_cause_without_a_held_out_gap_is_no_good_answer() -> None:
@@ -151,7 +151,7 @@ def test_a_cause_without_a_held_out_gap_is_no_good_answer() -> None:
 
 def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
     text = said("ambiguous")
-    assert "failed: these trials cannot tell current from tether or linear-drag" in text
+    assert "failed: these trials cannot distinguish current from tether or linear-drag" in text
     assert "explains" not in text
     assert "current/north_m_s at a bound" in text
 
@@ -167,7 +167,7 @@ def test_the_reason_why_no_cause_is_named_is_stated() -> None:
 def test_the_other_verdicts_in_words() -> None:
     assert "NO GAP: The model describes these trials as well as their noise allows." in said("none")
     assert "cause of" not in said("none")
-    assert "do not tell whether the model has a gap" in said("untold")
+    assert "do not determine whether the model has a gap" in said("untold")
     assert "Trials differ in trim (0.2 of its typical size), which is part of the noise." in said("scattered")
     assert "all trials have one setting, and nothing is tested at another" in said("single")
     follows = said("follows")
@@ -186,7 +186,7 @@ def test_a_changed_parameter_is_stated_first() -> None:
     assert re.search(r"as given +54\b", text)
     result = Diagnosis("diagnose", text, {}, document=cases.ALL["changed"])
     assert result.causes.iloc[0]["effect"] == "parameter:k_t"
-    assert f"the parameters as given are others than those refitted: {change}" in said("moved")
+    assert f"the given parameters differ from the refitted ones: {change}" in said("moved")
 
 
 def test_a_changed_parameter_is_written_with_its_value_in_the_file(tmp_path: Path) -> None:

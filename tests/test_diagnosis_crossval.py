@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import special
 from scipy.stats import multivariate_normal
 
 from swimid.diagnosis import crossval, settings
-from swimid.diagnosis.crossval import NoiseDraws, NormalEquations, solve_normal
-from swimid.diagnosis.priors import START_PRIOR
-from swimid.diagnosis.study import GapStudy, Hypothesis
+from swimid.diagnosis.crossval import NormalEquations
+from swimid.diagnosis.study import START_PRIOR, GapStudy, Hypothesis
 from swimid.fitting.model import RigInput, Trial
 from tests.diagnosis_models import (
     PLAIN,
     Apart,
     Hooked,
     Seen,
-    line,
     line_study,
     noise_of,
     plainly,
-    ring,
     rise,
     seen_trials,
     trial,
@@ -135,20 +130,6 @@ def test_held_out_residuals_equal_those_of_a_refit_without_the_fold(
     np.testing.assert_allclose(crossval.fit_columns(folded(blocks), chosen, weights), whole, rtol=1e-8)
 
 
-def test_held_out_residuals_of_noise_draws(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
-    """The held-out residuals of noise draws equal those of refits to the draws."""
-    others = [rng.normal(size=(len(b), 3)) for b in blocks]
-    right = np.array([b[:, :-1].T @ o for b, o in zip(blocks, others, strict=True)])
-    pull = rng.normal(size=(3, 3))
-    found = crossval.compute_held_out(folded(blocks), (1,), (0.5,), NoiseDraws(right, pull))
-    for m in range(3):
-        swapped = [np.column_stack((b[:, :-1], o[:, m])) for b, o in zip(blocks, others, strict=True)]
-        one = replace(folded(blocks), pull=pull[:, m], products=folded(swapped).products)
-        whole = crossval.compute_held_out(one, (1,), (0.5,))
-        size = [float(o[:, m] @ o[:, m]) for o in others]
-        np.testing.assert_allclose(found[:, m], whole - size, rtol=1e-8, atol=1e-9)
-
-
 def test_projection_removes_what_shared_parameters_imitate(blocks: list[np.ndarray]) -> None:
     rows = np.concatenate([*(b for b in blocks), np.zeros((3, 6))])
     rows[-3:, :3] = np.diag(np.sqrt(PRIOR))
@@ -166,37 +147,6 @@ def test_noise_draws_have_the_covariance_of_the_columns(
         exact = block[:, :-1].T @ block[:, :-1]
         scale = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
         np.testing.assert_allclose(covariance / scale, exact / scale, atol=0.03)
-
-
-def test_an_undetermined_direction_stays_at_zero() -> None:
-    normal = np.array([[4.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 3.0]])
-    found = solve_normal(normal, np.array([[1.0], [0.0], [2.0]]))[:, 0]
-    assert found[1] == 0.0
-    expected = np.linalg.solve([[4.0, 2.0], [2.0, 3.0]], [1.0, 2.0])
-    np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-8)
-
-
-def test_the_start_state_of_each_trial_is_projected_out(study: GapStudy) -> None:
-    """The products equal those of rows from which the start state of the trial is projected out."""
-    fit = study.at((), study.problem(()).start)
-    found = crossval.form_normal_equations(study, fit)
-    assert found.n_shared == 2
-    assert study.folds.count == 4
-    expected = np.zeros((4, 3, 3))
-    for k, one in enumerate(study.trials):
-        t = one.time_s
-        shared = np.column_stack([np.r_[np.sin(t), np.cos(t)], np.r_[t, np.ones_like(t)]])
-        start = np.r_[np.ones_like(t), np.zeros_like(t)]
-        modelled = line(np.array([0.5, 0.5, 0.0]), t)
-        left = np.r_[one.measured["y"] - modelled["y"], one.measured["v"] - modelled["v"]]
-        # a start state with prior standard deviation START_PRIOR is one more row
-        rows = np.vstack([np.column_stack([shared, left]), np.zeros(3)])
-        own = np.append(start, 1.0 / START_PRIOR)
-        left_over = rows - np.outer(own, own @ rows) / (own @ own)
-        expected[max(k - 1, 0)] += left_over.T @ left_over
-    np.testing.assert_allclose(found.products, expected, rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(found.prior, np.diag([25.0, 0.0]), rtol=1e-12)
-    np.testing.assert_allclose(found.pull, [0.3, 0.0], rtol=1e-12)
 
 
 def test_a_held_out_fold_takes_no_part_in_the_refit(rng: np.random.Generator) -> None:
@@ -222,17 +172,6 @@ def test_a_held_out_fold_takes_no_part_in_the_refit(rng: np.random.Generator) ->
 
 
 # ---------------------------------------------------------------- predictive density
-
-
-def test_the_distance_of_a_fold_is_that_from_its_prediction(blocks: list[np.ndarray]) -> None:
-    distance, log_determinant = crossval.compute_deviances(folded(blocks))
-    for f, block in enumerate(blocks):
-        others = np.concatenate([*blocks[:f], *blocks[f + 1 :]])[:, :3]
-        covariance = np.linalg.inv(others.T @ others + np.diag(PRIOR))
-        error = block[:, -1] - block[:, :3] @ refit([*blocks[:f], *blocks[f + 1 :]], [0, 1, 2], PRIOR)
-        predicted = np.eye(len(block)) + block[:, :3] @ covariance @ block[:, :3].T
-        assert distance[f] == pytest.approx(error @ np.linalg.solve(predicted, error), rel=1e-8)
-        assert log_determinant[f] == pytest.approx(np.linalg.slogdet(predicted)[1], rel=1e-8)
 
 
 @pytest.mark.parametrize("apart", [False, True])
@@ -276,31 +215,6 @@ def test_the_strain_is_the_distance_of_the_model_s_parameters_from_their_prior_m
     """The size of an effect does not count."""
     away = refit(blocks, [0, 1, 2], PRIOR) - PULL
     assert crossval.compute_strain(folded(blocks)) == pytest.approx(float(PRIOR[1] * away[1] ** 2), rel=1e-8)
-
-
-def test_the_distance_of_a_correct_model_is_its_number_of_samples(rng: np.random.Generator) -> None:
-    """Six trials of 200 samples, in 40 experiments, have a standard error of 0.65 % of the mean."""
-    found = []
-    for _ in range(40):
-        study = GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.3, 0.0), {"a": (1.0, 0.1)})
-        study = with_sd(study, 0.02)
-        effect = Seen("rise", rise)
-        fit = study.fit((effect,), [study.problem((effect,)).start])
-        found.append(crossval.compute_deviances(crossval.form_normal_equations(study, fit))[0].sum() / 1200)
-    assert np.mean(found) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 48_000))
-
-
-def test_an_effect_of_no_use_has_a_larger_deviance(rng: np.random.Generator) -> None:
-    study = with_sd(GapStudy(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.3, 0.0), {}), 0.02)
-    found = []
-    for effects in ((Seen("rise", rise),), (Seen("rise", rise), Seen("ring", ring))):
-        fit = study.fit(effects, [study.problem(effects).start])
-        found.append(
-            sum(
-                float(p.sum()) for p in crossval.compute_deviances(crossval.form_normal_equations(study, fit))
-            )
-        )
-    assert found[1] > found[0]
 
 
 # ---------------------------------------------------------------- standard errors

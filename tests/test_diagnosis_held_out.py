@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swimid.diagnosis import held_out, noise
+from swimid.diagnosis import held_out, noise, places
 from swimid.diagnosis.held_out import Prediction
 from swimid.diagnosis.posterior import CALIBRATED
 from swimid.diagnosis.study import GapStudy
@@ -288,39 +288,11 @@ def made(
     return Prediction(whole, part, {channel: error}, squared, expected, 200, deviance)
 
 
-def test_the_table_has_a_row_for_each_part() -> None:
-    given, before, after = (
-        [made(squared, deviance=deviance), made(190.0, part="t1")]
-        for squared, deviance in ((950.0, 700.0), (900.0, 600.0), (210.0, 150.0))
-    )
-    found = held_out.tabulate_parts(given, before, after)
-    assert list(found) == ["t0", "t1"]
-    row = found["t0"]
-    assert (row.samples, row.as_given, row.before, row.after) == (200, 950.0, 900.0, 210.0)
-    assert (row.gain_as_given, row.gain) == (550.0, 450.0)
-    assert (found["t1"].gain_as_given, found["t1"].gain) == (0.0, 0.0)
-    assert row.expected == 200.0
-    # quantile of chi-squared of 200 degrees for one of 80, a hundredth of the noise, and a discrepancy
-    assert row.limit == pytest.approx(247.0 + 2.0 + CALIBRATED.directions, abs=1.0)
-
-
 def test_the_limit_is_a_quantile_of_chi_squared() -> None:
     """It is that of 200 degrees of freedom for one of 40, a hundredth of the noise, and a discrepancy."""
     limit = made(200.0).limit(1)
     assert limit == pytest.approx(241.06 + 2.0 + CALIBRATED.directions, abs=0.1)
     assert limit < made(200.0).limit(10)
-
-
-def test_the_steps_are_means_over_the_samples() -> None:
-    parts = {
-        "as given": [made(900.0), made(1100.0, part="t1")],
-        "refitted": [made(300.0, expected=210), made(100.0, part="t1", expected=190)],
-    }
-    first, second, last = held_out.build_waterfall(parts, {"x_m": 0.01})
-    assert (first.label, first.squared) == ("as given", 5.0)
-    assert first.rmse["x_m"] == pytest.approx(0.01 * np.sqrt(5.0))
-    assert (second.label, second.squared) == ("refitted", 1.0)
-    assert (last.label, last.squared, last.rmse) == ("noise alone", 1.0, {"x_m": 0.01})
 
 
 @pytest.mark.parametrize(
@@ -333,21 +305,6 @@ def test_the_closed_share_of_a_squared_gap(before: float, after: float, share: f
 def test_errors_of_noise_have_no_closed_share() -> None:
     assert held_out.compute_closed_share(1.0, 0.5, 1.0) is None
     assert held_out.compute_closed_share(1.03, 0.5, 1.0) is None
-
-
-def test_errors_of_a_channel_are_shares_of_its_fitted_range() -> None:
-    given, before, after = [made(5200.0)], [made(5200.0)], [made(400.0)]
-    (found,) = held_out.compute_shrinkages(given, before, after, {"x_m": 0.01}, {"x_m": 4.0})
-    assert found.floor == pytest.approx(0.01 / 4.0)
-    assert found.before == pytest.approx(0.01 * np.sqrt(26.0) / 4.0)
-    assert found.after == pytest.approx(0.01 * np.sqrt(2.0) / 4.0)
-    assert found.closed == pytest.approx(24.0 / 25.0)
-
-
-def test_a_channel_of_held_out_trials_only_has_no_closed_share() -> None:
-    """The noise of such a channel is unknown."""
-    (found,) = held_out.compute_shrinkages([made(5200.0)], [made(5200.0)], [made(400.0)], {}, {})
-    assert (found.floor, found.closed) == (None, None)
 
 
 def test_samples_without_noise_have_no_prediction(rng: np.random.Generator) -> None:
@@ -415,17 +372,6 @@ def test_the_worst_held_out_trial_has_the_largest_ratio() -> None:
     assert held_out.select_worst([], []) == []
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "sound"), [(5.0, 500.0, True), (5.0, 1e13, False), (1e13, 2e13, True)]
-)
-def test_a_cause_with_which_a_held_out_trial_diverges_is_reported(
-    before: float, after: float, sound: bool
-) -> None:
-    """Another trial is predicted well with the cause."""
-    found = held_out.is_finite([made(5.0), made(before, part="t1")], [made(2.0), made(after, part="t1")])
-    assert found is sound
-
-
 def test_a_diverged_simulation_has_a_finite_error(rng: np.random.Generator) -> None:
     class Diverging(Seen):
         """Effect with which the simulation of one trial diverges."""
@@ -454,5 +400,5 @@ def test_the_noise_floor_of_a_channel_is_in_its_unit(rng: np.random.Generator) -
     fit = study.at((), np.empty(0))
     study = study.with_noise(replace(study.noise, variance={"y": 4.0}))
     study = study.with_noise(noise.with_floors(study, fit))
-    assert held_out.compute_floors(study, fit) == {"y": pytest.approx(0.6)}
+    assert places.compute_floors(study, fit) == {"y": pytest.approx(0.6)}
     assert study.noise.floor("y") == pytest.approx(2.0)

@@ -10,7 +10,6 @@ from swimid.diagnosis.posterior import (
     DataSize,
     Posterior,
     PosteriorConstants,
-    compute_largest_gain,
     compute_posterior_probabilities,
     compute_tolerance,
 )
@@ -144,9 +143,3 @@ def test_an_effect_may_act_beside_a_cause_outside_the_catalogue() -> None:
     assert found.compute_probability("servo-lag") == pytest.approx(0.76)
     assert found.compute_probability("servo-lag", "slip") == pytest.approx(0.88)
     assert found.best == lag
-
-
-def test_a_further_effect_adds_more_evidence_to_a_larger_excess() -> None:
-    record = DataSize(1000.0, 5, 20)
-    assert compute_largest_gain(0.0, record) == compute_largest_gain(-10.0, record) == 0.0
-    assert 0.0 < compute_largest_gain(100.0, record) < compute_largest_gain(1e4, record)

@@ -35,10 +35,6 @@ def test_a_table_has_a_factor_for_each_setting_and_each_fin() -> None:
         np.testing.assert_allclose(np.log(stroke.thrust), expected, atol=1e-12)
 
 
-def test_few_samples_need_less_gain_but_more_than_noise() -> None:
-    assert [remainder.least_gain(n) for n in (10, 60, 5000)] == [25.0, 30.0, 50.0]
-
-
 @pytest.mark.parametrize(("ringing", "found"), [(0.0, False), (0.3, True)])
 def test_structure_is_found_in_a_gap_and_not_in_noise(
     ringing: float, found: bool, rng: np.random.Generator

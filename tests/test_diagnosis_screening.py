@@ -14,12 +14,9 @@ from tests.diagnosis_models import (
     Apart,
     Hooked,
     Seen,
-    line_study,
     nothing,
     plain_study,
     ring,
-    rise,
-    seen_trials,
     trial,
     with_sd,
 )
@@ -82,16 +79,6 @@ def test_the_screening_does_not_depend_on_the_unit_of_a_parameter(rng: np.random
     assert one.point[0] == pytest.approx(seen / (information + 1 / 25), rel=1e-6)
 
 
-def test_the_effect_that_acts_has_the_largest_predicted_gain(rng: np.random.Generator) -> None:
-    study = plain_study(seen_trials(rng, 0.3, 0.0), 0.02, (1.0, 0.1))
-    base = study.fit((), [study.shape.start])
-    effects = [Seen("ring", ring), Seen("rise", rise), Seen("zero", np.zeros_like)]
-    found, left_out = screening.screen_effects(study, base, screening.simulate_effects(study, base, effects))
-    assert [t.effect.name for t in found] == ["rise", "ring"]
-    assert found[0].point[0] == pytest.approx(0.3, abs=0.01)
-    assert list(left_out) == ["zero"]
-
-
 def test_the_own_value_of_a_trial_is_tested_in_the_same_trial(rng: np.random.Generator) -> None:
     """Three quarters of a trial predict the last one, if the curve has a size in each trial."""
     time = np.linspace(0.0, 5.0, 200)
@@ -110,25 +97,3 @@ def test_the_own_value_of_a_trial_is_tested_in_the_same_trial(rng: np.random.Gen
     # 1200 squares of a sine of amplitude 15 times the noise
     assert gains[0] == pytest.approx(0.5 * 15.0**2 * 1200, rel=0.15)
     assert abs(gains[1]) < 50.0
-
-
-def test_changes_in_proportion_have_a_cosine_of_one(rng: np.random.Generator) -> None:
-    study = plain_study(seen_trials(rng, 0.3, 0.0), 0.02)
-    base = study.fit((), [study.shape.start])
-    effects = [Seen("rise", rise), Seen("double", lambda t: -2.0 * rise(t)), Seen("ring", ring)]
-    found = {
-        t.effect.name: t
-        for t in screening.screen_effects(study, base, screening.simulate_effects(study, base, effects))[0]
-    }
-    assert abs(screening.compute_cosine(study, base, found["rise"], found["double"])) == pytest.approx(
-        1.0, rel=1e-6
-    )
-    assert abs(screening.compute_cosine(study, base, found["rise"], found["ring"])) < 0.5
-
-
-def test_a_start_without_a_change_is_skipped(rng: np.random.Generator) -> None:
-    study = with_sd(line_study(rng), 0.05)
-    fit = study.fit((), [study.shape.start])
-    fit.problem.hold_derivatives(fit.problem, [np.zeros_like(rows) for rows in fit.derivatives])
-    gains = screening.compute_own_gains(study, fit, [[r.copy() for r in fit.residuals]])
-    assert np.isfinite(gains).all()

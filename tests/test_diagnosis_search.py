@@ -18,7 +18,6 @@ from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Hooks, Model, Parameter, Trial
 from swimid.results.parameters import Estimate
 from tests.diagnosis_models import (
-    LINE,
     PLAIN,
     Hooked,
     Seen,
@@ -56,38 +55,6 @@ def searched(
 # ---------------------------------------------------------------- starting points
 
 
-def test_a_fit_also_starts_at_the_prior_means(study: GapStudy) -> None:
-    problem = study.problem(())
-    near, far = np.array(problem.start), np.array(problem.start)
-    at = problem.labels.index("a")
-    near[at], far[at] = 1.1, 1.3  # the prior is 0.8 +- 0.2
-    assert study.begins(problem, near) == []
-    known, _ = study.begins(problem, far)
-    assert known[at] == 0.8
-    others = np.arange(len(far)) != at
-    np.testing.assert_array_equal(known[others], far[others])
-
-
-def test_initial_states_also_restart_with_the_prior_means(study: GapStudy) -> None:
-    """Distorted coefficients come with distorted initial states, from which the prior means may diverge."""
-    problem = study.problem(())
-    far = np.array(problem.start)
-    far[problem.labels.index("a")], far[problem.labels.index("start[t2]")] = 1.3, 40.0
-    starts = study.begins(problem, far)
-    assert [start[problem.labels.index("start[t2]")] for start in starts] == [40.0, 0.0]
-    assert [start[problem.labels.index("a")] for start in starts] == [0.8, 0.8]
-
-
-def test_a_prior_from_the_same_trials_is_not_a_start(study: GapStudy) -> None:
-    published = tuple(replace(p, known=2.0) if p.name == "a" else p for p in LINE)
-    loose = GapStudy(study.model, published, study.trials, {"a": (0.8, 0.6)})
-    problem = loose.problem(())
-    at = problem.labels.index("a")
-    assert loose.begins(problem, np.array(problem.start))[0][at] == 2.0
-    tight = GapStudy(study.model, published, study.trials, {"a": (0.8, 0.2)})
-    assert tight.begins(problem, np.array(problem.start)) == []
-
-
 def test_a_base_in_a_poor_optimum_restarts_from_the_prior(rng: np.random.Generator) -> None:
     """The cost has an optimum in every turn; the lowest one is near the known frequency."""
 
@@ -106,30 +73,6 @@ def test_a_base_in_a_poor_optimum_restarts_from_the_prior(rng: np.random.Generat
     # five standard errors: a sample changes by about five of its units with the rate
     assert based.value("rate") == pytest.approx(1.05, abs=5 * 0.05 / np.sqrt(800) / 5)
     assert based.cost < trapped.cost
-
-
-def test_of_many_starting_points_the_best_optimum_is_found(rng: np.random.Generator) -> None:
-    """The starting points lie in several optima of a parameter of an effect."""
-
-    def turning(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
-        return {"y": values[0] * np.sin(values[1] * t) * np.exp(-0.05 * t)}
-
-    parameters = (parameter("size", 1.0), parameter("turn/rate", 1.0))
-    trials = [
-        Trial(f"t{k}", "fit", t, {"y": turning([1.3, 1.05], t)["y"] + 0.05 * rng.normal(size=len(t))})
-        for k, t in enumerate(np.linspace(0.0, 20.0 + k, 200) for k in range(4))
-    ]
-    study = GapStudy(Toy(turning, parameters, ("y",)), parameters, trials, {"size": (1.0, 0.5)})
-    study = with_sd(study, 0.05)
-    warm = study.fit((), [np.array([1.0, 0.5])])
-    starts = [np.array([1.0, rate]) for rate in (0.3, 2.5, 0.6, 3.1, 1.0, 1.7, 1.1)]
-    rough = study.fit((), starts, tolerance=1e-3, iterations=4, brief=True, hold=warm)
-    assert rough.value("turn/rate") == pytest.approx(1.05, abs=0.02)
-    assert rough.value("size") == pytest.approx(1.3, abs=0.1)
-    assert study.refit(rough, tolerance=1e-5).value("turn/rate") == pytest.approx(1.05, abs=0.002)
-    alone = study.fit((), [np.array([1.0, 2.5])], tolerance=1e-3, iterations=4, hold=warm)
-    alone = study.refit(alone, tolerance=1e-5)
-    assert abs(alone.value("turn/rate") - 1.05) > 0.5
 
 
 # ---------------------------------------------------------------- hypotheses
@@ -332,16 +275,6 @@ def test_a_trial_that_no_parameters_explain_is_not_left_out(rng: np.random.Gener
     assert state.odd_trials == {}
     assert len(state.study.trials) == 7
     assert odd.describe(odd.OddTrial("t3", state.null)) is None
-
-
-def test_the_parameters_of_an_odd_trial_are_described(rng: np.random.Generator) -> None:
-    study = plain_study(odd_one(rng, [1.0, 1.0, 1.0, 1.5, 1.0], [0.0] * 5), 0.02)
-    fit = study.fit((), [study.shape.start])
-    found = odd.describe(odd.OddTrial("t3", fit))
-    assert found is not None
-    assert found.startswith("a 1.5")
-    alike = plain_study(odd_one(rng, [1.0] * 5, [0.0] * 5), 0.02)
-    assert odd.describe(odd.OddTrial("t3", alike.fit((), [alike.shape.start]))) is None
 
 
 @pytest.mark.parametrize("seed", range(6))

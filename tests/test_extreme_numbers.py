@@ -56,7 +56,7 @@ def refused(ran: Ran, *words: str) -> None:
 CONTRADICTIONS = {
     "a short row": ("- [-0.5, 1.0]", "- [-0.5]", ["rows of 2, 1 numbers"]),
     "a row too many": ("- [-0.5, 1.0]", "- [-0.5, 1.0]\n  - [0.0, 0.0]", ["rows of 2, 2, 2 numbers"]),
-    "not symmetric": ("- [-0.5, 1.0]", "- [0.4, 1.0]", ["not symmetric", "added_mass"]),
+    "must be symmetric": ("- [-0.5, 1.0]", "- [0.4, 1.0]", ["must be symmetric", "added_mass"]),
     "a diagonal of 0": ("- [-0.5, 1.0]", "- [-0.5, 0.0]", ["diagonal of 1"]),
     "above 1": ("[1.0, -0.5]", "[1.0, -1.5]", ["matrix"]),
     "another name": ("names: [drag_coefficient, ", "names: [drag, ", ["'drag'", "drag_coefficient"]),

@@ -418,7 +418,7 @@ BAD = [
     ("points: {snout: {link: head, at_mm: [0, 0]}}", ("--robot", "tfish"), 3, "unknown key 'at_mm'"),
     ("points: {snout: {link: head, at_m: [0, 0]}}", (), 2, "name it with --robot"),
     ("chain: [snout]", (), 3, "a chain needs two points"),
-    ("chain: [snout, snout]", (), 3, "stands twice"),
+    ("chain: [snout, snout]", (), 3, "is listed twice"),
     ("chain: [snout, back]", ("--robot", "tfish"), 3, "a chain describes a body without a robot"),
     ("chain: [snout, back]\npoints: {tip: {link: fin, at_m: [0, 0]}}", (), 3, "not both"),
     ("chain: [snout, back]\nscale: {between: [snout, back]}", (), 3, "between needs distance_m"),

@@ -492,7 +492,7 @@ def test_times_of_kinovea_that_are_no_frames(tmp_path: Path) -> None:
     times = np.cumsum(np.random.default_rng(1).uniform(20, 60, 200))
     rows = [[f"{t:.2f}", "1", "2"] for t in times]
     path = _write(tmp_path / "a.csv", rows, names=["Time", "nose/0/X", "nose/0/Y"])
-    with pytest.raises(InputError, match="no multiples of a frame"):
+    with pytest.raises(InputError, match="not multiples of a frame period"):
         mapping.apply(None, path, {"rate_hz": 30.0, "length_unit": "mm"})
 
 

@@ -50,7 +50,7 @@ def test_accelerations_in_another_unit_are_converted(run: imu.Run, unit: str, fa
 
 @pytest.mark.parametrize("factor", [0.01, 2.0])
 def test_accelerations_of_no_known_unit_are_refused(run: imu.Run, factor: float) -> None:
-    with pytest.raises(InputError, match="gravity alone makes"):
+    with pytest.raises(InputError, match="gravity alone gives"):
         faults.repair(replace(record(run), acceleration=run.acceleration * factor))
 
 

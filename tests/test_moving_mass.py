@@ -111,5 +111,5 @@ def test_moved_battery_trims_a_glider(tmp_path):
 
 
 def test_weight_in_a_horizontal_plane_is_refused(tmp_path):
-    with pytest.raises(InputError, match="'weighs' belongs to a vertical plane"):
+    with pytest.raises(InputError, match="'weighs' is set, but weight does not act in a horizontal plane"):
         robot_model(str(write(tmp_path, "plane", weighs=True)))

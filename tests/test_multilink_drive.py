@@ -208,7 +208,7 @@ class TestMeasured:
         np.testing.assert_array_equal(outside[1:], 0.0)
 
     def test_too_few_samples(self) -> None:
-        with pytest.raises(ValueError, match="at least five"):
+        with pytest.raises(ValueError, match="at least 5"):
             drive.fit_spline(np.arange(6.0), np.array([0.0, 1.0, np.nan, 2.0, np.nan, 1.0]))
 
 

@@ -153,7 +153,7 @@ WRONG = {
     ),
     "drag that drives": ("normal_area_m2: 0.02", "normal_area_m2: -0.02", "normal_area_m2", "negative", ""),
     "stations exchanged": (
-        "from_m: 0.05, to_m: 0.2", "from_m: 0.2, to_m: 0.05", "elements.1", "behind from_m", "",
+        "from_m: 0.05, to_m: 0.2", "from_m: 0.2, to_m: 0.05", "elements.1", "greater than from_m", "",
     ),
     "sections out of order": ("station_m: 0,", "station_m: 0.3,", "elements.3", "must increase", ""),
     "point on strips": ("from_m: 0.05, to_m: 0.2", "at_m: 0.1", "elements.1", "strips: 1", ""),

@@ -229,7 +229,10 @@ def test_only_what_was_asked_of_an_import_is_recorded() -> None:
 @pytest.mark.parametrize(
     "words, text",
     [
-        (["fit-graybox", "t.yaml", "--front", "f.csv"], "--front belongs to --method nsga2 or hybrid"),
+        (
+            ["fit-graybox", "t.yaml", "--front", "f.csv"],
+            "--front is valid only with --method nsga2 or hybrid",
+        ),
         (["fit-drag", "t.yaml", "--points", "1"], "--points: '1' should be two numbers with a comma"),
         (["map", "--over", "f=1:2"], "--over: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
         (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' is not a name"),
@@ -262,8 +265,8 @@ class TestWording:
             (
                 ["fit-propulsion", SWIM, "--drag", "drag.yaml"],
                 lambda: package.fit_propulsion(TestWording.SWIM, drag="drag.yaml"),
-                "--drag belongs to a cruise experiment",
-                "drag belongs to a cruise experiment",
+                "--drag is valid only for a cruise experiment",
+                "drag is valid only for a cruise experiment",
             ),
             (
                 ["track", "setup", "v.mp4", "--background", "--marker", "a@1,2", "-o", "{out}"],
@@ -291,10 +294,16 @@ class TestWording:
 
     def test_warnings(self, swimid: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(ROOT)
-        with pytest.warns(SwimidWarning, match="^SWM004 coordinate belongs to a free-decay experiment"):
+        with pytest.warns(
+            SwimidWarning,
+            match="^SWM004 coordinate has no effect: it is used only in a free-decay experiment",
+        ):
             package.fit_drag(self.RIG, coordinate="roll_rad")
         ran = swimid("fit-drag", self.RIG, "--coordinate", "roll_rad")
-        assert "warning SWM004: --coordinate belongs to a free-decay experiment" in ran.err
+        assert (
+            "warning SWM004: --coordinate has no effect: it is used only in a free-decay experiment"
+            in ran.err
+        )
 
     def test_commands_in_hints_can_still_be_typed(self) -> None:
         @takes(Example)

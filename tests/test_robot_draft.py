@@ -154,7 +154,7 @@ def test_init_keeps_the_questions_of_a_rig_beside_such_a_file(swimid, tmp_path, 
     "change, text",
     [
         (('<joint name="fin" ', '<joint name="fin" axis="1 0 0" '), "are not parallel"),
-        (('<joint name="fin" ', '<joint name="fin" type="slide" '), "is no hinge"),
+        (('<joint name="fin" ', '<joint name="fin" type="slide" '), "is not a hinge"),
         (('<joint name="fin" ', '<joint name="extra" type="hinge"/><joint name="fin" '), "has 2 joints"),
     ],
 )

@@ -305,7 +305,7 @@ def test_exchanged_markers_and_a_wrong_scale_are_noticed():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"facing": "left", "plane": "horizontal"}, "facing: left goes with plane: vertical"),
+        ({"facing": "left", "plane": "horizontal"}, "'facing: left' is valid only with 'plane: vertical'"),
         ({"facing": "down"}, "facing"),
         ({"scale": None}, "needs a head, a tail and a scale"),
         ({"tail": None}, "needs a head, a tail and a scale"),

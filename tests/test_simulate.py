@@ -310,12 +310,16 @@ def test_a_film_shows_the_robot_swim(swimid: Run, tmp_path: Path, ending: str) -
         (("--robot", "tfish", "--frequency-hz", "150", "--amplitude-deg", "9"), 2, "cannot be integrated"),
         (("--robot", "tfish", *BEAT, "--set", "c_m=1"), 2, "did you mean 'c_ma'"),
         (("--robot", "tfish", *BEAT, "--reading", "areas=both"), 2, "no option 'both'"),
-        (("--robot", "tfish", *BEAT, "--trial", "a"), 2, "--trial belongs to --trials"),
-        (("--robot", "tfish", *BEAT, "--animate", "film.avi"), 2, "can be no animation"),
-        (("--robot", "tfish", *BEAT, "-o", "sim.txt"), 2, "can be no log"),
+        (("--robot", "tfish", *BEAT, "--trial", "a"), 2, "--trial is given without --trials"),
+        (
+            ("--robot", "tfish", *BEAT, "--animate", "film.avi"),
+            2,
+            "is not a valid file name for an animation",
+        ),
+        (("--robot", "tfish", *BEAT, "-o", "sim.txt"), 2, "is not a valid output"),
         (("--robot", "tfish", *BEAT, "-o", "nowhere/sim.csv"), 3, "does not exist"),
         (("--robot", "tfish", *BEAT, "--set", "c_ma=-1.5"), 3, "not positive definite"),
-        (("--robot", "tfish", *BEAT, "--trials", "t.yaml"), 2, "no place beside --trials"),
+        (("--robot", "tfish", *BEAT, "--trials", "t.yaml"), 2, "cannot be combined with --trials"),
     ],
 )
 def test_impossible_simulations_are_refused_with_a_reason(

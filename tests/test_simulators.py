@@ -398,7 +398,7 @@ class TestErrors:
                 None,
             ),
             ({"outputs": {"hinge_rad": "joint/hing"}}, "has no joint 'hing'", "hinge"),
-            ({"outputs": {"hinge_rad": "joints/hinge"}}, "is no output", "joint/NAME"),
+            ({"outputs": {"hinge_rad": "joints/hinge"}}, "is not a valid output", "joint/NAME"),
             ({"inputs": {"motor": "cmd"}}, "has no actuator 'motor'", None),
             ({"mjcf": "other.xml"}, "there is no such file", None),
             ({"keyframe": "home"}, "has no key 'home'", None),

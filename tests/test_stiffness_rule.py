@@ -93,7 +93,7 @@ def test_the_rule_interpolates_linearly_between_amplitudes(two: RuleFile) -> Non
     assert two.stiffness_for(1.0, 30.0) == pytest.approx(0.0195)
     assert two.stiffness_for(2.0, 35.0) == 0.05
     for frequency, amplitude in ((0.5, 20.0), (1.0, 36.0), (float("nan"), 20.0)):
-        with pytest.raises(UsageError, match="outside the rule"):
+        with pytest.raises(UsageError, match="outside the range of the rule"):
             two.stiffness_for(frequency, amplitude)
     assert two.stiffness_for(5.0, 50.0, outside="hold") == two.stiffness_for(2.0, 35.0)
     with pytest.raises(UsageError, match="amplitude"):
@@ -134,7 +134,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
     [
         ({"over": {"K_s": (0.1, 1.0, 3)}}, "frequency_hz"),
         ({"over": {"frequency_hz": (1.0, 2.0, 2)}}, "three frequencies"),
-        ({"coefficient": "K"}, "K stands in no passive joint's law"),
+        ({"coefficient": "K"}, "no law of a passive joint contains K"),
         ({"robot": "sealion", "stroke": "characteristic"}, "tail beat"),
         ({"between": (-1.0, 2.0)}, "lies between"),
         ({"amplitude_deg": None}, "needs amplitude_deg"),

@@ -160,7 +160,7 @@ def test_a_marker_seen_in_few_frames_is_refused(tmp_path, setup):
         (SETUP + "max_gap: 1\n", ["line 5", "max_gap", "max_gap_s"]),
         (SETUP.replace("value: [0.3, 1]", "value: [0.9, 0.3]"), ["smallest, largest"]),
         (SETUP.replace("value: [0.3, 1]", "value: bright"), ["value"]),
-        (SETUP + "    method: background\n", ["takes no hsv"]),
+        (SETUP + "    method: background\n", ["omit its hsv"]),
         (SETUP.replace("hsv:", "method: colour #"), ["marker 'red' needs hsv"]),
         (SETUP + "  - {name: body, method: background}\n", ["is the only marker of a setup"]),
         (

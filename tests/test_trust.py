@@ -73,7 +73,7 @@ class TestRule:
         assert checks(rule)["uncertainty of the rule"] == "info"
 
     def test_a_coefficient_that_is_no_stiffness_is_refused(self) -> None:
-        with pytest.raises(UsageError, match="no passive joint's law"):
+        with pytest.raises(UsageError, match="no law of a passive joint"):
             package.optimise_stiffness(robot="dolphin", coefficient="c_d2", **RULE)
 
 

@@ -100,7 +100,7 @@ CONSTANTS = (
     *_of("remainder", "QUANTILE", rest=True),
     *_of("noise", "MIN_LOG_LIKELIHOOD_GAIN", "MIN_FREE_SHARE", "LARGEST_SD", "BESIDE_GAP"),
     *_of("odd", "MIN_ODDS_RATIO"),
-    *_of("priors", "EFFECT_PRIOR", "START_PRIOR", "MAX_PRIOR_DISTANCE_SD", "MAX_INFORMATIVE_SHARE"),
+    *_of("study", "EFFECT_PRIOR", "START_PRIOR", "MAX_PRIOR_DISTANCE_SD", "MAX_INFORMATIVE_SHARE"),
     *_of("nominal", "OWN_PRIOR", "OTHER_PRIOR", "OTHER_DAY", "MAX_RATE_CORRELATION"),
     *_of("crossval", "SHRINKAGE"),
     *_of("screening", "MIN_SOUND_SHARE"),

@@ -795,7 +795,7 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
             raise InputError(text, file=log.path, column="t_s", hint=hint)
         if rate.jitter > sampling.NOTABLE_JITTER:
             text = f"time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s"
-            warn("SWM003", f"{name}: {text}; the model takes them as equal")
+            warn("SWM003", f"{name}: {text}; the model assumes equal steps")
     return first_s
 
 

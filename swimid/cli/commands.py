@@ -54,10 +54,10 @@ def import_file(
     """
     if options.guess:
         if options.map_path is not None:
-            raise UsageError("--guess drafts a mapping, and takes none")
+            raise UsageError("--guess drafts a mapping and cannot be combined with --map: omit one of them")
         return guess_mapping(file, options=options, output=output)
     if output is None:
-        raise UsageError("say where the log goes", hint="add -o run.csv")
+        raise UsageError("no output file is given for the log", hint="add -o run.csv")
     return logs.import_log(file, options=options, output=output, progress=progress)
 
 

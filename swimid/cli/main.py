@@ -154,7 +154,7 @@ class CommandRun:
             left = f"written before: {', '.join(map(str, written))}"
         elif self.output is not None and atomic.checkpoint_path(self.output).is_file():
             checkpoint = atomic.checkpoint_path(self.output)
-            left = f"{checkpoint} keeps what was computed: the same command goes on from there"
+            left = f"{checkpoint} keeps the computed part: the same command continues from there"
         return Interrupted(f"interrupted; {left}")
 
     def _print(

@@ -9,13 +9,12 @@ import numpy as np
 from scipy import special
 
 from swimid.blackbox import model as arx
-from swimid.diagnosis import advice, crossval, dropouts, evidence, held_out, places, settings, verdict
+from swimid.diagnosis import crossval, dropouts, evidence, held_out, places, proposals, settings, verdict
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
     ChangedValue,
-    ChannelGap,
     EffectRow,
     Facts,
     GapFile,
@@ -25,7 +24,6 @@ from swimid.diagnosis.gap_file import (
     Remaining,
     Shrinkage,
     Value,
-    Where,
 )
 from swimid.diagnosis.held_out import HeldOutSeries, Prediction
 from swimid.diagnosis.noise import NoiseModel
@@ -62,27 +60,17 @@ REPEAT = "repeat one setting three times: what repeats is physics, what does not
 
 def propose_cause(search: SearchResult, found: CauseComparison) -> Proposed:
     """Return the effects that cannot be distinguished from the cause of a search round."""
-    name = found.name
-    share = search.posterior.instead(name, search.base.names)
+    name, fit = found.name, search.base
+    share = search.posterior.instead(name, fit.names)
     order = [name, *(n for n in share if n != name)]
     before = np.cumsum([0.0, *(share.get(n, 0.0) for n in order[:-1])])
-    alike = [
-        n for n, sum_before in zip(order, before, strict=True) if sum_before < MIN_EQUIVALENT_PROBABILITY
-    ]
-    shown = list(dict.fromkeys([name, *found.same, *alike]))[:MAX_EQUIVALENTS]
-    alone = share.get(name, 0.0) + sum(share.get(n, 0.0) for n in found.same)
-    own = any(p.per_trial for p in found.ranked[0].last_screening.parameters)
-    fit = search.base
-    at_bound = any(
-        label.rpartition("/")[0] == name and not inside
-        for label, inside in zip(fit.labels, fit.inside, strict=True)
-    )
+    alike = [n for n, total in zip(order, before, strict=True) if total < MIN_EQUIVALENT_PROBABILITY]
     return Proposed(
-        equivalent=shown[1:],
-        alone=alone,
+        equivalent=list(dict.fromkeys([name, *found.same, *alike]))[1:MAX_EQUIVALENTS],
+        alone=share.get(name, 0.0) + sum(share.get(n, 0.0) for n in found.same),
         crowded=len(alike) > MAX_EQUIVALENTS,
-        per_trial=own,
-        at_bound=at_bound,
+        per_trial=any(p.per_trial for p in found.ranked[0].last_screening.parameters),
+        at_bound=any(n.rpartition("/")[0] == name and not fit.is_inside(n) for n in fit.labels),
     )
 
 
@@ -122,7 +110,7 @@ def answer(
     """
     study, null = search.study, search.null
     ranges = _compute_ranges(null)
-    floor = held_out.compute_floors(study, search.base)
+    floor = places.compute_floors(study, search.base)
     raw = [trial for trial in raw if trial.id not in search.odd_trials]
     failed = dropouts.compute_misfit(search, raw, floor)
     validation = _remove_failed(search.base, validation, study.noise)
@@ -138,15 +126,10 @@ def answer(
     if failed:
         causes = dropouts.add_failed_samples(search, causes, raw, floor, failed, ranges)
     scores = _scores(search)
-    cells = places.Map(study, null, floor)
-    where = Where(
-        channels=_channels(search, floor, ranges),
-        stage=_stages(scores, causes),
-        regime=places.regimes(cells),
-        time=places.times(cells),
-    )
-    if decided.verdict != "none":
-        where.phase = places.phases(cells)
+    where = places.locate_gap(study, null, floor, ranges)
+    where.stage = _stages(scores, causes)
+    if decided.verdict == "none":
+        where.phase = []
     labels, closed = ["as given", "refitted"], None
     if shown:
         labels += [f"+ {c.name}" for c in search.comparisons]
@@ -160,7 +143,7 @@ def answer(
         remaining=_remaining(search, facts, named=bool(shown)),
         facts=facts,
         setting_count=settings.count_settings([*study.trials, *validation]),
-        at_bound=_at_bounds(null),
+        at_bound=_list_bounds(null),
         moved=_list_moved(search, base, sd, begun.unweighed),
         hypotheses=_hypotheses(search),
         samples=sum(len(r) for r in null.residuals) or None,
@@ -188,8 +171,8 @@ def _compute_ranges(null: Hypothesis) -> dict[str, float]:
     ranges = {c: float(np.ptp(values)) or 1.0 for c, values in null.collect_measured().items()}
     if all(compute_rms(left) > MAX_RELATIVE_ERROR * ranges[c] for c, left in null.by_channel().items()):
         raise NoTrustworthyResult(
-            f"the refitted model is off by more than {MAX_RELATIVE_ERROR:g} times the range of every channel",
-            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
+            f"the refitted model has residuals above {MAX_RELATIVE_ERROR:g} times the range in all channels",
+            hint="check the units of the logs, the drive, and the start values of the coefficients",
         )
     return ranges
 
@@ -299,28 +282,6 @@ def _name_held_out(study: GapStudy, validation: Sequence[Trial]) -> HeldOut:
     return "stretches"
 
 
-def _channels(
-    search: SearchResult, floor: Mapping[str, float], ranges: Mapping[str, float]
-) -> list[ChannelGap]:
-    units = {c.name: c.unit for c in search.study.model.channels}
-    residuals = search.null.by_channel()
-    beyond = {
-        c: max(float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)), 0.0) for c, v in residuals.items()
-    }
-    total = sum(beyond.values()) or 1.0
-    return [
-        ChannelGap(
-            channel=channel,
-            nrmse=compute_rms(left) / ranges[channel],
-            floor=floor[channel] / ranges[channel],
-            share=beyond[channel] / total,
-            rmse=compute_rms(left),
-            unit=units.get(channel, "1"),
-        )
-        for channel, left in residuals.items()
-    ]
-
-
 def _causes(
     search: SearchResult,
     shown: Sequence[CauseComparison],
@@ -336,9 +297,7 @@ def _causes(
         parameters = estimate_sizes(search.base, best.last_screening, sd, given)
         cause = Cause(
             effect=found.name,
-            probability=float(
-                np.clip(search.posterior.compute_probability(found.name, *equivalent), 0.0, 1.0)
-            ),
+            probability=search.posterior.compute_probability(found.name, *equivalent),
             equivalent=equivalent,
             parameters=parameters,
             stage=effect.stage,
@@ -384,9 +343,10 @@ def estimate_sizes(
     for p in cause.parameters:
         name = f"{effect.name}/{p.name}"
         if effect.adds_to is not None:
-            inside = base.inside[base.labels.index(name)]
             value, known = base.value(effect.adds_to) + base.value(name), given[effect.adds_to]
-            found[effect.adds_to] = _compare_with_file(known, value, sd[effect.name], p.unit, inside=inside)
+            found[effect.adds_to] = _compare_with_file(
+                known, value, sd[effect.name], p.unit, inside=base.is_inside(name)
+            )
             continue
         labels = [n for n in base.labels if n.split("[")[0] == name]
         values = [base.value(n) for n in labels]
@@ -410,21 +370,19 @@ def _list_moved(
 
     The significance level is 5 % (two-sided) for all parameters together (Bonferroni).
     """
-    inside = dict(zip(base.labels, base.inside, strict=True))
-    names = [p for p in search.study.parameters if p.name in given and inside.get(p.name)]
-    limit = -float(special.ndtri(0.5 * CHANGE_P_VALUE / max(len(names), 1)))
+    parameters = [p for p in search.study.parameters if p.name in given and base.is_inside(p.name)]
+    limit = -float(special.ndtri(0.5 * CHANGE_P_VALUE / max(len(parameters), 1)))
     found = {}
-    for p in names:
+    for p in parameters:
         change = _compare_with_file(given[p.name], base.value(p.name), sd[p.name], p.unit, inside=True)
         if (change.standard_errors or 0.0) > limit:
             found[p.name] = change
     return found
 
 
-def _at_bounds(fit: Hypothesis) -> dict[str, float]:
+def _list_bounds(fit: Hypothesis) -> dict[str, float]:
     """Return the shared coefficients of the model that are at a bound, with the value of the bound."""
-    ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
-    return {label: float(value) for label, value, inside in ends if not inside and "[" not in label}
+    return {label: fit.value(label) for label in fit.labels if "[" not in label and not fit.is_inside(label)}
 
 
 def _list_absorbed(
@@ -440,7 +398,7 @@ def _list_absorbed(
         if p.per_trial or p.name not in nominal.labels or p.name in causes:
             continue
         values = [
-            _value(fit.value(p.name), errors.get(p.name), p.unit, inside=fit.inside[fit.labels.index(p.name)])
+            _value(fit.value(p.name), errors.get(p.name), p.unit, inside=fit.is_inside(p.name))
             for fit, errors in ((nominal, plain), (base, sd))
         ]
         one = Absorbed(coefficient=p.name, without=values[0], with_effect=values[1])
@@ -462,18 +420,18 @@ def _advice(
     if file.verdict == "unexplained" and file.held_out == "validation":
         off = [name for name, t in file.facts.held_out.items() if t.after > t.limit]
         if off:
-            text = f"fit {', '.join(off)}, too (role: fit): what acts there alone shows nowhere else"
+            text = f"fit {', '.join(off)}, too (role: fit): no other trial shows effects that act only there"
             return [Advice(text=text)]
     rivals, has_equivalents = _select_rivals(file.facts, shown)
     if len(rivals) < 2:
         repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
         return repeat if file.verdict in ("partial", "unexplained") else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
-    if not has_equivalents and now > advice.compute_threshold(rivals):
+    if not has_equivalents and now > proposals.compute_threshold(rivals):
         # The present trials already exclude the next best rival.
         return []
     try:
-        return advice.advise_trials(search.study, rivals, limits, now)
+        return proposals.advise_trials(search.study, rivals, limits, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 
@@ -500,20 +458,17 @@ def _scores(search: SearchResult) -> list[EffectRow]:
     screening.
     """
     rows: dict[str, EffectRow] = {}
-    for h in search.singles:
-        having = search.posterior.compute_probability(h.last_screening.effect.name)
-        row = _score(h.last_screening, gain=h.gain, stderr=h.gain_stderr, probability=having)
-        rows.setdefault(row.effect, row)
-    for tried in search.first_screen:
-        rows.setdefault(tried.effect.name, _score(tried))
+    for h in (*search.singles, *search.first_screen):
+        about: dict[str, float] = {}
+        tried = h.last_screening if isinstance(h, Hypothesis) else h
+        name = tried.effect.name
+        if isinstance(h, Hypothesis):
+            having = search.posterior.compute_probability(name)
+            about = {"gain": h.gain, "stderr": h.gain_stderr, "probability": having}
+        variant, stage = ", ".join(p.name for p in tried.parameters), tried.effect.stage
+        row = EffectRow(effect=name, stage=stage, variant=variant, absorbed=tried.absorbed, **about)
+        rows.setdefault(name, row)
     return list(rows.values())
-
-
-def _score(tried: Screening, **fitted: float) -> EffectRow:
-    effect, variant = tried.effect, ", ".join(p.name for p in tried.parameters)
-    return EffectRow(
-        effect=effect.name, stage=effect.stage, variant=variant, absorbed=tried.absorbed, **fitted
-    )
 
 
 def _hypotheses(search: SearchResult) -> list[HypothesisRow]:
@@ -522,12 +477,9 @@ def _hypotheses(search: SearchResult) -> list[HypothesisRow]:
     return [
         HypothesisRow(
             effects=sorted(c.names),
-            numbers=c.numbers,
-            widening=c.widening,
             deviances=c.deviances.tolist(),
-            strain=c.strain,
-            alike=dict(c.alike),
             probability=found.sets.get(c.names, found.none),
+            **{name: getattr(c, name) for name in ("numbers", "widening", "strain", "alike")},
         )
         for c in found.candidates
     ]
@@ -541,7 +493,7 @@ def _stages(rows: Sequence[EffectRow], causes: Sequence[Cause]) -> dict[Stage, f
     0.
     """
     applied = {row.stage for row in rows}
-    stages = [stage for stage in STAGES if stage != "rig" or "rig" in applied]
+    stages = [stage for stage in STAGES if stage != "rig" or stage in applied]
     sums = {stage: sum(row.probability or 0.0 for row in rows if row.stage == stage) for stage in stages}
     if causes and causes[0].effect == MarkerDropout.name:
         sums = {stage: float(stage == MarkerDropout.stage) for stage in stages}

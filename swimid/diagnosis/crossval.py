@@ -169,10 +169,7 @@ def form_normal_equations(
     width = len(shared) + len(columns) + 1
     products = np.zeros((folds.count, width, width))
     samples, own = np.zeros(folds.count), np.zeros(folds.count)
-    random, spread = (
-        np.zeros((folds.count, len(centred), width)),
-        np.zeros((folds.count, *[len(centred)] * 2)),
-    )
+    random, spread = (np.zeros((folds.count, len(centred), size)) for size in (width, len(centred)))
     for k in range(len(study.trials)):
         mine = study.select_own(fit, k)
         block = np.column_stack([fit.columns(k, shared), *(c[k] for c in columns), fit.residuals[k]])
@@ -244,9 +241,8 @@ def compute_deviances(equations: NormalEquations) -> tuple[Array, Array]:
         normal = products[:, :shared, :shared] + prior
         right = products[:, :shared, -1] + prior @ equations.pull
         scaled = scale[:, None] * normal * scale + 1e-11 * np.eye(shared)
-        return np.linalg.slogdet(scaled)[1], np.sum(
-            solve_normal(normal, right[..., None])[..., 0] * right, axis=-1
-        )
+        steps = solve_normal(normal, right[..., None])[..., 0]
+        return np.linalg.slogdet(scaled)[1], np.sum(steps * right, axis=-1)
 
     log, taken = fit(equations.rest + equations.products)
     rest, other = fit(equations.rest)
@@ -299,9 +295,8 @@ def compute_held_out(
     shared, square = equations.n_shared, np.ix_(at, at)
     inner, rest = (part[:, at[:, None], at] for part in (equations.products, equations.rest))
     if draws is None:
-        right, all_right, other = (
-            part[..., at, -1:] for part in (equations.products, equations.whole, equations.rest)
-        )
+        parts = equations.products, equations.whole, equations.rest
+        right, all_right, other = (part[..., at, -1:] for part in parts)
     else:
         right = draws.right[:, at, :]
         all_right = right.sum(axis=0)
@@ -387,8 +382,8 @@ def compute_covariance(study: GapStudy, fit: Hypothesis) -> Array:
     """Return the covariance matrix of the parameters of a fit, shape (p, p).
 
     The standard errors of shared parameters are at least those of the jackknife over folds, with Student's
-    distribution [1]_. What the form of an effect leaves in the residuals, and what differs between the folds,
-    is therefore part of them. The same holds for the sum of a parameter and its change. The data determine
+    distribution [1]_. Errors of the form of an effect, and differences between the folds, are therefore part
+    of them. The same holds for the sum of a parameter and its change. The data determine
     the sum well, although its two parts are uncertain.
 
     References
@@ -408,12 +403,11 @@ def compute_covariance(study: GapStudy, fit: Hypothesis) -> Array:
         return found
     s, pulled = equations.n_shared, equations.prior @ equations.pull
 
-    def step(products: Array) -> Array:
-        return solve_normal(
-            products[..., :s, :s] + equations.prior, (products[..., :s, -1] + pulled)[..., None]
-        )
-
-    steps = (step(equations.rest) - step(equations.whole))[..., 0]
+    rest, whole = (
+        solve_normal(part[..., :s, :s] + equations.prior, (part[..., :s, -1] + pulled)[..., None])
+        for part in (equations.rest, equations.whole)
+    )
+    steps = (rest - whole)[..., 0]
     # Replace each change by its sum with the parameter, for the comparison with the jackknife.
     sums = np.eye(len(found))
     for name, change in fit.changes.items():

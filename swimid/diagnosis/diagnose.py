@@ -67,8 +67,8 @@ def _compute_errors(loaded: Loaded) -> dict[str, ChannelScore]:
     return compare_series.pool(done, experiment.model)
 
 
-def _check_requested(effects: Sequence[str], names: list[str], model: Model) -> Sequence[str]:
-    """Return the effects that the user requests, after checking that they are hypotheses.
+def _check_requested(effects: Sequence[str], names: list[str], model: Model) -> None:
+    """Check that the effects that the user requests are hypotheses.
 
     Raises
     ------
@@ -81,7 +81,6 @@ def _check_requested(effects: Sequence[str], names: list[str], model: Model) -> 
             raise UsageError(f"the effect '{name}' is part of the model in the parameter file")
         if name not in names:
             raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
-    return effects
 
 
 def _check_outputs(
@@ -101,9 +100,9 @@ def _check_outputs(
         If an output cannot be written, is an input or another output, or is given beside ``--power``.
     """
     if options.next is not None and options.power:
-        raise UsageError("--next has no place beside --power, which compares no rival causes")
+        raise UsageError("--next cannot be combined with --power, which compares no rival causes: omit one")
     if options.repaired is not None and options.power:
-        raise UsageError("--repaired has no place beside --power, which names no causes")
+        raise UsageError("--repaired cannot be combined with --power, which names no causes: omit one")
     repaired_path = options.repaired
     if repaired_path is None and output is not None and not (options.power or atomic.is_device(output)):
         repaired_path = output.with_name(evidence.REPAIRED)
@@ -181,17 +180,6 @@ class _Task:
             reasons.append(NOT_REQUESTED.format(join_names(omitted)))
         return reasons
 
-    @property
-    def limits(self) -> TrialLimits:
-        """Limits of a proposed trial."""
-        options = self.options
-        return TrialLimits(
-            self.loaded.experiment,
-            options.tank_length_m,
-            options.max_frequency_hz or math.inf,
-            math.radians(options.max_amplitude_deg or math.inf),
-        )
-
 
 def _prepare(loaded: Loaded, options: DiagnoseOptions, inputs: Sequence[Input]) -> _Task:
     """Return the inputs of a diagnosis.
@@ -199,7 +187,7 @@ def _prepare(loaded: Loaded, options: DiagnoseOptions, inputs: Sequence[Input]) 
     Raises
     ------
     UsageError
-        If a requested effect does not exist.
+        If a requested effect does not exist, or acts in the model already.
     NoTrustworthyResult
         If there is no trial of role ``fit``.
     """
@@ -213,7 +201,8 @@ def _prepare(loaded: Loaded, options: DiagnoseOptions, inputs: Sequence[Input]) 
     asked = None
     if options.effects:
         names = [*(e.name for e in (*effects, *begun.changes)), *readings.list_names(experiment)]
-        asked = {*_check_requested(options.effects, names, model), *(e.name for e in own)}
+        _check_requested(options.effects, names, model)
+        asked = {*options.effects, *(e.name for e in own)}
     trials = [t for t in begun.trials if t.role == "fit"]
     if not trials:
         raise NoTrustworthyResult("no trial has the role 'fit'")
@@ -267,15 +256,13 @@ def _find_causes(
         study, [*task.applicable, *others, *begun.changes], asked=task.asked, seed=options.seed,
         most=options.max_causes, checkpoint=checkpoint, progress=progress,
     )  # fmt: skip
+    hz, deg = (most or math.inf for most in (options.max_frequency_hz, options.max_amplitude_deg))
+    limits = TrialLimits(experiment, options.tank_length_m, hz, math.radians(deg))
     validation = [t for t in begun.trials if t.role == "validate"]
     with threadpool_limits(limits=1, user_api="blas"):
-        file, worst = answer.answer(
-            result, validation, begun, study.trials, limits=task.limits, progress=progress
-        )
-    origin = task.about["provenance"]
-    repaired_file = repaired.build_repaired(
-        result, file, task.loaded, folder, readings=dict(options.readings), provenance=origin
-    )
+        file, worst = answer.answer(result, validation, begun, study.trials, limits=limits, progress=progress)
+    origin = {"readings": dict(options.readings), "provenance": task.about["provenance"]}
+    repaired_file = repaired.build_repaired(result, file, task.loaded, folder, **origin)
     if options.next is not None:
         _check_command(options.next, file)
     if experiment.values_from == TRIALS_FILE:

@@ -74,8 +74,8 @@ REPAIRED = "repaired.yaml"
 MIN_REFIT_SHARE = 0.005
 #: Definition of the squared error of a held-out part.
 SQUARED = (
-    "The squared error is the squared Mahalanobis distance from the prediction, whose covariance has the "
-    "noise, what differs by chance between trials, and the uncertainty of the parameters."
+    "The squared error is the squared Mahalanobis distance from the prediction, whose covariance includes "
+    "the noise, the between-trial variation, and the uncertainty of the parameters."
 )
 
 
@@ -101,7 +101,7 @@ def build_gap_evidence(
         tests.insert(0, ev.make_check("logs agree with their metadata", "no", False, reason=against))
     said = format_answer(file)
     verdict = ev.make_verdict(said, tests)
-    word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
+    word = "No gap" if file.verdict == "none" else file.verdict.capitalize()
     tables = [
         _waterfall(file), _parts_held_out(file), _errors(file), _causes(file), _coefficients(file),
         _scores(file), _parts(file),
@@ -136,15 +136,11 @@ def build_gap_evidence(
 
 def _count_tried(file: GapFile) -> str:
     """Return the numbers of effects, changed parameters and other readings that were tried."""
-    names = {s.effect for s in file.scores}
-    changes = {name for name in names if name.startswith(PREFIX)}
-    other = {name for name in names if name.startswith(READING)}
-    counted = (
-        ("effect", "effects", names - changes - other),
-        ("changed parameter", "changed parameters", changes),
-        ("other reading", "other readings", other),
-    )
-    return join_names([f"{len(of)} {plural(one, several, of)}" for one, several, of in counted if of])
+    counted: dict[str, set[str]] = {"effect": set(), "changed parameter": set(), "other reading": set()}
+    prefixes = {PREFIX: "changed parameter", READING: "other reading"}
+    for name in (s.effect for s in file.scores):
+        counted[next((kind for p, kind in prefixes.items() if name.startswith(p)), "effect")].add(name)
+    return join_names([f"{len(of)} {plural(kind, f'{kind}s', of)}" for kind, of in counted.items() if of])
 
 
 # ---------------------------------------------------------------- checks
@@ -156,12 +152,11 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     passed: bool | None
     for row in verdict.list_rows(file.facts):
         otherwise = grades[row.otherwise == "unexplained"]
-        yield ev.make_check(
-            row.question, row.found, row.passed, row.needed, otherwise=otherwise, reason=row.reason
-        )
+        found = row.question, row.found, row.passed, row.needed
+        yield ev.make_check(*found, otherwise=otherwise, reason=row.reason)
     if file.moved:
         said = format_changes(file.moved)
-        reason = f"the parameters as given are others than those refitted: {said}"
+        reason = f"the given parameters differ from the refitted ones: {said}"
         yield ev.make_check("parameters as given", said, False, "within their errors", reason=reason)
     if file.at_bound:
         said = join_names([f"{name} at {format_number(bound, 3)}" for name, bound in file.at_bound.items()])
@@ -181,25 +176,20 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         yield from _of_causes(file)
         passed = passed or None
     said = format_remaining(file)
-    text = "whether a description without any physics still gains on held-out trials"
+    text = "whether a generic description without physics reduces the held-out residuals"
     otherwise = grades[file.verdict == "unexplained"]
-    yield ev.make_check(
-        "structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said
-    )
+    name = "structure that remains"
+    yield ev.make_check(name, said, passed, "none", text, otherwise=otherwise, reason=said)
 
 
 def _of_causes(file: GapFile) -> Iterable[ev.Check]:
     first, *_ = file.causes
     for c in file.causes:
         if c.gain is not None and len(file.causes) > 1:
-            gain, passed = (
-                numbers.format_estimate(c.gain, c.gain_stderr),
-                c.gain > 2.0 * (c.gain_stderr or 0.0),
-            )
-            reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
-            yield ev.make_check(
-                f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason
-            )
+            name, gain = f"held-out gain of {c.effect}", numbers.format_estimate(c.gain, c.gain_stderr)
+            reason = f"the {name} is no more than two standard errors ({gain})"
+            passed = c.gain > 2.0 * (c.gain_stderr or 0.0)
+            yield ev.make_check(name, gain, passed, "> 2 standard errors", reason=reason)
     ends = [f"{c.effect}/{n}" for c in file.causes for n, v in c.parameters.items() if v.status == "at-bound"]
     stuck = [a.coefficient for a in first.absorbed if a.with_effect.status == "at-bound"]
     for name, found in (("sizes of the causes", ends), ("coefficients with the causes", stuck)):
@@ -209,14 +199,9 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         share = file.closed.share or 0.0
         said = f"{percent(share, 2)} {format_interval(file.closed)}".strip()
         name = "squared gap closed with the failed samples"
-        reason = f"{said} of the squared gap closes with the failed samples"
-        yield ev.make_check(
-            name,
-            said,
-            share >= verdict.MIN_CLOSED_SHARE,
-            f"≥ {percent(verdict.MIN_CLOSED_SHARE)}",
-            reason=reason,
-        )
+        reason = f"if the failed samples are included, {said} of the squared gap closes"
+        passed, needed = share >= verdict.MIN_CLOSED_SHARE, f"≥ {percent(verdict.MIN_CLOSED_SHARE)}"
+        yield ev.make_check(name, said, passed, needed, reason=reason)
 
 
 # ---------------------------------------------------------------- tables
@@ -229,7 +214,7 @@ def _percents(*values: float | None) -> list[float | None]:
 def _table(id: str, title: str, columns: str, rows: Rows, caption: str, *, folded: bool = True) -> ev.Table:
     """Return a table of the report. ``columns`` is one text with the headings between vertical bars."""
     names = columns.split(" | ")
-    return ev.Table(id=id, title=title, columns=names, rows=list(rows), caption=caption, folded=folded)
+    return ev.Table(id=id, title=title, columns=names, rows=rows, caption=caption, folded=folded)
 
 
 def _waterfall(file: GapFile) -> ev.Table:
@@ -243,7 +228,7 @@ def _waterfall(file: GapFile) -> ev.Table:
     caption = (
         f"Errors {HELD_OUT[file.held_out]}: squared error over its expectation for a correct model, and "
         "root-mean-square error of each channel, with the initial state fitted to each trial and "
-        f"without what differs by chance between trials. {SQUARED}"
+        f"without the between-trial variation. {SQUARED}"
     )
     return _table("waterfall", "The gap on held-out data", columns, rows, caption, folded=False)
 
@@ -267,13 +252,11 @@ def _errors(file: GapFile) -> ev.Table:
 
     If the diagnosis found no cause, the table has the errors on all trials.
     """
-    rows: Rows = [
-        [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed)] for s in file.channel_errors
-    ]
+    closing = file.causes[0].shrinkage if file.causes else []
+    rows: Rows = [[s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed)] for s in closing]
     if rows:
         title = "Errors on held-out data"
-        errors = "as given (%) | refitted (%) | with causes (%) | floor (%)"
-        columns = f"channel | {errors} | closed (%)"
+        columns = "channel | as given (%) | refitted (%) | with causes (%) | floor (%) | closed (%)"
         caption = (
             f"Root-mean-square errors over the measured range, {HELD_OUT[file.held_out]}: the parameters as "
             "given, the model refitted without and with the causes, and noise alone. Closed is the share of "
@@ -283,9 +266,8 @@ def _errors(file: GapFile) -> ev.Table:
         return _table("errors", title, columns, rows, caption, folded=False)
     for c in file.where.channels:
         given = file.as_given[c.channel].nrmse if c.channel in file.as_given else None
-        rows.append(
-            [c.channel, *_percents(given, c.nrmse, c.floor, c.share), format_number(c.rmse, 3, c.unit)]
-        )
+        errors = _percents(given, c.nrmse, c.floor, c.share)
+        rows.append([c.channel, *errors, format_number(c.rmse, 3, c.unit)])
     columns = "channel | as given (%) | refitted (%) | floor (%) | of the gap (%) | RMSE"
     caption = (
         "Errors over the measured range without any effect: the parameters as given in all trials, the "
@@ -350,9 +332,8 @@ def _twins(file: GapFile) -> list[list[EffectRow]]:
 def _scores(file: GapFile) -> ev.Table:
     rows: Rows = []
     for group in _twins(file):
-        s, gain = group[0], ""
-        if s.gain is not None:
-            gain = numbers.format_estimate(s.gain, s.stderr)
+        s = group[0]
+        gain = "" if s.gain is None else numbers.format_estimate(s.gain, s.stderr)
         probability = min(sum(one.probability or 0.0 for one in group), 1.0)
         stages = dict.fromkeys(one.stage for one in group if one.stage)
         names = " or ".join(dict.fromkeys(one.effect for one in group))
@@ -373,7 +354,7 @@ def _parts(file: GapFile) -> ev.Table:
     rows: Rows = []
     if any(file.where.stage.values()):
         rows += [["stage", stage, None, *_percents(share)] for stage, share in file.where.stage.items()]
-    rows += [[c.kind, c.label, c.ratio, *_percents(c.share)] for c in parts(file)]
+    rows += [[c.kind, c.label, c.ratio, *_percents(c.share)] for c in file.where.cells]
     columns = "over | part | residual over noise | of the gap (%)"
     caption = (
         "Root-mean-square residual of the refitted model over the noise; of a stage, its share of the "
@@ -405,18 +386,11 @@ def _steps(steps: Sequence[WaterfallStep]) -> list[ev.Figure]:
         "each cause in turn: of all channels over its expectation for a correct model, and of each channel "
         "over the noise variance."
     )
-    figure = ev.make_figure(
-        "waterfall",
-        "The gap on held-out data",
-        caption,
-        x_label="",
-        y_label="squared error over expectation or noise",
-        traces=traces,
-        y_scale="log",
-        marks=[ev.Mark(at=1.0, label="noise alone")],
-        x_categories=[step.label for step in steps[:-1]],
-    )
-    return [figure]
+    axes: dict[str, Any] = {"x_label": "", "y_label": "squared error over expectation or noise"}
+    axes |= {"y_scale": "log", "x_categories": [step.label for step in steps[:-1]]}
+    marks = [ev.Mark(at=1.0, label="noise alone")]
+    title = "The gap on held-out data"
+    return [ev.make_figure("waterfall", title, caption, traces=traces, marks=marks, **axes)]
 
 
 def _residuals(worst: Sequence[HeldOutSeries], caused: bool) -> list[ev.Figure]:
@@ -454,7 +428,7 @@ def format_answer(file: GapFile) -> str:
 
     They name the causes with their sizes, and say by how much the causes reduce the held-out errors.
     """
-    text = _UNEXPLAINED
+    text = "The model has a gap, and no effect that was tried closes it."
     if file.verdict == "unexplained" and file.facts.unreproduced:
         text = "The model does not describe these trials, so that their gap cannot be separated from noise."
     elif file.verdict == "unexplained":
@@ -467,11 +441,8 @@ def format_answer(file: GapFile) -> str:
     elif file.causes:
         text = _name_causes(file)
     elif file.verdict == "ambiguous":
-        text = "These trials do not tell whether the model has a gap."
+        text = "These trials do not determine whether the model has a gap."
     return f"{text} {_format_closed(file)}".rstrip()
-
-
-_UNEXPLAINED = "The model has a gap, and no effect that was tried closes it."
 
 
 def _name_causes(file: GapFile) -> str:
@@ -503,7 +474,7 @@ def _format_closed(file: GapFile) -> str:
     if closed.by_refit is not None and closed.by_causes is not None and closed.by_refit >= MIN_REFIT_SHARE:
         by_refit, rest = percent(closed.by_refit, 2), percent(max(closed.by_causes, 0.0), 2)
         causes = plural("the cause closes", "the causes close", file.causes)
-        said = f"A refit alone closes {by_refit}, and {causes} {rest} of what it leaves"
+        said = f"A refit alone closes {by_refit}, and {causes} {rest} of the remainder"
         if all(c.effect.startswith(PREFIX) for c in file.causes):
             said = f"A refit of all coefficients closes {by_refit}"
         parts += f". {said}"
@@ -563,16 +534,11 @@ def select_moved(file: GapFile) -> list[Absorbed]:
     return [a for _, a in sorted(far, key=lambda pair: -pair[0])]
 
 
-def parts(file: GapFile) -> list[Cell]:
-    """Return the gap at each setting, in each phase of the stroke, and in each interval of time."""
-    return [*file.where.regime, *file.where.phase, *file.where.time]
-
-
 def notes(file: GapFile) -> list[str]:
     """Return the notes of a report: next experiment, place of the gap, and reasons for the verdict."""
     said = [f"next experiment: {a.text}" for a in file.advice[:1]]
     worst: dict[str, Cell] = {}
-    for cell in sorted(parts(file), key=lambda c: -(c.ratio or 0.0)):
+    for cell in sorted(file.where.cells, key=lambda c: -(c.ratio or 0.0)):
         worst.setdefault(cell.kind, cell)
     if worst and file.verdict != "none":
         places = [

@@ -70,6 +70,11 @@ class Where(yamlio.Document):
     regime: list[Cell] = []
     time: list[Cell] = []
 
+    @property
+    def cells(self) -> list[Cell]:
+        """Return the gap at each setting, in each phase of the stroke, and in each interval of time."""
+        return [*self.regime, *self.phase, *self.time]
+
 
 class Value(yamlio.Document):
     """Estimate of a parameter with its standard error, unit and status."""
@@ -114,7 +119,7 @@ class Closed(yamlio.Document):
     The squared errors are those of the held-out parts (:class:`HeldOutTrial`) over their expectation: with
     the parameters as given (``before``), refitted without causes (``refitted``), and with the causes
     (``after``). The gap of a model is its squared difference from the true motion, without noise and without
-    what differs by chance between trials.
+    between-trial variation.
     """
 
     before: Number
@@ -142,7 +147,7 @@ class WaterfallStep(yamlio.Document):
 class HeldOutTrial(yamlio.Document):
     """Squared error of one held-out part: its squared Mahalanobis distance from the prediction.
 
-    The covariance of the prediction has the noise, what differs by chance between trials, and the uncertainty
+    The covariance of the prediction includes the noise, the between-trial variation, and the uncertainty
     of the parameters. For a correct model the squared distance has a chi-squared distribution.
     """
 
@@ -378,11 +383,6 @@ class GapFile(yamlio.ResultFile):
             cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
         self.scores.sort(key=lambda s: -_size(s.gain))
         return self
-
-    @property
-    def channel_errors(self) -> list[Shrinkage]:
-        """Return the held-out errors of each channel without and with all causes, largest gap first."""
-        return self.causes[0].shrinkage if self.causes else []
 
     def write(self, path: str | Path) -> None:
         """Write the gap file completely or not at all. Unknown values are written as null."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from scipy import special
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.gap_file import Closed, HeldOutTrial, Shrinkage, WaterfallStep
-from swimid.diagnosis.noise import BETWEEN, NoiseModel, find_basis
+from swimid.diagnosis.noise import BETWEEN, NoiseModel, find_basis, join_channels
 from swimid.diagnosis.posterior import CALIBRATED, MODEL_ERROR_SHARE
 from swimid.diagnosis.study import FINE, GapStudy, Hypothesis
 from swimid.fitting.model import Array, Trial
@@ -78,65 +79,65 @@ class Prediction:
         return largest + MODEL_ERROR_SHARE**2 * self.samples + CALIBRATED.directions
 
 
-@dataclass(frozen=True)
-class HeldOutRows:
-    """Rows of held-out samples of one trial: residuals, and derivatives of the predicted samples.
+def _predict_part(
+    fit: Hypothesis,
+    noise: NoiseModel,
+    apart: Mapping[str, float],
+    at: tuple[Problem, int, Array],
+    part: str,
+    chosen: NDArray[np.bool_],
+    *,
+    columns: Callable[[NDArray[np.intp]], Array],
+    moved: Array,
+    own: NDArray[np.intp],
+) -> Prediction:
+    """Return the prediction of some samples of a trial by a fit.
 
-    Attributes
+    Parameters
     ----------
-    residual : ndarray, shape (n,)
-        Weighted residual with the means of the random effects, linearised about their values.
-    shared : ndarray, shape (n, p)
-        Weighted derivatives with respect to the shared parameters.
-    covariance : ndarray, shape (p, p)
-        Covariance of the shared parameters.
-    own : ndarray, shape (n, m)
-        Weighted derivatives with respect to the parameters that are refitted to the held-out samples.
-    chance : ndarray, shape (n, q)
-        Weighted changes by one standard deviation of each random effect.
-    apart : ndarray, shape (q,)
-        Random effects of the trial, in standard deviations.
+    apart : mapping of label to float
+        Random effects of the trials.
+    at : tuple of Problem, int and ndarray
+        Problem that has the trial, index of the trial in it, and parameters fitted without these samples.
+    chosen : ndarray of bool, shape (n,)
+        Mask of the samples.
+    columns : callable
+        Function that returns the weighted derivatives of the trial with respect to some parameters.
+    moved : ndarray, shape (n, m)
+        Changes of the trial by independent standard errors of the shared parameters.
+    own : ndarray of int
+        Indices of the parameters that are refitted to the held-out samples.
     """
-
-    residual: Array
-    shared: Array
-    covariance: Array
-    own: Array
-    chance: Array
-    apart: Array
-
-    def prediction(
-        self, noise: NoiseModel, problem: Problem, k: int, part: str, chosen: NDArray[np.bool_]
-    ) -> Prediction:
-        """Return the prediction of the samples that a mask chooses."""
-        chosen = chosen & (problem.sample_weights(k) > 0.0)
-        moved = self.shared @ root_of(self.covariance)
-        residual = _limit_errors(self.residual)
-        usual = residual - self.chance @ self.apart
-        columns = np.column_stack((residual, moved, self.chance, self.own, usual))
-        seen = noise.whiten(problem, k, columns)[chosen]
-        count = 1 + moved.shape[1] + self.chance.shape[1]
-        own = seen[:, count:-1]
-        basis = find_basis(own)
-        free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
-        r, uncertain = free[:, 0], free[:, 1:]
-        # By singular values, because the noise beside a large uncertainty is lost in products of columns.
-        axes, sizes, _ = np.linalg.svd(uncertain, full_matrices=False)
-        gained = sizes**2
-        squared = float(r @ r) - float((axes.T @ r) ** 2 @ (gained / (1.0 + gained)))
-        expected = len(r) - basis.shape[1]
-        deviance = squared + float(np.log1p(gained).sum())
-        values = crossval.solve_normal(own.T @ own, own.T @ seen[:, -1:])[:, 0]
-        left = np.full(len(chosen), np.nan)
-        left[chosen] = (usual - self.own @ values)[chosen]
-        weighted = np.column_stack((left, problem.sample_weights(k)))
-        residuals = {}
-        for channel, mask, rows in problem.by_channel(k, weighted):
-            there = np.isfinite(rows[:, 0]) & (rows[:, 1] > 0.0)
-            if there.any():
-                residuals[channel] = np.full(len(mask), np.nan)
-                residuals[channel][np.flatnonzero(mask)[there]] = rows[there, 0] / rows[there, 1]
-        return Prediction(problem.trials[k], part, residuals, squared, max(expected, 1), len(r), deviance)
+    problem, k, theta = at
+    chosen = chosen & (problem.sample_weights(k) > 0.0)
+    random = fit.study.random(problem, k)
+    weight, own_columns = fit.study.compute_prior(problem)[1][random], columns(own)
+    # The random effects have their means in the residual, which is linearised about their values.
+    residual = _limit_errors(problem.trial_residuals(theta, k) + columns(random) @ theta[random])
+    chance = columns(random) / weight
+    usual = residual - chance @ (np.array([apart.get(problem.labels[j], 0.0) for j in random]) * weight)
+    seen = noise.whiten(problem, k, np.column_stack((residual, moved, chance, own_columns, usual)))[chosen]
+    count = 1 + moved.shape[1] + chance.shape[1]
+    own_seen = seen[:, count:-1]
+    basis = find_basis(own_seen)
+    free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
+    r, uncertain = free[:, 0], free[:, 1:]
+    # By singular values, because the noise beside a large uncertainty is lost in products of columns.
+    axes, sizes, _ = np.linalg.svd(uncertain, full_matrices=False)
+    gained = sizes**2
+    squared = float(r @ r) - float((axes.T @ r) ** 2 @ (gained / (1.0 + gained)))
+    deviance = squared + float(np.log1p(gained).sum())
+    values = crossval.solve_normal(own_seen.T @ own_seen, own_seen.T @ seen[:, -1:])[:, 0]
+    left = np.full(len(chosen), np.nan)
+    left[chosen] = (usual - own_columns @ values)[chosen]
+    residuals = {}
+    for channel, mask, rows in problem.by_channel(k, np.column_stack((left, problem.sample_weights(k)))):
+        there = np.isfinite(rows[:, 0]) & (rows[:, 1] > 0.0)
+        if there.any():
+            residuals[channel] = np.full(len(mask), np.nan)
+            residuals[channel][np.flatnonzero(mask)[there]] = rows[there, 0] / rows[there, 1]
+    expected = max(len(r) - basis.shape[1], 1)
+    return Prediction(problem.trials[k], part, residuals, squared, expected, len(r), deviance)
 
 
 def _limit_errors(residuals: Array) -> Array:
@@ -193,14 +194,6 @@ def _is_random(label: str) -> bool:
     return label.startswith(BETWEEN)
 
 
-def _collect_random(
-    study: GapStudy, problem: Problem, random: NDArray[np.intp], apart: Mapping[str, float]
-) -> Array:
-    """Return the random effects of a trial, in standard deviations."""
-    weight = study.compute_prior(problem)[1]
-    return np.array([apart.get(problem.labels[j], 0.0) * weight[j] for j in random])
-
-
 def _of_folds(fit: Hypothesis, noise: NoiseModel, apart: Mapping[str, float]) -> list[Prediction]:
     study, folds, problem = fit.study, fit.study.folds, fit.problem
     shared = study.select_shared(fit)
@@ -211,17 +204,15 @@ def _of_folds(fit: Hypothesis, noise: NoiseModel, apart: Mapping[str, float]) ->
             chosen = folds.owner[k] == f
             if not chosen.any():
                 continue
-            random = study.random(problem, k)
-            own = fit.columns(k, study.select_nonrandom(problem, k, study.select_own(fit, k)))
-            residual = problem.trial_residuals(theta, k) + fit.columns(k, random) @ theta[random]
-            chance = study.chance(fit, k), _collect_random(study, problem, random, apart)
-            rows = HeldOutRows(residual, fit.columns(k, shared), each[f], own, *chance)
-            part = (
-                trial.id
-                if folds.whole
-                else f"{trial.id}, part {1 + f % max(folds.count // len(study.trials), 1)}"
+            part = trial.id
+            if not folds.whole:
+                part += f", part {1 + f % max(folds.count // len(study.trials), 1)}"
+            moved = fit.columns(k, shared) @ root_of(each[f])
+            own = study.select_nonrandom(problem, k, study.select_own(fit, k))
+            columns, at = partial(fit.columns, k), (problem, k, theta)
+            found.append(
+                _predict_part(fit, noise, apart, at, part, chosen, columns=columns, moved=moved, own=own)
             )
-            found.append(rows.prediction(noise, problem, k, part, chosen))
     return found
 
 
@@ -257,15 +248,12 @@ def _of_validation(
     whole, theta = fit_further_trial(fit, trial, noise)
     columns = -whole.trial_jacobians(theta)[0]
     covariance = crossval.compute_covariances(crossval.form_normal_equations(study, fit))[0]
-    random = study.random(whole, 0)
-    own = columns[:, study.select_nonrandom(whole, 0, whole.own(0))]
-    residual = whole.trial_residuals(theta, 0) + columns[:, random] @ theta[random]
-    chance = columns[:, random] / study.compute_prior(whole)[1][random]
-    shared = _align_columns(fit, whole, columns)
-    rows = HeldOutRows(
-        residual, shared, covariance, own, chance, _collect_random(study, whole, random, apart)
-    )
-    return rows.prediction(noise, whole, 0, trial.id, np.ones(len(columns), dtype=bool))
+    moved = _align_columns(fit, whole, columns) @ root_of(covariance)
+    own, every = study.select_nonrandom(whole, 0, whole.own(0)), np.ones(len(columns), dtype=bool)
+    return _predict_part(
+        fit, noise, apart, (whole, 0, theta), trial.id, every,
+        columns=lambda index: columns[:, index], moved=moved, own=own,
+    )  # fmt: skip
 
 
 def _align_columns(fit: Hypothesis, problem: Problem, columns: Array) -> Array:
@@ -285,10 +273,10 @@ def compute_closed(
 ) -> Closed:
     """Return the errors of three models on held-out data, and the shares of the gap that close.
 
-    The gap of a model is its squared difference from the true motion without noise and without what differs
-    by chance between trials. The model with the causes is the best estimate of this motion. Its own gap has
-    the uncertainty of its parameters, and what it leaves unexplained on held-out data. The shares are medians
-    over random errors of the parameters, with the interval of 95 %.
+    The gap of a model is its squared difference from the true motion without noise and without
+    between-trial variation. The model with the causes is the best estimate of this motion. Its own gap has
+    the uncertainty of its parameters, and the part that it does not explain on held-out data. The shares are
+    medians over random errors of the parameters, with the interval of 95 %.
 
     Parameters
     ----------
@@ -338,11 +326,8 @@ def compute_closed(
 def _motion(fit: Hypothesis, trial: Trial, problem: Problem, k: int, known: Mapping[str, float]) -> Array:
     """Return the weighted samples of a trial that a model simulates with known parameters."""
     model = fit.problem.model
-    values = np.array(
-        [known.get(f"{p.name}[{trial.id}]", known.get(p.name, p.start)) for p in model.parameters]
-    )
-    simulated = model.run(values, trial)
-    return problem.stack(k, simulated) * problem.sample_weights(k)
+    values = [known.get(f"{p.name}[{trial.id}]", known.get(p.name, p.start)) for p in model.parameters]
+    return problem.stack(k, model.run(np.array(values), trial)) * problem.sample_weights(k)
 
 
 # ---------------------------------------------------------------- tables of the answer
@@ -391,11 +376,8 @@ def build_waterfall(
 
 def compute_rms_errors(parts: Sequence[Prediction]) -> dict[str, float | None]:
     """Return the root-mean-square error of each channel, in its unit."""
-    residuals: dict[str, list[Array]] = {}
-    for p in parts:
-        for channel, series in p.residuals.items():
-            residuals.setdefault(channel, []).append(series[np.isfinite(series)])
-    return {c: float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for c, r in residuals.items()}
+    residuals = join_channels(part for p in parts for part in p.residuals.items())
+    return {c: float(np.sqrt(np.mean(r[np.isfinite(r)] ** 2))) for c, r in residuals.items()}
 
 
 def compute_closed_share(before: float, after: float, expected: float) -> float | None:
@@ -430,11 +412,8 @@ def compute_shrinkages(
         shipped, refitted, last = (float(e[channel] or 0.0) / size for e in errors)
         floor = floors.get(channel, math.nan) / size
         closed = compute_closed_share(shipped**2, last**2, floor**2)
-        found.append(
-            Shrinkage(
-                channel=channel, shipped=shipped, before=refitted, after=last, floor=floor, closed=closed
-            )
-        )
+        sizes = {"shipped": shipped, "before": refitted, "after": last, "floor": floor}
+        found.append(Shrinkage(channel=channel, closed=closed, **sizes))
     return found
 
 
@@ -462,18 +441,13 @@ def select_worst(before: Sequence[Prediction], after: Sequence[Prediction]) -> l
     mine = [(b, a) for b, a in zip(before, after, strict=True) if a.trial.id == name]
     trial = mine[0][1].trial
     for channel in mine[0][1].residuals:
-        series = []
-        for which in (0, 1):
-            whole = np.full(len(trial.time_s), np.nan)
-            for pair in mine:
-                part = pair[which].residuals.get(channel)
-                if part is not None:
-                    whole = np.where(np.isfinite(part), part, whole)
-            series.append(whole)
-        measured = trial.measured[channel]
-        found.append(
-            HeldOutSeries(trial, channel, trial.time_s, measured, measured - series[0], measured - series[1])
-        )
+        measured, missing = trial.measured[channel], np.full(len(trial.time_s), np.nan)
+        # Each sample is held out in one part at most.
+        predicted = [
+            measured - np.fmax.reduce([missing, *(p.residuals.get(channel, missing) for p in parts)])
+            for parts in zip(*mine, strict=True)
+        ]
+        found.append(HeldOutSeries(trial, channel, trial.time_s, measured, *predicted))
     return found
 
 
@@ -483,18 +457,3 @@ def is_finite(before: Sequence[Prediction], after: Sequence[Prediction]) -> bool
         a.squared >= MAX_SQUARED_ERROR and b.squared < MAX_SQUARED_ERROR
         for b, a in zip(before, after, strict=True)
     )
-
-
-def compute_floors(study: GapStudy, fit: Hypothesis) -> dict[str, float]:
-    """Return the noise floor of each channel in the fitted trials, in its unit.
-
-    It consists of the measurement noise and of the random effects.
-    """
-    squares: dict[str, list[Array]] = {}
-    for names, masks, sds in zip(fit.problem.channels, fit.problem.masks, fit.problem.sd, strict=True):
-        for channel, mask, sd in zip(names, masks, sds, strict=True):
-            squares.setdefault(channel, []).append(sd[mask] ** 2)
-    return {
-        c: study.noise.floor(c) * float(np.sqrt(np.mean(np.concatenate(parts))))
-        for c, parts in squares.items()
-    }

@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
@@ -61,6 +62,14 @@ MAX_REWEIGHTINGS = 2
 
 #: Prefix of the names of effects that are random effects.
 BETWEEN = "between:"
+
+
+def join_channels(parts: Iterable[tuple[str, Array]]) -> dict[str, Array]:
+    """Return the series of all trials in one array for each channel."""
+    found: dict[str, list[Array]] = {}
+    for channel, series in parts:
+        found.setdefault(channel, []).append(series)
+    return {channel: np.concatenate(each) for channel, each in found.items()}
 
 
 class Scatter(Effect):
@@ -160,11 +169,6 @@ class NoiseModel:
     #: Channels of each trial, in the order of ``sd``.
     channels: list[list[str]] = field(default_factory=list, repr=False)
 
-    @property
-    def plain(self) -> NoiseModel:
-        """Noise model without random effects."""
-        return replace(self, random_effects=())
-
     def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
         """Return the whitened residuals, or columns of derivatives, of trial ``k``.
 
@@ -209,11 +213,8 @@ class NoiseModel:
 
     def of_new_trials(self, problem: Problem) -> None:
         """Weight the trials of another problem by the median weight of each channel."""
-        weights: dict[str, list[Array]] = {}
-        for channels, sds in zip(self.channels, self.sd, strict=True):
-            for channel, sd in zip(channels, sds, strict=True):
-                weights.setdefault(channel, []).append(sd)
-        typical = {channel: float(np.median(np.concatenate(sds))) for channel, sds in weights.items()}
+        weights = join_channels(zip(chain(*self.channels), chain(*self.sd), strict=True))
+        typical = {channel: float(np.median(sd)) for channel, sd in weights.items()}
         problem.sd = [
             [np.full(len(m), typical.get(c, np.inf)) for c, m in zip(channels, masks, strict=True)]
             for channels, masks in zip(problem.channels, problem.masks, strict=True)
@@ -269,17 +270,9 @@ class RandomCandidate(NamedTuple):
     changes: list[Array]
 
 
-class _Quantity(NamedTuple):
-    """Parameter of an effect that may differ by chance between trials.
-
-    The scale is that of the difference. The sign is that of a change within the bounds.
-    """
-
-    label: str
-    effect: Effect
-    number: int
-    scale: float
-    sign: float = 1.0
+#: Parameter of an effect that may differ by chance between trials: label, effect, index of the parameter,
+#: typical difference, and the sign of a change within the bounds.
+ScatterQuantity = tuple[str, Effect, int, float, float]
 
 
 def list_random_candidates(
@@ -291,7 +284,7 @@ def list_random_candidates(
     of the model (:data:`RANDOM_PARAMETERS`). Their changes are linearised about the fit.
     """
     quantities = [*_list_scattering(study, effects), *_list_per_trial(study, fit)]
-    forms = Counter(quantity.effect.name for quantity in quantities)
+    forms = Counter(effect.name for _, effect, *_ in quantities)
     acting = {one.name: one for one in study.noise.random_effects}
     candidates = []
     for label, effect, number, scale, sign in quantities:
@@ -313,22 +306,22 @@ def list_random_candidates(
     return candidates
 
 
-def _list_scattering(study: GapStudy, effects: Sequence[Effect]) -> list[_Quantity]:
+def _list_scattering(study: GapStudy, effects: Sequence[Effect]) -> list[ScatterQuantity]:
     """Return the shared parameters of effects that scatter."""
-    quantities = []
+    quantities: list[ScatterQuantity] = []
     for effect in (e for e in effects if e.scatters):
         for j, p in enumerate(effect.parameters(study.model, study.trials)):
             if not p.per_trial:
                 sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
-                quantities.append(_Quantity(f"{effect.name}/{p.name}", effect, j, p.scale, sign))
+                quantities.append((f"{effect.name}/{p.name}", effect, j, p.scale, sign))
     return quantities
 
 
-def _list_per_trial(study: GapStudy, fit: Hypothesis) -> list[_Quantity]:
+def _list_per_trial(study: GapStudy, fit: Hypothesis) -> list[ScatterQuantity]:
     """Return the per-trial parameters of the model that may be random effects."""
     values = {p.name: p.start for p in study.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
     is_repeated = has_repeats(study.trials)
-    quantities = []
+    quantities: list[ScatterQuantity] = []
     for p in study.parameters:
         is_random = p.per_trial and not p.free and p.name in RANDOM_PARAMETERS
         if not is_random or (p.name in RANDOM_IN_REPEATS and not is_repeated):
@@ -336,7 +329,7 @@ def _list_per_trial(study: GapStudy, fit: Hypothesis) -> list[_Quantity]:
         share, size = RANDOM_PARAMETERS[p.name], 0.0
         if share is not None:
             size = share[1] * abs(float(values.get(share[0], 0.0)))
-        quantities.append(_Quantity(p.name, ParameterChange(p), 0, size or p.scale))
+        quantities.append((p.name, ParameterChange(p), 0, size or p.scale, 1.0))
     return quantities
 
 
@@ -525,28 +518,22 @@ def _estimate_shared_level(
 
     It is corrected for the effective number of fitted parameters.
     """
-    whole = np.concatenate(
-        [np.column_stack([fit.columns(k, np.arange(len(fit.theta)))]) for k in range(len(study.trials))]
-    )
+    every = np.arange(len(fit.theta))
+    whole = np.concatenate([fit.columns(k, every) for k in range(len(study.trials))])
     terms = [np.concatenate(list(g)) for g in generic]
     rows = np.column_stack([whole * fit.problem.scale, *terms])
     residual = np.concatenate(fit.residuals)
     ridge = np.concatenate((np.full(whole.shape[1], 1e-12), np.ones(len(terms))))
     normal = rows.T @ rows
-    inverse = np.linalg.pinv(
-        normal + np.diag(ridge * max(float(np.trace(normal)) * 1e-12, 1.0)), hermitian=True
-    )
+    ridge *= max(float(np.trace(normal)) * 1e-12, 1.0)
+    inverse = np.linalg.pinv(normal + np.diag(ridge), hermitian=True)
     used = float(np.trace(inverse @ normal))
     left = residual - rows @ (inverse @ (rows.T @ residual))
     factor = len(residual) / max(len(residual) - used, 0.2 * len(residual), 1.0)
-    squares: dict[str, list[Array]] = {}
-    first = 0
-    for k in range(len(study.trials)):
-        own = left[first : first + len(fit.residuals[k])]
-        first += len(own)
-        for channel, _, part in fit.problem.by_channel(k, own):
-            squares.setdefault(channel, []).append(part**2)
-    return {c: max(factor * float(np.mean(np.concatenate(parts))), 1e-300) for c, parts in squares.items()}
+    each = np.split(left, np.cumsum([len(r) for r in fit.residuals])[:-1])
+    parts = (part for k, own in enumerate(each) for part in fit.problem.by_channel(k, own))
+    squares = join_channels((channel, part**2) for channel, _, part in parts)
+    return {c: max(factor * float(np.mean(values)), 1e-300) for c, values in squares.items()}
 
 
 def with_random_effects(
@@ -567,12 +554,12 @@ def with_random_effects(
     differing : sequence of RandomCandidate
         Possible random effects.
     largest : float
-        Maximum standard deviation of a random effect, in typical scales. It does not limit what differs
-        between repeats.
+        Maximum standard deviation of a random effect, in typical scales. It does not limit
+        differences between repeats.
     """
     if not differing or not study.folds.whole or len(study.trials) < MIN_RANDOM_TRIALS:
         return noise
-    noise = noise.plain
+    noise = replace(noise, random_effects=())
     series = []
     for k in range(len(study.trials)):
         random = [d.changes[k] for d in differing]

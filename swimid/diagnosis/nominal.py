@@ -19,8 +19,8 @@ from swimid.results.parameters import Estimate, ParameterFile
 from swimid.results.result import LOG_ENDINGS
 from swimid.simulation.catalogue import Loaded
 
-#: Per-trial parameters of a model that may be random effects. The value names a shared parameter, and the
-#: fraction of it that is the typical scale of the random effect. None stands for the parameter's own scale.
+#: Per-trial parameters of a model that may be random effects, by name. The value gives the typical scale of
+#: the random effect: a shared parameter and a fraction of it, or None for the parameter's own scale.
 RANDOM_PARAMETERS: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
     "relative_drag_deviation": None,
@@ -265,11 +265,9 @@ def add_channels(trial: Trial, channels: Sequence[Channel]) -> Trial:
         values = trial.inputs.get(name)
         if name in measured or values is None or np.isfinite(values).sum() < 10:
             continue
-        if name.startswith("joint") and joints_drive:
-            continue
-        if not name.startswith("joint") and _is_computed(name, values, trial):
-            continue
-        measured[name] = values
+        is_input = joints_drive if name.startswith("joint") else _is_computed(name, values, trial)
+        if not is_input:
+            measured[name] = values
     return replace(trial, measured=measured)
 
 

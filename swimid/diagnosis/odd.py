@@ -16,9 +16,8 @@ from swimid.diagnosis.crossval import NormalEquations, solve_normal
 from swimid.diagnosis.noise import BETWEEN, RandomCandidate, RandomEffect, Scatter
 from swimid.diagnosis.nominal import MIN_RANDOM_TRIALS, OWN_PRIOR
 from swimid.diagnosis.posterior import CALIBRATED, Candidate, DataSize
-from swimid.diagnosis.priors import EFFECT_PRIOR
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.study import MAX_FOLD_ITERATIONS, GapStudy, Hypothesis
+from swimid.diagnosis.study import EFFECT_PRIOR, MAX_FOLD_ITERATIONS, GapStudy, Hypothesis
 from swimid.fitting import mistakes
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
@@ -147,13 +146,11 @@ def _deviances(
     study: GapStudy, fit: Hypothesis, k: int, differing: Sequence[RandomCandidate]
 ) -> tuple[Array, float]:
     """Return deviances and strain if trial ``k`` has own values of all shared parameters and quantities."""
-    alone = copy.copy(study)
-    others = copy.copy(study)
-    count = study.folds.count
-    owner = study.folds.owner
-    one = [rows if i == k else np.full(len(rows), count) for i, rows in enumerate(owner)]
-    rest = [rows if i != k else np.full(len(rows), count) for i, rows in enumerate(owner)]
-    alone.folds, others.folds = Folds(True, one, count + 1), Folds(True, rest, count + 1)
+    alone, others = copy.copy(study), copy.copy(study)
+    count, owner = study.folds.count, study.folds.owner
+    for part, is_alone in ((alone, True), (others, False)):
+        rows = [own if (i == k) == is_alone else np.full(len(own), count) for i, own in enumerate(owner)]
+        part.folds = Folds(True, rows, count + 1)
     found = crossval.form_normal_equations(others, fit)
     parts = {name: getattr(found, name)[:-1] for name in ("products", "samples", "own", "random", "spread")}
     equations = replace(found, **parts)
@@ -277,9 +274,7 @@ def _fit_trials(
     theta = np.array([begin.get(n, s) for n, s in zip(problem.labels, problem.start, strict=True)])
     if len(theta):
         theta = problem.solve(theta, tolerance=1e-3, max_iterations=iterations, secant=True).x
-    jacobian = np.concatenate(
-        [problem.whiten(i, rows) for i, rows in enumerate(problem.trial_jacobians(theta))]
-    )
+    jacobian = np.concatenate([problem.whiten(i, r) for i, r in enumerate(problem.trial_jacobians(theta))])
     residuals = [problem.whiten(i, problem.trial_residuals(theta, i)) for i in range(len(trials))]
     squares = float(sum(np.sum(r**2) for r in residuals))
     excess = squares + float(np.sum((weight * (theta - mean)) ** 2)) - len(jacobian)

@@ -1,17 +1,19 @@
-"""Locate the gap between model and trials: by channel, stroke phase, setting and time."""
+"""Locate the gap between model and trials: noise floors, channels, stroke phases, settings and times."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.diagnosis import settings
-from swimid.diagnosis.gap_file import Cell
+from swimid.diagnosis.gap_file import Cell, ChannelGap, Where
+from swimid.diagnosis.noise import join_channels
 from swimid.diagnosis.remainder import beat_hz
 from swimid.diagnosis.study import GapStudy, Hypothesis
+from swimid.results.evidence import compute_rms
 
 #: Number of bins of the stroke phase in which the gap is computed.
 PHASES = 8
@@ -20,6 +22,45 @@ MOST_TRIALS = 30
 #: Duration of the start-up of a trial: number of beats (START_BEATS), or fraction of the duration of a trial
 #: without a beat (START_SHARE).
 START_BEATS, START_SHARE = 3.0, 0.2
+
+
+def compute_floors(study: GapStudy, fit: Hypothesis) -> dict[str, float]:
+    """Return the noise floor of each channel in the fitted trials, in its unit.
+
+    It consists of the measurement noise and of the random effects.
+    """
+    problem = fit.problem
+    every = (
+        zip(*parts, strict=True) for parts in zip(problem.channels, problem.masks, problem.sd, strict=True)
+    )
+    squares = join_channels((channel, sd[mask] ** 2) for channel, mask, sd in chain(*every))
+    return {c: study.noise.floor(c) * float(np.sqrt(np.mean(values))) for c, values in squares.items()}
+
+
+def locate_gap(
+    study: GapStudy, fit: Hypothesis, floors: Mapping[str, float], ranges: Mapping[str, float]
+) -> Where:
+    """Return where the gap that a fit leaves lies, except in which stage of the simulation its cause acts.
+
+    Parameters
+    ----------
+    floors, ranges : mapping of channel to float
+        Noise floor and measured range of each channel, in the unit of the channel.
+    """
+    units = {c.name: c.unit for c in study.model.channels}
+    squares = {c: (v / max(floors[c], 1e-300)) ** 2 - 1.0 for c, v in fit.by_channel().items()}
+    beyond = {c: max(float(np.sum(v)), 0.0) for c, v in squares.items()}
+    total = sum(beyond.values()) or 1.0
+    channels = []
+    for channel, left in fit.by_channel().items():
+        rmse, size = compute_rms(left), ranges[channel]
+        errors = {"rmse": rmse, "nrmse": rmse / size, "floor": floors[channel] / size}
+        share, unit = beyond[channel] / total, units.get(channel, "1")
+        channels.append(ChannelGap(channel=channel, share=share, unit=unit, **errors))
+    cells = Map(study, fit, floors)
+    found = Where(channels=channels, stage={})
+    found.regime, found.phase, found.time = regimes(cells), phases(cells), times(cells)
+    return found
 
 
 class Map:

@@ -107,9 +107,8 @@ class HypothesisPool:
                 # Screen the interpretations of the robot separately from all other effects, so that they do
                 # not change the rounding errors of the other inner products.
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
-                more, without = screening.screen_effects(
-                    self.study, parent, screening.simulate_effects(self.study, parent, part)
-                )
+                simulated = screening.simulate_effects(self.study, parent, part)
+                more, without = screening.screen_effects(self.study, parent, simulated)
                 found += more
                 left_out |= without
             found.sort(key=lambda t: -t.gain)
@@ -151,18 +150,17 @@ class HypothesisPool:
         def proceed(k: int) -> Array:
             _, parent, tried = new[k]
             effects = (*parent.effects, tried.effect)
-            start = self._unpack(effects, results[k]).theta
-            return self._pack(
-                self.study.fit(effects, [start], tolerance=ROUGH, iterations=HEAT, brief=True, hold=parent)
-            )
+            start = [self._unpack(effects, results[k]).theta]
+            fit = self.study.fit(effects, start, tolerance=ROUGH, iterations=HEAT, brief=True, hold=parent)
+            return self._pack(fit)
 
         results = list(map_in_processes(begin, range(len(new)), self.study.jobs))
         order = sorted(range(len(new)), key=lambda k: results[k][-1])
         near = [
-            k
-            for rank, k in enumerate(order)
-            if kept[k] is None and (rank < NEAREST or results[k][-1] < FAR * results[order[0]][-1])
+            *order[:NEAREST],
+            *(k for k in order[NEAREST:] if results[k][-1] < FAR * results[order[0]][-1]),
         ]
+        near = [k for k in near if kept[k] is None]
         for k, found in zip(near, map_in_processes(proceed, near, self.study.jobs), strict=True):
             results[k] = found
         for k, found in enumerate(results):
@@ -266,12 +264,8 @@ class HypothesisPool:
         """Return hypotheses that are not improbable, and the best ones of each size."""
         sets = self.compute_posterior().sets
         least = PROBABLE * max(sets.values(), default=0.0)
-        found = []
-        for size in range(1, MAX_EFFECTS + 1):
-            for rank, h in enumerate(self.best(size)):
-                if rank < CONTENDERS or sets.get(h.names, 0.0) > least:
-                    found.append(h)
-        return found
+        ranked = [pair for size in range(1, MAX_EFFECTS + 1) for pair in enumerate(self.best(size))]
+        return [h for rank, h in ranked if rank < CONTENDERS or sets.get(h.names, 0.0) > least]
 
     def finish(self) -> None:
         """Fit the hypotheses that are not improbable to their optimum."""
@@ -297,9 +291,8 @@ class HypothesisPool:
     def compute_posterior(self) -> Posterior:
         """Return the posterior probability of each set of effects fitted so far."""
         found = [self._candidate(h) for size in range(1, MAX_EFFECTS + 1) for h in self.best(size)]
-        return posterior.compute_posterior_probabilities(
-            self._candidate(self.null), found, record=self.record
-        )
+        null = self._candidate(self.null)
+        return posterior.compute_posterior_probabilities(null, found, record=self.record)
 
     @property
     def count(self) -> int:

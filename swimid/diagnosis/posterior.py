@@ -178,7 +178,7 @@ class Posterior:
         The other effects of the hypothesis are assumed to act. The probabilities sum to one.
         """
         rest = among - {name}
-        found = {}
+        found: dict[str, float] = {}
         for names, p in self.probabilities.items():
             if len(names) == len(among) and rest < names:
                 (other,) = names - rest
@@ -217,11 +217,8 @@ def compute_tolerance(record: DataSize, gap: float, known: PosteriorConstants = 
     It is the sum of four terms: a discrepancy as large as the noise in all its directions, a model error of a
     tenth of the noise, two standard deviations of the squared noise, and the form error of a true effect.
     """
-    noise = (
-        known.directions * record.parts
-        + MODEL_ERROR_SHARE**2 * record.samples
-        + math.sqrt(8.0 * record.samples)
-    )
+    noise = MODEL_ERROR_SHARE**2 * record.samples
+    noise = known.directions * record.parts + noise + math.sqrt(8.0 * record.samples)
     return noise + known.form * max(gap, 0.0)
 
 

@@ -80,9 +80,8 @@ def build_power_evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = (
     rows = []
     for r in file.effects:
         imitated = None if r.absorbed is None else 100.0 * r.absorbed
-        rows.append(
-            [r.effect, r.parameter, numbers.format_number(r.size, 2, r.unit), imitated, ", ".join(r.alike)]
-        )
+        size = numbers.format_number(r.size, 2, r.unit)
+        rows.append([r.effect, r.parameter, size, imitated, ", ".join(r.alike)])
     table = ev.Table(
         id="power",
         title="The smallest size of each effect that is seen with 90 % power",

@@ -76,10 +76,8 @@ class Reread:
                 model = self.model(model, question, option)
         except InputError:
             return False
-        names = [
-            [p.name for p in m.parameters] + [c.name for c in m.channels] for m in (model, self._nominal)
-        ]
-        return names[0] == names[1]
+        names, others = ([p.name for p in (*m.parameters, *m.channels)] for m in (model, self._nominal))
+        return names == others
 
 
 class OtherReading(Effect):
@@ -171,16 +169,10 @@ def list_readings(
             if option == reading.chosen:
                 continue
             places = [*reading.options[reading.chosen].set, *answer.set]
-            question, says = reading.question.rstrip("."), answer.says.rstrip(".")
-            other = OtherReading(
-                key,
-                option,
-                meaning=f'Another answer to "{question}": {says}.',
-                stage=_stage(places),
-                reread=reread,
-            )
+            meaning = f'Another answer to "{reading.question.rstrip(".")}": {answer.says.rstrip(".")}.'
+            other = OtherReading(key, option, meaning=meaning, stage=_stage(places), reread=reread)
             if any(word in place for word in COMMANDS for place in places):
-                left_out[other.name] = "the trials tell the robot what it changes: choose it by --reading"
+                left_out[other.name] = "the trials contain its effect on the robot: choose it by --reading"
             elif not reread.stand({key: option}):
                 left_out[other.name] = "its coefficients or channels are not those of the reading chosen"
             elif _is_same(other.in_place_of(nominal), values, trials, seen):
@@ -221,10 +213,8 @@ def _is_same(
         found = other.run(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(plain[channel]))
+            largest = np.max(np.abs(found[channel] - plain[channel]), initial=0.0)
             # A simulation that diverges counts as different.
-            if (
-                not np.max(np.abs(found[channel] - plain[channel]), initial=0.0)
-                <= SAME_SIMULATION_RTOL * span
-            ):
+            if not largest <= SAME_SIMULATION_RTOL * span:
                 return False
     return True

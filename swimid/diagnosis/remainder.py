@@ -45,20 +45,9 @@ PER_SAMPLE = 0.002
 #: Number of random noise records, and quantile of the decreases of their squared residuals when a generic
 #: description is fitted to them. The decrease in the trials must exceed this quantile to count as structure.
 DRAWS, QUANTILE = 400, 0.975
-#: Largest and smallest value of the decrease of the held-out squared residuals that is required for
-#: structure, in units of the noise variance. Between these limits, half the number of samples is required.
+#: Upper and lower limit of :func:`least_gain`, in units of the noise variance. Between these limits, the
+#: minimum decrease of the held-out squared residuals is half the number of samples.
 LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
-
-
-def least_gain(samples: float) -> float:
-    """Return the minimum decrease of the held-out squared residuals that counts as structure in them.
-
-    Parameters
-    ----------
-    samples : float
-        Number of residuals.
-    """
-    return float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
 
 
 @dataclass(frozen=True)
@@ -138,7 +127,8 @@ def find_structure(
         mine = [i for i, term in enumerate(terms) if term.place == place]
         alone = (plain - crossval.compute_held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
         places[place] = max(float(gains.sum()) for gains in alone)
-    least = max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples))
+    least = float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
+    least = max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least)
     return Structure(max([gain, *places.values()]), least, places)
 
 
@@ -215,10 +205,8 @@ class Description(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Return the parameters of the description: one factor for each smooth term."""
-        return tuple(
-            Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
-            for term in self.terms
-        )
+        ends = -math.inf, math.inf
+        return tuple(Parameter(f"{self.prefix}{t}", self.unit, *ends, 0.0, self.size) for t in self.terms)
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Return the parameter vectors to simulate: one factor at its typical scale, all others zero.

@@ -87,13 +87,9 @@ def build_repaired(
 
 def _divide_effects(fit: Hypothesis) -> tuple[list[Effect], list[Effect]]:
     """Return the effects of the model with the causes, and those that differ from trial to trial."""
-    acting: list[Effect] = []
-    apart: list[Effect] = []
-    for e in fit.effects:
-        if e.adds_to is None and not isinstance(e, OtherReading):
-            differs = any(p.per_trial for p in _parameters_of(fit, e))
-            (apart if differs else acting).append(e)
-    return acting, apart
+    effects = [e for e in fit.effects if e.adds_to is None and not isinstance(e, OtherReading)]
+    apart = [e for e in effects if any(p.per_trial for p in _parameters_of(fit, e))]
+    return [e for e in effects if e not in apart], apart
 
 
 def _list_answers(effects: Sequence[Effect]) -> dict[str, str]:
@@ -145,20 +141,14 @@ def _estimate(
         Status of the parameters of the causes.
     """
     entry = Estimate(value=p.start, unit=p.unit, bounds=p.bounds, status="fixed", meaning=p.meaning)
-    label = p.name
-    if change is not None:
-        label = change
+    label = change or p.name
     if label not in fit.labels:
         return entry
-    entry.value, stderr = (
-        fit.value(p.name),
-        errors[label if change is None else change.removesuffix("/change")],
-    )
-    inside = bool(fit.inside[fit.labels.index(label)])
+    entry.value, stderr = fit.value(p.name), errors[label.removesuffix("/change") if change else label]
     if change is not None:
         entry.value += fit.value(change)
     entry.status = "at-bound"
-    if status.get(p.name, "estimated") == "estimated" and (inside or p.name in status):
+    if status.get(p.name, "estimated") == "estimated" and (fit.is_inside(label) or p.name in status):
         entry.status, entry.stderr = "estimated", float(stderr)
     return entry
 

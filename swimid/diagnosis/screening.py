@@ -11,8 +11,7 @@ import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.crossval import NormalEquations
-from swimid.diagnosis.priors import EFFECT_PRIOR
-from swimid.diagnosis.study import GapStudy, Hypothesis
+from swimid.diagnosis.study import EFFECT_PRIOR, GapStudy, Hypothesis
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
@@ -190,13 +189,14 @@ def _screen_shared(
         gains = raw[helped]
     null, lower, upper = (np.array([getattr(p, n) for p in parameters]) for n in ("start", "lower", "upper"))
     step = sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
+    changes = zip(*(points[i][1] for i in chosen), strict=True)
     return Screening(
         tried.effect,
         parameters,
         np.clip(null + step, lower, upper),
         gains,
         float(np.clip(1.0 - left[column] / whole[column], 0.0, 1.0)),
-        _combine(factors, [points[i][1] for i in chosen]),
+        [np.asarray(sum(f * c for f, c in zip(factors, of, strict=True))) for of in changes],
         points[helped][0],
     )
 
@@ -242,12 +242,6 @@ def _fit_points(
     if len(leaders) > 1:
         rivals.append(fit(*leaders.values()))
     return max(rivals, key=lambda one: float(one[0].sum()))
-
-
-def _combine(factors: Array, changes: Sequence[Sequence[Array]]) -> list[Array]:
-    """Return the sum of changes of the trials, each multiplied by its factor."""
-    each = zip(*changes, strict=True)
-    return [np.asarray(sum(f * c for f, c in zip(factors, of, strict=True))) for of in each]
 
 
 def _screen_own(study: GapStudy, base: Hypothesis, tried: ScreeningRuns) -> Screening | None:
@@ -306,9 +300,7 @@ def compute_own_gains(study: GapStudy, base: Hypothesis, own: Sequence[Sequence[
     for k, trial in enumerate(study.trials):
         block = np.column_stack([*(c[k] for c in own), base.residuals[k]])
         seen = crossval.project_out(study, base, k, block)[: len(block)]
-        times = np.concatenate(
-            [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]
-        )
+        times = np.concatenate([np.empty(0), *(trial.time_s[mask] for mask in problem.masks[k])])
         cut = np.quantile(times, np.linspace(0, 1, TRIAL_PARTS + 1)[1:-1]) if len(times) else np.empty(0)
         part = np.searchsorted(cut, times, side="right")
         products = np.array([seen[part == b].T @ seen[part == b] for b in range(TRIAL_PARTS)])

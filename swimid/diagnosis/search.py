@@ -14,6 +14,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -296,9 +297,8 @@ class HypothesisSearch(HypothesisPool):
         differing = noise.list_random_candidates(study, h, self.every)
         known = noise.with_random_effects(study, h, study.noise, differing, largest=noise.BESIDE_GAP)
         strain = self._shift(h, study.with_noise(known), h).strain
-        price = posterior.compute_price(
-            replace(self._candidate(h), strain=strain), self._candidate(self.null), self.record
-        )
+        candidate = replace(self._candidate(h), strain=strain)
+        price = posterior.compute_price(candidate, self._candidate(self.null), self.record)
         if h.names:
             price -= posterior.compute_prior_log_odds(len(h.names), self.count)
         return known.log_likelihood - price
@@ -369,12 +369,10 @@ class HypothesisSearch(HypothesisPool):
         for known in (self.pool, self.screens, self._cosines, self._returned):
             known.clear()
         self._put(fit)
-
-        def one(h: Hypothesis) -> tuple[Array, Array, float]:
-            return h.deviance_parts
+        parts = attrgetter("deviance_parts")
 
         def put(moved: Sequence[Hypothesis]) -> None:
-            for h, found in zip(moved, map_in_processes(one, moved, study.jobs), strict=True):
+            for h, found in zip(moved, map_in_processes(parts, moved, study.jobs), strict=True):
                 vars(h).update(deviance_parts=found)
                 known = self.pool.get(h.key)
                 if known is None or h.deviance < known.deviance:
@@ -384,11 +382,8 @@ class HypothesisSearch(HypothesisPool):
         # An effect cannot increase the deviance, because its null value gives the model without it. Where it
         # does, the parameters are far from their optimum with the other noise. A step from the null value
         # finds it again if the effect is smooth.
-        worse = [
-            h
-            for h in self.pool.values()
-            if h.effects and h.deviance > fit.deviance and all(e.smooth for e in h.effects)
-        ]
+        smooth = [h for h in self.pool.values() if h.effects and all(e.smooth for e in h.effects)]
+        worse = [h for h in smooth if h.deviance > fit.deviance]
         put([self._shift(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
         self.finish()
 
@@ -594,12 +589,14 @@ def compare_with_alternatives(search: HypothesisSearch, effect: Effect) -> Cause
     ranked = [*search.rank(base, [best]), *search.rank(base, rivals)]
     probabilities = odds.probabilities
     least = PROBABLE * probabilities.get(best.names, 0.0)
+    candidates = {c.names: c for c in odds.candidates}
     same = []
     for h in ranked[1:]:
         other = h.last_screening
         is_same = effect.adds_to is not None and probabilities.get(h.names, 0.0) > least
         is_same = is_same and _is_same_change(search, base, ranked[0].last_screening, other)
-        if is_same or _are_twins(odds, best.names, base.names | {other.effect.name}):
+        first, second = (candidates.get(n) for n in (best.names, base.names | {other.effect.name}))
+        if is_same or (first is not None and second is not None and posterior.are_twins(first, second)):
             same.append(other.effect.name)
     return CauseComparison(ranked, tuple(same))
 
@@ -626,12 +623,6 @@ def prefer_parameters(search: HypothesisSearch) -> Hypothesis:
     return best
 
 
-def _are_twins(found: Posterior, *sets: frozenset[str]) -> bool:
-    """Return whether two sets of effects leave the same residuals."""
-    known = {c.names: c for c in found.candidates}
-    return all(names in known for names in sets) and posterior.are_twins(*(known[names] for names in sets))
-
-
 def _is_same_change(search: HypothesisSearch, base: Hypothesis, first: Screening, second: Screening) -> bool:
     """Return whether two effects change the trials in the same way when added to a hypothesis.
 
@@ -642,7 +633,6 @@ def _is_same_change(search: HypothesisSearch, base: Hypothesis, first: Screening
     one, other = (known.get(base.names | {t.effect.name}, np.inf) for t in (first, second))
     if not abs(one - other) <= posterior.compute_tolerance(search.record, 0.0):
         return False
-    return (
-        abs(one - other) < STRONG
-        or abs(screening.compute_cosine(search.study, base, first, second)) > MIN_SAME_COSINE
-    )
+    if abs(one - other) < STRONG:
+        return True
+    return abs(screening.compute_cosine(search.study, base, first, second)) > MIN_SAME_COSINE

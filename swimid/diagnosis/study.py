@@ -1,22 +1,22 @@
-"""Fit hypotheses, the model with sets of effects, to trials with the noise of a noise model."""
+"""Unknowns and priors of hypotheses, and their fits to trials with the noise of a noise model."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import norm
 
 from swimid.diagnosis import crossval
-from swimid.diagnosis.noise import NoiseModel
-from swimid.diagnosis.priors import NO_CORRELATION, Correlation, StudyPriors
-from swimid.diagnosis.settings import divide_folds
+from swimid.diagnosis.noise import NoiseModel, join_channels
+from swimid.diagnosis.nominal import OWN_PRIOR, PREFIX
+from swimid.diagnosis.settings import Folds, divide_folds
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem, Watch, map_in_processes
@@ -24,6 +24,27 @@ from swimid.fitting.problem import Problem, Watch, map_in_processes
 if TYPE_CHECKING:
     from swimid.diagnosis.screening import Screening
 
+#: Prior standard deviation of the parameters of an effect, in units of their typical scales.
+EFFECT_PRIOR = 5.0
+#: Factor by which the prior of a changed parameter is wider. Its typical scale is that of a small change.
+CHANGE_WIDTH = 10.0
+#: Prior standard deviation of the initial state of a trial, in units of the typical scales of its parameters.
+#: The prior mean comes from the first samples of the trial.
+START_PRIOR = 30.0
+#: Weight of the mean of a random effect that is held at 0, in units of its standard error by chance.
+ZERO_MEAN_WEIGHT = 100.0
+#: Distance of a coefficient from its prior mean, in prior standard deviations, above which a missing effect
+#: may have distorted the coefficient.
+MAX_PRIOR_DISTANCE_SD = 2.0
+#: Maximum standard deviation of an informative prior, as a fraction of the coefficient. In place of a wider
+#: prior, a prior of this width about the published value is used.
+MAX_INFORMATIVE_SHARE = 0.3
+#: Type of a prior correlation: names of coefficients, and the correlation matrix of their priors.
+Correlation = tuple[Sequence[str], Array]
+NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
+#: Number added to the diagonal of a correlation matrix to make it positive definite. This is necessary
+#: because files round correlations to a few digits.
+PRIOR_CORRELATION_RIDGE = 1e-6
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
 #: Search from several starting points: number of iterations from the best one (HEAT), maximum number of
@@ -224,19 +245,22 @@ class Hypothesis:
 
     def by_channel(self) -> dict[str, Array]:
         """Return the residuals of all trials by channel, in the channel's unit."""
-        parts: dict[str, list[Array]] = {}
-        for k in range(len(self.residuals)):
-            for channel, series in self.split(k).items():
-                parts.setdefault(channel, []).append(series[np.isfinite(series)])
-        return {c: np.concatenate(p) for c, p in parts.items()}
+        parts = (part for k in range(len(self.residuals)) for part in self.split(k).items())
+        return join_channels((channel, series[np.isfinite(series)]) for channel, series in parts)
 
     def collect_measured(self) -> dict[str, Array]:
         """Return the measured samples of all trials by channel, in the channel's unit."""
-        parts: dict[str, list[Array]] = {}
-        for k, trial in enumerate(self.problem.trials):
-            for channel, mask in zip(self.problem.channels[k], self.problem.masks[k], strict=True):
-                parts.setdefault(channel, []).append(trial.measured[channel][mask])
-        return {c: np.concatenate(p) for c, p in parts.items()}
+        problem = self.problem
+        parts = (
+            (channel, problem.trials[k].measured[channel][mask])
+            for k, channels in enumerate(problem.channels)
+            for channel, mask in zip(channels, problem.masks[k], strict=True)
+        )
+        return join_channels(parts)
+
+    def is_inside(self, label: str) -> bool:
+        """Return whether a parameter is estimated and not at a bound."""
+        return label in self.labels and bool(self.inside[self.labels.index(label)])
 
     def value(self, label: str) -> float:
         """Return the estimate of the parameter with a given label, or its value if it is fixed."""
@@ -266,6 +290,173 @@ def _brief_watch(tolerance: float) -> Watch:
         return None
 
     return watch
+
+
+class StudyPriors:
+    """Unknowns and priors of all hypotheses of a study.
+
+    Attributes
+    ----------
+    model : Model
+        The model without effects.
+    parameters : tuple of Parameter
+        Its parameters.
+    prior : dict of name to (mean, sd)
+        Normal priors of shared coefficients.
+    correlation : tuple of sequence of str and ndarray, shape (m, m)
+        Names of coefficients, and the correlation matrix of their priors. The priors of all other
+        coefficients are independent.
+    noise : NoiseModel
+        It has the random effects.
+    folds : Folds
+    """
+
+    model: Model
+    parameters: tuple[Parameter, ...]
+    prior: dict[str, tuple[float, float]]
+    correlation: Correlation
+    noise: NoiseModel
+    folds: Folds
+
+    def random(self, problem: Problem, k: int) -> NDArray[np.intp]:
+        """Return the indices of the random effects of trial ``k`` among the unknowns of a problem."""
+        names = {one.parameter for one in self.noise.random_effects}
+        own = [j for j in problem.own(k) if problem.parameters[problem.slots[j][0]].name in names]
+        return np.array(own, dtype=np.intp)
+
+    @property
+    def zero_mean_names(self) -> list[str]:
+        """Return the names of the random effects whose mean over the trials is held at 0."""
+        return [one.parameter for one in self.noise.random_effects if one.is_centred]
+
+    def select_nonrandom(self, problem: Problem, k: int, own: Iterable[int]) -> NDArray[np.intp]:
+        """Return those of the unknowns ``own`` of trial ``k`` that are no random effects."""
+        random = self.random(problem, k).tolist()
+        return np.array([j for j in own if j not in random], dtype=np.intp)
+
+    def single(self, problem: Problem) -> NDArray[np.bool_]:
+        """Return a mask of the parameters that are refitted in each held-out fold, shape (p,).
+
+        The initial states of trials are refitted. If whole trials are held out, per-trial values of effects
+        are refitted as well.
+        """
+        return np.array(
+            [
+                owner is not None and (self.folds.whole or "/" not in problem.parameters[index].name)
+                for index, owner in problem.slots
+            ],
+            dtype=bool,
+        )
+
+    def select_shared(self, fit: Hypothesis) -> NDArray[np.intp]:
+        """Return the indices of the parameters that all folds share and that are not at a bound."""
+        return np.flatnonzero(~self.single(fit.problem) & fit.inside)
+
+    def select_own(self, fit: Hypothesis, k: int) -> NDArray[np.intp]:
+        """Return the indices of the parameters of trial ``k`` that are refitted in a held-out fold.
+
+        Parameters at a bound are left out.
+        """
+        free = self.single(fit.problem) & fit.inside
+        return np.array([j for j in fit.problem.own(k) if free[j]], dtype=int)
+
+    def widen_priors(self, problem: Problem) -> dict[str, tuple[float, float]]:
+        """Return wider priors of coefficients for a model with another interpretation of the robot's source.
+
+        The result is empty for the interpretation in the robot file. The usual priors come from other trials
+        that were fitted with that interpretation, and are too narrow for another one.
+        """
+        added = problem.model.acting[len(self.model.acting) :]
+        if all(acting.model is self.model for acting in added):
+            return {}
+        own = {p.name: OWN_PRIOR * max(abs(p.start), 0.1 * p.scale) for p in self.parameters}
+        return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
+
+    def compute_prior(self, problem: Problem) -> tuple[Array, Array]:
+        """Return the prior mean and the inverse prior standard deviation of each parameter.
+
+        The inverse standard deviation of a parameter without a prior is 0.
+        """
+        mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
+        random = {one.parameter: one.sd for one in self.noise.random_effects}
+        known = {**self.prior, **self.widen_priors(problem)}
+        for j, (index, owner) in enumerate(problem.slots):
+            p = problem.parameters[index]
+            if owner is None and p.name in known:
+                mean[j], sd = known[p.name]
+                if sd > 0:
+                    weight[j] = 1.0 / sd
+            elif p.name in random:
+                weight[j] = 1.0 / (random[p.name] * p.scale)
+            elif "/" in p.name:
+                wide = EFFECT_PRIOR * (CHANGE_WIDTH if p.name.startswith(PREFIX) else 1.0)
+                mean[j], weight[j] = p.start, 1.0 / (wide * p.scale)
+            elif owner is not None:
+                weight[j] = 1.0 / (START_PRIOR * p.scale)
+        return mean, weight
+
+    def root(self, problem: Problem, left_out: Collection[int] = ()) -> Array:
+        """Return a square root of the prior precision matrix, shape (m, p).
+
+        The prior precision matrix is ``root.T @ root``. It has a row for each parameter with a prior, and for
+        each random effect whose mean over the trials is held at 0.
+
+        Parameters
+        ----------
+        left_out : collection of int, optional
+            Indices of trials that are not fitted. They do not belong to the mean.
+        """
+        _, weight = self.compute_prior(problem)
+        root, loosened = np.diag(weight), self.widen_priors(problem)
+        names, correlation = self.correlation
+        at = {problem.parameters[i].name: j for j, (i, owner) in enumerate(problem.slots) if owner is None}
+        known = [(at[n], i) for i, n in enumerate(names) if n in at and n not in loosened]
+        if known:
+            places, rows = (list(ends) for ends in zip(*known, strict=True))
+            own = correlation[np.ix_(rows, rows)]
+            inverse = np.linalg.inv(own + PRIOR_CORRELATION_RIDGE * np.eye(len(rows)))
+            root[np.ix_(places, places)] = np.linalg.cholesky(inverse).T * weight[places]
+        rows = [root[weight > 0]]
+        for name in self.zero_mean_names if len(problem.trials) > 1 else ():
+            mine = [
+                problem.parameters[i].name == name and owner not in left_out for i, owner in problem.slots
+            ]
+            rows.append(np.atleast_2d(ZERO_MEAN_WEIGHT * weight * mine / math.sqrt(max(sum(mine), 1))))
+        return np.concatenate(rows)
+
+    def precision(self, problem: Problem) -> Array:
+        """Return the prior precision matrix of all parameters, shape (p, p); see :meth:`root`."""
+        root = self.root(problem)
+        return np.asarray(root.T @ root)
+
+    def begins(self, problem: Problem, theta: Array) -> list[Array]:
+        """Return further starting points of a fit: the prior means, if ``theta`` is far from them.
+
+        A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
+        there may end in a poor local optimum. A second starting point has the start values of the initial
+        states beside the prior means, because the initial states may be distorted as well.
+        """
+        plain, distorted = theta.copy(), False
+        known = {**self.prior, **self.widen_priors(problem)}
+        for j, (index, owner) in enumerate(problem.slots):
+            p = problem.parameters[index]
+            if owner is not None or p.name not in known:
+                continue
+            mean, sd = known[p.name]
+            size = max(abs(mean), p.scale)
+            if p.known is not None and sd > MAX_INFORMATIVE_SHARE * size:
+                # The prior was estimated from these trials, so a missing effect biases the prior too. Use the
+                # published value of the coefficient instead of this prior.
+                mean, sd = p.known, MAX_INFORMATIVE_SHARE * max(abs(p.known), p.scale)
+            plain[j] = mean
+            distorted = distorted or abs(theta[j] - mean) > MAX_PRIOR_DISTANCE_SD * sd
+        if not distorted:
+            return []
+        rest = plain.copy()
+        for j, (index, owner) in enumerate(problem.slots):
+            if owner is not None and "/" not in problem.parameters[index].name:
+                rest[j] = problem.start[j]
+        return [plain, rest]
 
 
 class GapStudy(StudyPriors):
@@ -339,14 +530,6 @@ class GapStudy(StudyPriors):
         if key not in self._known:
             self._known[key] = self.model.with_effects(acting, self.trials)
         return self._known[key]
-
-    def chance(self, fit: Hypothesis, k: int) -> Array:
-        """Return the weighted change of trial ``k`` by one standard deviation of each random effect.
-
-        The shape is (n_k, q).
-        """
-        random = self.random(fit.problem, k)
-        return fit.columns(k, random) / self.compute_prior(fit.problem)[1][random]
 
     def problem(
         self,
@@ -457,14 +640,8 @@ class GapStudy(StudyPriors):
 
         def one(f: int) -> Array:
             kept = [owner != f for owner in self.folds.owner]
-            theta = self.fit(
-                fit.effects,
-                [fit.theta],
-                tolerance=ROUGH,
-                iterations=MAX_FOLD_ITERATIONS,
-                reuse=fit,
-                kept=kept,
-            ).theta.copy()
+            few: dict[str, Any] = {"tolerance": ROUGH, "iterations": MAX_FOLD_ITERATIONS}
+            theta = self.fit(fit.effects, [fit.theta], reuse=fit, kept=kept, **few).theta.copy()
             # Nothing determines the initial state of a trial that is held out as a whole.
             for k in (k for k, fitted in enumerate(kept) if not fitted.any()):
                 own = fit.problem.own(k)
@@ -474,11 +651,7 @@ class GapStudy(StudyPriors):
         return list(map_in_processes(one, range(self.folds.count), self.jobs))
 
     def at(
-        self,
-        effects: Sequence[Effect],
-        theta: Array,
-        cost: float = math.nan,
-        hold: Sequence[Hypothesis] = (),
+        self, effects: Sequence[Effect], theta: Array, cost: float = math.nan, hold: Sequence[Hypothesis] = ()
     ) -> Hypothesis:
         """Return a hypothesis at the given parameter values, without a search for the optimum.
 
@@ -494,10 +667,7 @@ class GapStudy(StudyPriors):
         return Hypothesis(self, tuple(effects), theta, cost, problem)
 
     def start(
-        self,
-        effects: Sequence[Effect],
-        fit: Hypothesis,
-        own: Mapping[str, float] | None = None,
+        self, effects: Sequence[Effect], fit: Hypothesis, own: Mapping[str, float] | None = None
     ) -> Array:
         """Return the starting point of a fit with other effects or another noise model.
 
@@ -505,14 +675,11 @@ class GapStudy(StudyPriors):
         null value.
         """
         problem = self.problem(effects)
-        known = dict(zip(fit.labels, fit.theta, strict=True))
+        known = dict(zip(problem.labels, problem.start, strict=True))
+        known |= dict(zip(fit.labels, fit.theta, strict=True))
         own = own or {}
-        return np.array(
-            [
-                own.get(label, own.get(label.split("[")[0], known.get(label, start)))
-                for label, start in zip(problem.labels, problem.start, strict=True)
-            ]
-        )
+        labels = problem.labels
+        return np.array([own.get(n, own.get(n.split("[")[0], known[n])) for n in labels])
 
     def changes(self, base: Hypothesis, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
         """Return the changes of the simulated samples by an effect for several parameter values.
@@ -537,13 +704,12 @@ class GapStudy(StudyPriors):
         without = self.build_model(base.effects).run_many(list(zip(own, self.trials, strict=True)))
         simulated = iter(model.run_many(runs))
         unaffected = [base.problem.stack(k, seen) for k, seen in enumerate(without)]
-        return [
-            [
-                (base.problem.stack(k, next(simulated)) - unaffected[k]) * base.problem.sample_weights(k)
-                for k in range(len(self.trials))
-            ]
-            for _ in points
-        ]
+        weights = [base.problem.sample_weights(k) for k in range(len(self.trials))]
+
+        def change(k: int) -> Array:
+            return (base.problem.stack(k, next(simulated)) - unaffected[k]) * weights[k]
+
+        return [[change(k) for k in range(len(weights))] for _ in points]
 
 
 def fix_parameters(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:

@@ -184,7 +184,7 @@ def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
     passed = share >= MIN_SURE_PROBABILITY
     yield VerdictRow("cause in the catalogue", found, sure, passed, otherwise, is_named, reason)
     rivals = join_names(first.equivalent, "or") or "other effects"
-    reason = f"these trials cannot tell {name} from {rivals}"
+    reason = f"these trials cannot distinguish {name} from {rivals}"
     passed = first.alone >= MIN_SURE_PROBABILITY and not first.crowded
     found = f"{probability_text(first.alone)} of the probability of cause and rivals"
     yield VerdictRow("cause against its rivals", found, sure, passed, "ambiguous", True, reason)
@@ -283,13 +283,10 @@ def _is_worse(t: HeldOutTrial, as_given: bool) -> bool:
 def is_imitated(facts: Facts) -> bool:
     """Return whether a refit without causes predicts held-out data as well as the causes do."""
     left = compute_refit_share(facts)
-    if (
-        left is None
-        or left > CALIBRATED.form
-        or compute_decrease_probability(facts) >= MIN_DECREASE_PROBABILITY
-    ):
+    if left is None or left > CALIBRATED.form:
         return False
-    return compute_decrease_probability(facts, as_given=True) >= MIN_DECREASE_PROBABILITY
+    falls, as_given = (compute_decrease_probability(facts, as_given=one) for one in (False, True))
+    return falls < MIN_DECREASE_PROBABILITY <= as_given
 
 
 def compute_decrease_probability(facts: Facts, *, as_given: bool = False) -> float:
@@ -350,13 +347,9 @@ def find_carrying_part(facts: Facts) -> str:
 
 def _sums(trials: Mapping[str, HeldOutTrial]) -> tuple[float, float, float, float]:
     """Return the sums of the squared errors as given, refitted, with causes, and expected."""
-    each = trials.values()
-    return (
-        sum(t.as_given for t in each),
-        sum(t.before for t in each),
-        sum(t.after for t in each),
-        sum(t.expected for t in each),
-    )
+    rows = [(t.as_given, t.before, t.after, t.expected) for t in trials.values()] or [(0.0,) * 4]
+    given, before, after, expected = (sum(column) for column in zip(*rows, strict=True))
+    return given, before, after, expected
 
 
 def _share_left(before: float, after: float, expected: float) -> float | None:

@@ -382,6 +382,6 @@ class MjcfBuoyancy(OfBase, environment.Buoyancy):
         return (parameter("share", "1", 0.02, "share of the weight that is lifted", -0.5, 0.5),)
 
     def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
-        """Lift the heaviest body."""
+        """Increase the buoyancy of the heaviest body by a share of its weight, in place."""
         body = heaviest(model.compiled)
         fields["body_gravcomp"][body] += values[0]

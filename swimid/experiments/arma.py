@@ -56,8 +56,8 @@ class Arma(Trials):
         """
         if params is None:
             raise UsageError(
-                "a black-box model has no values but those of a fit: give them with --params",
-                hint="swimid rwls makes them",
+                "a black-box model has no default parameters: give those of a fit with --params",
+                hint="swimid rwls estimates them and writes the file",
             )
         model = ArxModel(params[1], params[0])
         read = [model.source] * (model.sine is None)

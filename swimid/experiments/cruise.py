@@ -137,8 +137,8 @@ class Cruise(Trials):
         for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
             if stated.get(name, law) != law:
                 raise UsageError(
-                    f"{name} is not that of the law; its reference is in the fitted table: give it with "
-                    "--trials"
+                    f"{name} is {stated[name]:g} in place of {law:g}, so the reference values of the fitted "
+                    "table are needed: give the trials file with --trials"
                 )
 
         def compute(applied: Any, values: Array) -> list[float]:
@@ -175,7 +175,7 @@ def find_drag_file(path: Path, file: parameters_format.ParameterFile) -> paramet
     place = next((p for p in places if p.is_file()), None)
     if place is None:
         raise InputError(
-            f"the drag file {named} it was made with is not there",
+            f"the drag file {named}, with which these parameters were fitted, does not exist",
             file=path,
             column="settings.drag_file",
             hint="put it beside this file",

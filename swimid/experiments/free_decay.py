@@ -115,7 +115,7 @@ def _coordinate(logs: list[Log]) -> str:
     common = [c for c in rig.COORDINATES if all(c in log for log in logs)]
     if len(common) != 1:
         raise InputError(
-            f"one coordinate is needed in every log, and there are {len(common)} ({', '.join(common)})",
+            f"the logs must share exactly one coordinate, but share {len(common)} ({', '.join(common)})",
             file=logs[0].path,
             hint=f"choose one of {', '.join(rig.COORDINATES)} with --coordinate",
         )

@@ -153,8 +153,10 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
     if not trials:
         raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
     _refuse_waveforms(waveforms, path)
-    if any(t.surge.amplitude_rad <= 0 for t in trials):
-        raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
+    still = [t.id for t in trials if t.surge.amplitude_rad <= 0]
+    if still:
+        text = f"the drive amplitude must be positive; it is not in {', '.join(still)}"
+        raise InputError(text, file=path, column="amplitude_deg")
     trials = _pool_frequencies(trials)
     model = SurgeModel(
         amplitudes_rad=[t.surge.amplitude_rad for t in trials],

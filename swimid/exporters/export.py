@@ -129,7 +129,7 @@ def _check_output(
     if output is not None and str(output) != "-":
         return atomic.check_writable(Path(output), inputs=[parameters.origin(params)])
     if options.draws:
-        text = "--draws writes a file beside the output, and there is none"
+        text = "--draws writes a file beside the output, but no output is given: name one"
         raise UsageError(text, hint="name it: -o FILE")
     return None
 
@@ -152,7 +152,9 @@ def _warn_of_limits(source: ExportSource, title: str, limits: list[str]) -> None
     unknown = [name for name, e in estimates.items() if e.status == "unidentifiable" and "[" not in name]
     if unknown:
         names = ", ".join(unknown)
-        warn("SWM010", f"exported as they stand, though their trials do not determine them: {names}")
+        warn(
+            "SWM010", f"parameters that their trials do not determine are exported with their values: {names}"
+        )
     for limit in limits:
         warn("SWM060", f"{title}: {limit}")
 
@@ -305,7 +307,10 @@ def _samples(source: ExportSource, count: int, seed: int) -> list[dict[str, floa
     # Leave out the effects of the file, because their parameters are already among those of the model.
     applied = Applied(model, source.parameters.model_copy(update={"effects": []}), source.path)
     if not applied.uncertain()[0]:
-        raise UsageError("no parameter of the file has a standard error to draw from")
+        raise UsageError(
+            "no parameter of the file has a standard error, so no random samples can be drawn",
+            hint="give the parameter file of a fit",
+        )
     applied.warn_without_error("the random samples")
     vectors, inside = draw_parameters(applied, count, seed)
     if inside < 1.0 - NOTABLE:

@@ -125,7 +125,7 @@ def digests_of(inputs: Iterable[Input]) -> Inputs:
             hint = "run the command again when nothing writes the file"
             raise InputError("has changed while it was read", file=os.path.relpath(path), hint=hint)
         if changed:
-            text = "has changed since it was read; the result is of its former content"
+            text = "has changed since it was read; the result is computed from its former content"
             warn("SWM176", f"{os.path.relpath(path)} {text}")
         digests.add(reading.name_of(given), digest, path)
     return digests

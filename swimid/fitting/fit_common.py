@@ -632,7 +632,7 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     for label, status in result.status.items():
         if status == "at-bound":
             bounds = numbers.bounds_text(result.parameter(label).bounds)
-            warn("SWM012", f"{label} lies at its bound ({bounds}): the data ask for a value outside")
+            warn("SWM012", f"{label} lies at its bound ({bounds}): the best value for the data is outside")
     if correlation is None:
         return said
     for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):

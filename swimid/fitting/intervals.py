@@ -56,7 +56,8 @@ MAX_ENLARGEMENT = 3.0
 #: Memory of the noise, as a fraction of the duration of a trial, above which the distribution of the scores
 #: over the trials also counts. The forms of the noise then hardly determine the error.
 LONG_MEMORY = 1.0 / 15.0
-#: Smallest eigenvalue of a scaled matrix of information that is no rounding error, relative to the largest.
+#: Minimum ratio of an eigenvalue of a scaled information matrix to the largest one. A smaller eigenvalue is a
+#: rounding error.
 INFORMATION_RTOL = 1e-10
 #: Probability of differences above which a check warns. Trials that agree exceed it in at most 1 % of all
 #: cases, because a Bayes factor of 99 against the truth is that rare (Markov's inequality).
@@ -527,7 +528,7 @@ def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array,
         whole = a.sum(axis=1)[:, None] - np.einsum(
             "jhkqa,jhkab,jhkrb->jhqr", left, inverse, left, optimize=True
         )
-        # Keep a matrix invertible whose smallest eigenvalue is lost by rounding.
+        # Add a small diagonal, so that a matrix is invertible whose smallest eigenvalue is a rounding error.
         least = 1e-13 * np.trace(whole, axis1=2, axis2=3) + 1e-12
         whole += least[..., None, None] * np.eye(whole.shape[-1])
         score = s.sum(axis=1)[:, None] - np.einsum("jhkqa,jhka->jhq", left, solved)
@@ -585,7 +586,7 @@ def _visibility(information: Array, pooled: Array, forward: Array) -> tuple[Arra
 
 
 def _cluster_half_widths(scores: _Scores, directions: Array) -> Array:
-    """Return half-widths of 95 % intervals from the scores of the trials, without a form of the noise.
+    """Return half-widths of 95 % intervals from the scores of the trials. No noise model is assumed.
 
     The covariance is the bias-reduced cluster estimate of Bell and McCaffrey, with its degrees of freedom
     [2]_.

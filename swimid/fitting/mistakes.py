@@ -258,7 +258,7 @@ def _steady(trial: Trial) -> Trial | None:
 
 
 def series_of(trial: Trial, simulated: Mapping[str, Array]) -> list[Series]:
-    """Return the series of the measured channels of a trial that are simulated."""
+    """Pair each measured channel of a trial with its simulation. Skip channels that are not simulated."""
     one = np.ones(len(trial.time_s))
     return [
         Series(trial.id, trial.role, name, trial.time_s, measured, simulated[name], one)

@@ -207,7 +207,7 @@ class NoiseRows:
 def compute_rows(
     problem: Problem, residuals: Sequence[Array], derivatives: Sequence[Array]
 ) -> dict[str, dict[int, NoiseRows]]:
-    """Return the rows of each channel, by the index of the trial.
+    """Return the noise rows by channel and by index of the trial.
 
     Parameters
     ----------

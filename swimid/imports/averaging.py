@@ -147,7 +147,7 @@ class ChannelStatistics:
 
     @property
     def _ends(self) -> list[tuple[Extreme, Extreme, float]]:
-        """Smallest and largest value, each with the opposite one and with its value."""
+        """Both extremes of the channel: the extreme, the opposite extreme, and the value of the former."""
         return [(self.smallest, self.largest, self.low), (self.largest, self.smallest, self.high)]
 
 

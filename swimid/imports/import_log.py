@@ -420,13 +420,13 @@ def _take_out_track(
     elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
     if elsewhere:
         at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
-        warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
+        warn("SWM059", f"{name}: the track continues at another place at {at}")
         done["elsewhere_s"] = elsewhere
     out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
     if not out.any():
         return out
     if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
-        text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
+        text = f"{name}: only {good} of {len(out)} samples are valid (no repeats, no jumps)"
         hint = "--raw keeps them all; is this a track of positions in metres?"
         raise NoTrustworthyResult(text, hint=hint)
     lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
@@ -653,7 +653,7 @@ def _track_checks(found: Examined) -> list[Check]:
     held = "the track holds repeated pictures (--clean leaves them out)"
     jumps = f"the track jumps {cleaning.jumps} times ({lost} samples {done})"
     if cleaning.offset_rows:
-        jumps += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
+        jumps += f" and continues at another place {len(cleaning.offset_rows)} times"
     lossy = lost > MAX_JUMPED * seen or not found.cleaned
     longest_s = max((end - start for start, end in cleaning.gaps), default=0.0)
     gaps = f"{len(cleaning.gaps)}, longest {numbers.format_number(longest_s, 3, 's')}"

@@ -117,7 +117,9 @@ class Time(yamlio.Document):
                 "its times, 'offset_s' alone"
             )
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
-            raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
+            raise ValueError(
+                f"'unit' has {len(self.unit)} entries for {len(self.sources)} sources: give one for each"
+            )
         for unit in self.units_of_sources or [str(self.unit)]:
             unit_factor(unit, TIME)
         return self
@@ -161,7 +163,9 @@ class Column(yamlio.Document):
     @model_validator(mode="after")
     def _unit_fits(self) -> Column:
         if self.scale == 0:
-            raise ValueError("a factor of 0 leaves nothing of the column")
+            raise ValueError(
+                "the factor is 0, which would set all values of the column to 0: give another factor"
+            )
         return self
 
     @property
@@ -253,7 +257,7 @@ class Mapping(TableSource):
         if (self.time is None) == (TIME not in targets):
             raise ValueError(f"give the time once: as 'time:', or as a column with the target {TIME}")
         if targets == [TIME]:
-            raise ValueError("maps the time alone")
+            raise ValueError("the mapping has a time only: add a column of a measured quantity")
         return self
 
     @property

@@ -55,8 +55,9 @@ def align(
         best = max((one.explained for one in found), default=0.0)
         raise NoTrustworthyResult(
             f"the two logs do not move together (the inertial one explains {100 * best:.0f} % of the other); "
-            "their clocks cannot be set",
-            hint="are they of the same trial, with units and axes right? --clock-offset-s gives the offset",
+            "the offset between their clocks cannot be estimated",
+            hint="check that both are of the same trial, and check units and axes; or give the offset with "
+            "--clock-offset-s",
         )
     return sorted(good, key=lambda one: one.stderr_s)
 

@@ -214,7 +214,7 @@ def _with_rests(setup: ImuSetup, attempt: Callable[[ImuSetup], MotionEstimate]) 
     if doubts:
         return replace(first, setup=setup, impossible=wrong)
     classes = [name for name, sensor in recording.CLASSES.items() if sensor == found.smoothed.sensor]
-    text = "the log shows the errors of {}; bands are made for one"
+    text = "the log shows the errors of {}; the error bands are computed for one"
     findings = [Finding("sensor class", "noted", text.format(name)) for name in classes]
     if wrong:
         count = len(setup.rests)
@@ -559,7 +559,9 @@ def _start_mount(setup: ImuSetup, found: Offset) -> tuple[ImuSetup, list[Finding
     off = float((found.mount * setup.mount.rotation.inv()).magnitude())
     findings = []
     if off > MIN_MOUNT_CHANGE:
-        text = f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log, as turns show"
+        text = (
+            f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log (by turn rates)"
+        )
         findings.append(Finding("swapped or flipped axes", "handled", text))
     return replace(setup, mount=replace(setup.mount, rotation=found.mount, sd=TURNS_MOUNT_SD)), findings
 

@@ -424,7 +424,7 @@ def find_acceleration_unit(record: ImuRecord) -> tuple[ImuRecord, Finding | None
         size, unit = float(max(sizes[0], np.median(sizes))), "m/s2"
         known = size >= MIN_GRAVITY * GRAVITY_M_S2
     if not known:
-        text = f"the typical size of the acceleration is {size:.4g} m/s2, where gravity alone makes 9.81"
+        text = f"the typical size of the acceleration is {size:.4g} m/s2, where gravity alone gives 9.81"
         hint = "state the unit in a mapping (--map); gravity must not be subtracted from the readings"
         raise InputError(text, file=record.name, column="ax_m_s2 ... az_m_s2", hint=hint)
     if unit == "m/s2":

@@ -166,7 +166,7 @@ class ImuRun:
     #: Stroke frequency that the metadata state, Hz; None if absent.
     stated_hz: float | None
     cutoff_hz: float
-    #: Estimated motion, with the surge velocity within a stroke (``surge``).
+    #: Estimated motion. ``surge`` is the surge velocity within a stroke.
     motion: Motion
     poses: recording.Poses | None = None
     #: Estimate by the smoother; None for the method of Shang et al. (2012).
@@ -581,7 +581,7 @@ def _gyroscope_scale(fused: MotionEstimate) -> tuple[str, float, float]:
     part = smoother.ERROR_SLICES["rate_scale"]
     variances = np.diag(fused.smoothed.errors.covariance[-1])[part].reshape(3, 3).diagonal()
     axis = int(np.argmin(variances))
-    # Take the prior out of the estimate, which it pulls towards 1.
+    # Remove the bias of the estimate towards 1, which the prior causes.
     left = max(1.0 - float(variances[axis]) / fused.smoothed.sensor.scale_sd**2, 0.01)
     factor = 1.0 / (1.0 - float(fused.smoothed.path.rate_scale[axis, axis]) / left)
     return "xyz"[axis], factor, factor**2 * float(np.sqrt(variances[axis] / left))

@@ -59,7 +59,9 @@ class Drive(yamlio.Document):
     @model_validator(mode="after")
     def _asymmetric(self) -> Drive:
         if self.asymmetry != 0 and self.waveform != "a-cpg":
-            raise ValueError(f"'asymmetry' belongs to the waveform a-cpg; a {self.waveform} has none")
+            raise ValueError(
+                f"'asymmetry' is valid only with the waveform a-cpg: omit it for {self.waveform}"
+            )
         return self
 
 
@@ -371,6 +373,6 @@ def check_used(trials: Trials, path: Path, uses: Collection[str]) -> None:
             break
     else:
         where, line = "sets", yamlio.line_of(data, [key])
-    hint = "leave it out if it does not matter, else this is not the fit for these trials"
+    hint = "omit it; if it matters, these trials need another experiment"
     text = f"{where} '{key}', which has no effect here"
     raise InputError(text, file=path, line=line, column=key, hint=hint)

@@ -127,7 +127,7 @@ class TrialSet:
             given["robot"] = robot
         if kind.names_robot():
             if robot is None:
-                raise UsageError("name the experiment and the robot of these trials")
+                raise UsageError("experiment or robot of these trials is missing: give both")
             robot_format.locate(robot)
         if plain:
             given["trials"] = plain

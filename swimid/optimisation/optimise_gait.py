@@ -185,12 +185,15 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
     known = (*performance.units, "basin_m")
     if quantity not in known:
         names = ", ".join(performance.units)
-        raise UsageError(f"--goal {options.goal} is not for this robot: it has {names}")
+        raise UsageError(f"--goal {options.goal} needs {quantity}, and this robot has only {names}")
     for name, limit in limits.items():
         if limit.quantity not in known:
-            raise UsageError(f"--limit {name} is not for this robot")
+            raise UsageError(
+                f"--limit {name} needs {limit.quantity}, which this robot does not have: omit it"
+            )
     if options.goal == "power" and options.reach_speed_m_s is None:
-        raise UsageError("the least power is that of no motion", hint="give the speed: --reach-speed-m-s")
+        text = "--goal power needs a speed; without a speed, no motion is the optimum"
+        raise UsageError(text, hint="give the speed with --reach-speed-m-s")
     return GaitProblem(performance, options.vary, [(quantity, sign)], limits, checkpoint=keep)
 
 
@@ -209,7 +212,7 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
         if not value > 0:
             raise UsageError(f"--limit {name}: {value:g} is not above zero")
         if name == "tank_m" and performance.model.body is None:
-            raise UsageError("--limit tank_m is for robots in a plane")
+            raise UsageError("--limit tank_m is valid only for robots that move in a plane: omit it")
         quantity, factor, unit = known[name]
         found[name] = Limit(quantity=quantity, at_most=factor * value, unit=unit)
     if options.reach_speed_m_s is not None:
@@ -249,10 +252,12 @@ def _find(
     x, units = found.points[int(np.argmin(found.values))], problem.performance.units
     table = problem.table(x[None])
     if not problem.keeps_limits(table).all():
-        raise NoTrustworthyResult("no gait keeps to the limits", hint="widen what is varied, or the limits")
+        text = "the search found no gait that satisfies the limits"
+        raise NoTrustworthyResult(text, hint="widen the ranges of --vary, or relax the limits")
     best = float(problem.goal_values(table)[0, 0])
     if not math.isfinite(best):
-        raise NoTrustworthyResult("the goal has no value anywhere: a robot that does not turn has no radius")
+        text = "the goal is undefined for every gait: for example, a robot that does not turn has no radius"
+        raise NoTrustworthyResult(text)
     violations = np.abs(problem.violations(table)[0])
     axes = problem.performance.axes
     return GaitFile(
@@ -337,7 +342,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     checks.append(studies.draws_check(file.inside))
     if file.kept_in_draws is not None:
         passed, value = file.kept_in_draws >= MIN_KEPT, numbers.percent(file.kept_in_draws, 2)
-        text = "leave more room to the limits, or fit better" * (not passed)
+        text = "leave a larger margin to the limits, or reduce the standard errors by trials" * (not passed)
         name, limit = "draws in which the limits are kept", f"≥ {numbers.percent(MIN_KEPT)}"
         checks.append(ev.make_check(name, value, passed, limit, text))
     return checks

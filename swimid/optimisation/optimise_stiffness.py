@@ -150,7 +150,7 @@ def _limit_to_range(value: float, ends: tuple[float, float], name: str, outside:
     low, high = ends
     slack = 1e-9 * max(abs(low), abs(high))
     if not math.isfinite(value) or (outside == "refuse" and not low - slack <= value <= high + slack):
-        raise UsageError(f"{name} {value:g} is outside the rule, {low:g} to {high:g}")
+        raise UsageError(f"{name} {value:g} is outside the range of the rule, {low:g} to {high:g}")
     return min(max(value, low), high)
 
 
@@ -287,7 +287,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Gai
         given = (
             "--stroke" if options.stroke is not None else f"'{performance.model.robot.name}' moves in space"
         )
-        raise UsageError(f"{given}: a stiffness rule is for a tail beat in a plane")
+        raise UsageError(f"{given}: a stiffness rule is valid only for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
         raise UsageError(
             f"--over has {', '.join(options.over)}: it takes frequency_hz, and amplitude_deg if the rule "
@@ -315,9 +315,9 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
     found = performance.model.list_joint_coefficients()
     name = options.coefficient or "".join(found[: len(found) == 1])
     if name not in found:
-        text = f"{name} stands in no passive joint's law; " * bool(name)
+        text = f"no law of a passive joint contains {name}; " * bool(name)
         raise UsageError(
-            f"--coefficient: {text}the passive joints' laws contain {', '.join(found) or 'no coefficient'}",
+            f"--coefficient: {text}the laws of passive joints contain {', '.join(found) or 'no coefficient'}",
             hint="name the stiffness: --coefficient NAME",
         )
     return name

@@ -96,7 +96,7 @@ class Performance:
         if options.params is not None:
             file, _ = catalogue.read_parameters(options.params)
             if file.model not in ("multilink", "multibody"):
-                raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
+                raise UsageError(f"the model '{file.model}' has no gait: only robots with links have one")
         made = cls(catalogue.load_robot(options, file), list_drive_options(options), options)
         if not made.model.driven:
             raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
@@ -152,14 +152,14 @@ class Performance:
                 hint = suggestion(name, list(self.axes), "there are")
                 raise UsageError(f"{option}: there is no '{name}'", hint=hint)
             if name in self.applied.chosen:
-                raise UsageError(f"{option}: {name} is held by --set")
+                raise UsageError(f"{option}: {name} is fixed by --set, so it cannot be varied: omit one")
             if not low < high:
                 raise UsageError(f"{option} {name}: {low:g} is not below {high:g}")
             least, most = LIMITS.get(name, (-math.inf, math.inf))
             if name in parameters:
                 least, most = parameters[name].lower, parameters[name].upper
             if low < least or high > most or (name == "frequency_hz" and low == 0):
-                raise UsageError(f"{option} {name}: lies between {least:g} and {most:g}")
+                raise UsageError(f"{option} {name}: the range must be within {least:g} to {most:g}")
 
     def check_gaits(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
         """Raise an error for parameters that gaits cannot vary, impossible ranges, or an incomplete drive."""
@@ -256,7 +256,8 @@ class Performance:
         units = list(self.units)
         if "mean_speed_m_s" in units and not np.nanmax(table[:, units.index("mean_speed_m_s")]) > 0:
             raise NoTrustworthyResult(
-                "the robot rests under each of these beats", hint="give a beat it swims by: --amplitude-deg"
+                "the robot does not swim with any of these beats",
+                hint="give a beat with which it swims, for example another --amplitude-deg",
             )
 
 
@@ -437,7 +438,7 @@ def region_check(
         return ev.make_check(name, "not known", None, text="give the parameter file of a fit: --params")
     outside = [find_outside(region, at) for at in points]
     names = ", ".join(name for name in region if any(name in one for one in outside))
-    text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"
+    text = f"the other gaits are extrapolations in {names}: the coefficients were not identified there"
     inside = sum(not one for one in outside)
     reason = "gaits lie inside the range of the identification trials"
     return count_check(name, inside, len(points), text, reason)

@@ -448,7 +448,9 @@ def _of_points(slopes: Complex, covariance: Array) -> Array:
 
 @dataclass
 class Scores:
-    """Derivatives of half the weighted sum of squares by the global quantities, with the states eliminated.
+    """Derivatives of half the weighted sum of squares with respect to the global quantities.
+
+    The states are eliminated.
 
     Attributes
     ----------
@@ -490,7 +492,7 @@ class Scores:
 
 
 def scores(linkage: Linkage, seen: Complex, weight: Array, state: State) -> Scores:
-    """Return the scores of the global quantities at given states."""
+    """Return the derivatives of half the weighted sum of squares with respect to the global quantities."""
     count = len(linkage.quantities)
     normal, parts = np.zeros((count, count)), []
     for rows in blocks(len(seen)):

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from swimid.kinematics import wave
-from swimid.points.bundle import FALSE_ALARM_POINTS, UNDETERMINED
+from swimid.points.film import FALSE_ALARM_POINTS
+from swimid.points.film_bias import UNDETERMINED
 from swimid.points.linkage import Array
 from swimid.points.points import MAX_BIAS, MAX_PERSPECTIVE, WRONG_DISTANCE, Posed
 from swimid.results import evidence as ev
@@ -87,7 +88,7 @@ def checks(posed: Posed) -> Iterator[Check]:
         value, passed = ("no", "yes")[int(posed.fit.mirrored)], not posed.fit.mirrored
         yield ev.make_check("Mirrored picture", value, passed, "no", otherwise="fail", reason=reason)
         names = ", ".join(posed.misplaced)
-        reason = f"points do not sit at their places: {names}"
+        reason = f"points are not at their stated places: {names}"
         yield ev.make_check("Places of points", names or "as stated", not names, "as stated", reason=reason)
     if "places" in posed.fit.linkage.free:
         names = posed.free_coordinates_text

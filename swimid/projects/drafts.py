@@ -209,7 +209,7 @@ def _namesake(table: SurveyedFile, others: Iterable[SurveyedFile]) -> SurveyedFi
 
 
 def pair_groups(groups: list[RecordingGroup]) -> list[RecordingGroup]:
-    """Return the groups that need trials of their own; tables of the same trials become their companions.
+    """Return the groups that get a trials file, and add groups of tables of the same trials to them.
 
     ``swim1_servo.csv`` belongs to ``swim1.mp4`` if each table like it has its film, log or points.
     """

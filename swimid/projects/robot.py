@@ -211,8 +211,14 @@ class _Draft:
         axes = []
         for k in self._hinges():
             if self.compiled.jnt_type[k] != HINGE:
-                text = f"the joint '{self.name('joint', k)}' is no hinge: a robot file has hinges only"
-                raise InputError(text, file=self.path, hint="fit the file itself: experiment mjcf")
+                text = (
+                    f"the joint '{self.name('joint', k)}' is not a hinge; a robot file can have hinges only"
+                )
+                raise InputError(
+                    text,
+                    file=self.path,
+                    hint="fit the MuJoCo file itself: write 'experiment: mjcf' in a trials file",
+                )
             axes.append(self.data.xaxis[k])
         upright = np.array([0.0, 0.0, 1.0])
         if not axes:
@@ -223,7 +229,7 @@ class _Draft:
             raise InputError(
                 "the hinges are not parallel: the robot does not move in a plane",
                 file=self.path,
-                hint="fit the file itself (experiment mjcf), or write a multibody robot file",
+                hint="fit the MuJoCo file itself ('experiment: mjcf'), or write a multibody robot file",
             )
         if abs(first @ upright) > 1.0 - PARALLEL:
             return upright, "horizontal"
@@ -238,7 +244,7 @@ class _Draft:
         return np.asarray(self.axes @ point)
 
     def _extent(self, body: int) -> Array:
-        """Return corners of the geometries of a body in the world, shape (n, 3)."""
+        """Return the corners of the geometries of a body in world coordinates, shape (n, 3)."""
         geoms = np.flatnonzero(self.compiled.geom_bodyid == body)
         corners = [self.data.xpos[body]]
         if not len(geoms):

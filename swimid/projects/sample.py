@@ -39,7 +39,7 @@ def sample(
     force: bool = False,
     progress: Progress = silent,
 ) -> Sample:
-    """Copy a sample to a folder, or list the samples. ``all`` has no samples that are downloaded.
+    """Copy a sample to a folder, or list the samples. ``all`` excludes samples that must be downloaded.
 
     Parameters
     ----------

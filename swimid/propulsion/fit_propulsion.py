@@ -123,9 +123,9 @@ def fit_propulsion(
         if experiment.name != "cruise":
             fit = _fit_surge
             if options.drag is not None:
-                raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
+                raise UsageError("--drag is valid only for a cruise experiment: omit it for free-swim trials")
             if options.keep_departures:
-                warn("SWM004", "--keep-departures belongs to a cruise experiment and has no effect here")
+                warn("SWM004", "--keep-departures has no effect: it is used only in a cruise experiment")
         file, checks, shown = fit(experiment, choices, options, progress)
         file.provenance = origin
     shown["references"] = list(experiment.robot.sources)

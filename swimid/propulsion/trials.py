@@ -111,7 +111,10 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     there = np.all([np.isfinite(log[c]) for c in columns], axis=0)
     time, values = log.time_s[there], [log[c][there] for c in columns]
     if len(time) < 2:
-        raise InputError(f"no two samples have all of {', '.join(columns)}", file=log.path)
+        text = (
+            f"has {len(time)} samples without a missing value in {', '.join(columns)}; at least 2 are needed"
+        )
+        raise InputError(text, file=log.path)
     count = int((time[-1] - time[0]) / period_s)
     if 2 * count > len(time):
         raise InputError(

@@ -84,7 +84,7 @@ class Correlation(yamlio.Document):
         wrong = np.abs(matrix - np.where(np.eye(len(matrix)), 1.0, matrix.T)) > CORRELATION_TOLERANCE
         if wrong.any():
             first = " and ".join(self.names[k] for k in np.argwhere(wrong)[0])
-            raise ValueError(f"the correlation matrix is not symmetric with a diagonal of 1, at {first}")
+            raise ValueError(f"the correlation matrix must be symmetric with a diagonal of 1; see {first}")
         if np.linalg.eigvalsh(matrix).min(initial=0.0) < -MAX_ROUNDING * len(matrix):
             raise ValueError(
                 "the correlation matrix has a negative eigenvalue: no data have such correlations"
@@ -306,7 +306,7 @@ def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path)
             raise InputError("this parameter is missing", file=path, column=column)
         if parameters.parameters[name].status == "unidentifiable":
             text = "this parameter was not identifiable from its trials and cannot be used further"
-            hint = "add trials that tell it apart, or fix it from another source"
+            hint = "add trials that determine it, or fix it at a value from another source"
             raise InputError(text, file=path, column=column, hint=hint)
     return [parameters.value(name) for name in names]
 

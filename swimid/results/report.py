@@ -199,7 +199,7 @@ def overall(results: Sequence[Result], contents: Sequence[ev.Evidence]) -> ev.Ve
 def _sort_by_level(
     results: Sequence[Result], contents: Sequence[ev.Evidence], leading: Sequence[ev.Evidence]
 ) -> tuple[dict[str, list[str]], list[ev.Evidence]]:
-    """Return the names of doubtful results by level, and the contents that count for the verdict."""
+    """Return the names of results that are not good, by level, and the evidence that sets the verdict."""
     solved = [_digests(content) for content in leading if content.verdict.level == "good"]
     names: dict[str, list[str]] = {"bad": [], "caution": [], "before the repair": [], "good": []}
     counted = []

@@ -137,7 +137,7 @@ def fit_drag(
         coordinate = options.coordinate
         experiment = fit_common.load_experiment(trials, command="fit-drag", coordinate=coordinate)
         if coordinate is not None and experiment.name != "free-decay":
-            warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
+            warn("SWM004", "--coordinate has no effect: it is used only in a free-decay experiment")
         choices = fit_common.prepare_fit(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
@@ -156,7 +156,7 @@ def fit_drag(
             *possible_checks(experiment, result),
             *checks,
         ]
-    hint = "use longer runs, more different forces, or fix what is known with --fix"
+    hint = "use longer runs, more different forces, or fix known parameters with --fix"
     fit_common.insist_identified(result, hint)
     law = "a single-degree-of-freedom rig model"
     said = fit_common.describe_method(result, f"{experiment.name} trials", law)
@@ -430,7 +430,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
     if explains_differences(stated, best.fit):
         reason += ", which explains why the trials differ"
     elif not find_material(stated, best.fit):
-        reason += ", which moves no estimate materially"
+        reason += ", which changes no estimate materially"
     text = f"score {best.score:.3g}; with it " + "; ".join(shifts)
     check = ev.make_check(name, _describe(best), False, limit, text, reason=reason)
     if failed:
@@ -619,8 +619,8 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
     for label in (result.labels[j] for j in np.flatnonzero(gradient)):
         parameter, held = result.parameter(label), result.status[label] == "at-bound"
         bound |= held
-        # Compute the standard error of the derived quantity without that of a parameter at its lower bound 0.
-        # The standard errors of the other parameters include the effect of its uncertainty.
+        # Ignore a parameter at its lower bound 0, which has no standard error. The standard errors of the
+        # other parameters include the effect of its uncertainty.
         vanishes = held and parameter.lower == 0.0 >= values[result.model.index(parameter.name)]
         unknown |= result.stderr(label) is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
@@ -694,7 +694,10 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
             numbers.format_estimate(value, error or None, unit),
             numbers.format_number(most, 2, unit),
         )
-        words, text = name.replace("_", " "), f"look at {inputs} and their units, and at what the model lacks"
+        words, text = (
+            name.replace("_", " "),
+            f"check {inputs}, their units, and effects that the model lacks",
+        )
         reason = f"{words} {size} is more than {basis} can have ({limit})"
         check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
         checks.append(fit_common.warn_check(*check, failed=value - 1.96 * (error or 0.0) > most))
@@ -715,7 +718,7 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
             f"{numbers.format_number(force, 3, 'N')} in {name}",
             f"≤ {numbers.format_number(most, 3, 'N')}",
         )
-        text = "look at its unit and the mass; only a drive of another kind is stronger"
+        text = "check its unit and the mass; only another kind of drive has a larger force"
         reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
         check = ("SWM072", "driving force possible", size, force <= most, limit, text, reason)
         checks.append(fit_common.warn_check(*check))

@@ -145,7 +145,7 @@ class Torque(yamlio.Document):
     """Torque of an actuator on a passive joint, in the direction of a positive joint angle."""
 
     input: str
-    #: Torque divided by the value of the input after the law of its actuator.
+    #: Ratio of the torque to the input, after the law of the actuator is applied to the input.
     gain_N_m: Quantity = 1.0
 
 

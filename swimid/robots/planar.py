@@ -149,9 +149,11 @@ class PlanarDrag(InPlane, elements.Drag):
     @model_validator(mode="after")
     def _point_or_strips(self) -> PlanarDrag:
         if self.at_m is not None and self.strips != 1:
-            raise ValueError("at_m belongs to a single point: set strips: 1, or give from_m and to_m")
+            raise ValueError(
+                "at_m gives a single point, but strips is not 1: set strips: 1, or give from_m and to_m"
+            )
         if self.to_m is not None and self.to_m <= (self.from_m or 0.0):
-            raise ValueError("to_m must lie behind from_m")
+            raise ValueError(f"to_m is {self.to_m:g}; it must be greater than from_m, {self.from_m or 0.0:g}")
         return self
 
     def quadratic(self, half_density: float) -> Components:
@@ -215,7 +217,7 @@ class SlenderBody(OnLink):
     def _check_order(self) -> SlenderBody:
         stations = [s.station_m for s in self.sections]
         if any(b <= a for a, b in pairwise(stations)):
-            raise ValueError("the stations of the sections must increase")
+            raise ValueError(f"the stations of the sections must increase, but they are {stations}")
         return self
 
 
@@ -439,7 +441,7 @@ class MultilinkRobot(yamlio.Document):
         components, velocities = PLANE_LETTERS[self.plane]
         for element in self.elements:
             if isinstance(element, MovingMass) and element.weighs and self.plane == "horizontal":
-                raise ValueError("'weighs' belongs to a vertical plane: omit it in a horizontal one")
+                raise ValueError("'weighs' is set, but weight does not act in a horizontal plane: omit it")
             for name in element.terms if isinstance(element, Derivatives) else ():
                 component, factors = derivative_parts(name)
                 used = {factor.strip("|") for factor in factors} - {"U", "/U"}

@@ -37,7 +37,7 @@ ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
 def _check_length(direction: Direction) -> Direction:
     if not math.hypot(*direction) > 1e-6:
-        raise ValueError("the direction has no length")
+        raise ValueError("the direction is the zero vector: give at least one component that is not 0")
     return direction
 
 
@@ -64,7 +64,10 @@ class SpatialLink(yamlio.Document):
     @model_validator(mode="after")
     def _three_or_six(self) -> SpatialLink:
         if len(self.inertia_kg_m2) not in (3, 6):
-            raise ValueError("inertia_kg_m2 has 3 members (xx, yy, zz) or 6 (and xy, xz, yz)")
+            raise ValueError(
+                f"inertia_kg_m2 has {len(self.inertia_kg_m2)} values: "
+                "give xx, yy, zz, or all of xx, yy, zz, xy, xz, yz"
+            )
         return self
 
     @property
@@ -151,7 +154,8 @@ class Spheroid(InSpace):
     @model_validator(mode="after")
     def _prolate(self) -> Spheroid:
         if self.semi_minor_m >= self.semi_major_m:
-            raise ValueError("semi_minor_m must be smaller than semi_major_m")
+            text = f"semi_minor_m {self.semi_minor_m:g} must be below semi_major_m {self.semi_major_m:g}"
+            raise ValueError(text)
         return self
 
 
@@ -193,7 +197,9 @@ class SpatialDrag(InSpace, elements.Drag):
     @model_validator(mode="after")
     def _strips_between(self) -> SpatialDrag:
         if self.strips > 1 and self.to_m is None:
-            raise ValueError("strips lie between at_m and to_m: give to_m")
+            raise ValueError(
+                f"'strips' is {self.strips}, but 'to_m' is missing: give 'to_m', or set 'strips: 1'"
+            )
         return self
 
     def quadratic(self, half_density: float) -> Components:
@@ -242,8 +248,9 @@ class SpatialFoil(InSpace, elements.Foil):
 
     @model_validator(mode="after")
     def _directions(self) -> SpatialFoil:
-        if abs(sum(a * b for a, b in zip(self.chord, self.normal, strict=True))) > 1e-6:
-            raise ValueError("chord and normal must be perpendicular")
+        product = sum(a * b for a, b in zip(self.chord, self.normal, strict=True))
+        if abs(product) > 1e-6:
+            raise ValueError(f"chord and normal must be perpendicular; their scalar product is {product:g}")
         return self
 
     @property

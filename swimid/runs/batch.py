@@ -59,7 +59,7 @@ def batch(
     force: bool = False,
     progress: Progress = silent,
 ) -> Batch:
-    """Take many films, logs or trials files through chains of commands.
+    """Process many films, logs or trials files with a sequence of commands.
 
     Each item is done in a process of its own, and leaves results and state in ``output/items/<name>``. Items
     that are done with these inputs, options and version are not repeated.

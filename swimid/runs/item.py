@@ -98,7 +98,7 @@ def run_item(run: str, ident: str) -> str:
 
 
 def _process(folder: Path, run: str, ident: str, limit_s: float) -> tuple[int | None, str]:
-    """Do an item in a new process. Return its exit status and the end of its log.
+    """Process an item in a new process. Return its exit status and the last lines of its log.
 
     The exit status is None if the item took longer than its time limit. Locks that the process leaves are
     removed.

@@ -21,7 +21,7 @@ class BatchOptions(
     beside=(),
     lock=False,
 ):
-    """Take many films, logs or trials files through chains of commands.
+    """Process many films, logs or trials files with a sequence of commands.
 
     PLAN is a plan file (swimid-plan/1) with globs of files, the steps for them, and overrides. Every item
     has a folder with its results, its log and its state. The folder of the run has a table of all items

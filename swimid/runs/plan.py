@@ -263,7 +263,9 @@ class _Resolution:
         for name, count in Counter(name for _, name, _ in named).items():
             if count > 1:
                 raise self.error(
-                    f"{name} would be the name of {count} items", "items", hint="use more groups"
+                    f"{count} items would have the name {name}",
+                    "items",
+                    hint="divide them into several groups",
                 )
         idents = _file_names([name for _, name, _ in named])
         items = [
@@ -495,7 +497,9 @@ class _Chain:
                 raise self.plan.error(f"'{spec.command}' needs a name for its file", *place, hint=hint)
             name += OUTPUT_ENDINGS[spec.usage.kind]
         if name in self.written:
-            raise self.plan.error(f"two files would be named {name}", *place, hint="as: NAME names a file")
+            raise self.plan.error(
+                f"two files would be named {name}", *place, hint="give one of them another name: as: NAME"
+            )
         self.written.add(name)
         if name.startswith("-"):
             name = f"./{name}"  # A command takes a dash for an option.
@@ -522,7 +526,9 @@ class _Chain:
                 raise self.plan.error(f"'{spec.command}' needs a trials file of the logs", *place, hint=hint)
             if len(self.sources) > 1:
                 raise self.plan.error(
-                    f"'{spec.command}' takes one trials file", *place, hint="together: false"
+                    f"'{spec.command}' takes one trials file, and the item has {len(self.sources)} files",
+                    *place,
+                    hint="make an item of each file: together: false",
                 )
         if spec.usage.argument == "RESULT..." and not chosen:
             raise self.plan.error(f"no step before '{spec.command}' makes a result", *place)
@@ -547,7 +553,13 @@ class _Chain:
             entry = by_key[key]
             if entry.name == "pick" and value:
                 hint = f"run 'swimid {spec.command} --pick' before, and name its file in the plan"
-                raise self.plan.error(f"'{key}' waits for a user", *place, spec.command, key, hint=hint)
+                raise self.plan.error(
+                    f"'{key}' waits for input of a user, and a batch has none",
+                    *place,
+                    spec.command,
+                    key,
+                    hint=hint,
+                )
             stated.add(entry.name)
             words += _words(entry, key, self.with_paths(entry, value, (*place, spec.command, key)))
         for entry in declared.values():

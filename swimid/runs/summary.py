@@ -120,7 +120,7 @@ def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None)
 
 
 def _entry_of(item: Item, folder: Path, problem: str | None) -> Entry:
-    """Return the entry of an item. ``problem`` is its error, if it just failed without a status."""
+    """Return the entry of an item. ``problem`` is the error of an item that failed without a status."""
     state, status = states.state_of(item, folder)
     entry = Entry(item.id, item.group, item.files, state)
     if status is not None:

@@ -348,7 +348,9 @@ def sensitivity(
     params = options.params
     with record_warnings(repeat=True) as notices:
         if params is None and options.robot is not None:
-            raise UsageError("--robot belongs to --params: the trials file names the robot")
+            raise UsageError(
+                "--robot is valid only with --params: omit it, because the trials file names the robot"
+            )
         experiment, applied = catalogue.load(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
@@ -447,7 +449,8 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
         if name in own:
             ends, source = own[name], "given"
         elif math.isnan(half) and coefficients:
-            raise UsageError(f"{name} has no standard error to make a range of")
+            text = f"{name} has no standard error, from which its range would be computed"
+            raise UsageError(text, hint=f"give the range: --range {name}=LOW,HIGH")
         if name in own or not math.isnan(half):
             ranges[name] = _make_range(shared[name], value, *ends, source)
     if not ranges:

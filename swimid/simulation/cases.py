@@ -147,7 +147,9 @@ def case_of_options(options: SimulateOptions) -> Case:
     if file.model in ("multilink", "multibody"):
         return _swim(options, file)
     if options.readings:
-        raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
+        raise UsageError(
+            f"--reading is valid only for robots with links: omit it for the model '{file.model}'"
+        )
     name, kind = next(iter(described.items()))
     run = kind.prepare_run(options, (path, file), _times(options))
     robot = run.robot or options.robot or file.robot or "unknown"
@@ -217,9 +219,7 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
     metadata, drive = _metadata(options, model.robot.name, experiment=kind), list_drive_options(options)
     if options.input is not None:
         if "frequency_hz" in drive or "amplitude_deg" in drive:
-            raise UsageError(
-                "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
-            )
+            raise UsageError("--input replaces the beat: omit --frequency-hz and --amplitude-deg")
         time, swim = _read_inputs(options.input, options, model)
         metadata["input"] = options.input.name
     elif model.inputs:
@@ -269,14 +269,16 @@ def check_drive(options: DriveOptions, varied: Collection[str] = (), option: str
     stated = {name for name in BEAT if getattr(options, name)} | set(varied)
     if options.stroke is not None:
         if stated & {"amplitude_deg", "bias_deg", "asymmetry", "lag_deg"}:
-            raise UsageError("--stroke takes the place of a beat: leave out the parameters of a beat")
+            raise UsageError(
+                "--stroke replaces the beat: omit its amplitude_deg, bias_deg, asymmetry and lag_deg"
+            )
         return
     for name in ("frequency_hz", "amplitude_deg"):
         if name not in varied and getattr(options, name) is None:
             others = f", or {name} among what is varied ({option})" * bool(option)
             raise UsageError(f"the drive needs --{name.replace('_', '-')}{others}")
     if "asymmetry" in stated and options.waveform != "a-cpg":
-        raise UsageError("asymmetry belongs to --waveform a-cpg")
+        raise UsageError("asymmetry is valid only with --waveform a-cpg: omit it, or choose this waveform")
 
 
 def swim_input(

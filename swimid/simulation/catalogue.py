@@ -135,8 +135,8 @@ class Applied:
         if unknown:
             warn(
                 "SWM062",
-                f"{name}: not identifiable from the trials of the fit: {', '.join(unknown)}; what depends on "
-                "them alone is not known",
+                f"{name}: not identifiable from the trials of the fit: {', '.join(unknown)}; outputs that "
+                "depend on these parameters alone are not determined",
             )
 
     def at_step(self, model: Model) -> Self:
@@ -334,7 +334,7 @@ def constants_of(file: ParameterFile, name: str) -> dict[str, Any]:
 def form_of(
     effect: Effect, file: ParameterFile, path: Path | None, model: Model, trials: Sequence[Trial]
 ) -> Effect:
-    """Return the form of an effect that has the parameters and the constants of a parameter file.
+    """Return the form of an effect whose parameters and constants are those in a parameter file.
 
     Raises
     ------

@@ -138,7 +138,7 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
         )
     if output.exists() != folder or (len(ids) == 1 and not folder):
         raise UsageError(
-            f"'{output.name}' can be no log: its ending is none of a log, and no folder has this name",
+            f"'{output.name}' is not a valid output: its ending is not that of a log, and it is no folder",
             hint=f"let it end in {' or '.join(LOG_ENDINGS)}",
         )
     return [output / name for name in file_names(ids, LOG_ENDINGS)]
@@ -211,7 +211,8 @@ class Simulation(Result):
     def _only(self, several: str) -> Any:
         runs = getattr(self, several)
         if len(runs) > 1:
-            raise UsageError(f"there are {len(runs)} runs", hint=f"take one of .{several}")
+            text = f"the result has {len(runs)} simulations, and this attribute describes only one"
+            raise UsageError(text, hint=f"select a simulation by its id in .{several}")
         return next(iter(runs.values()))
 
     def save(self, path: str | Path) -> Self:
@@ -338,7 +339,7 @@ def _list_cases(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
         _refuse_run_options(options)
         return cases.cases_of_trials(options)
     if options.trial is not None:
-        raise UsageError("--trial belongs to --trials")
+        raise UsageError("--trial is given without --trials: give the trials file, too")
     return [cases.case_of_options(options)], ()
 
 
@@ -346,7 +347,8 @@ def _refuse_run_options(options: SimulateOptions) -> None:
     """Refuse options that describe a drive together with recorded trials, which have their own drives."""
     for name, entry in options.declarations().items():
         if name not in WITH_TRIALS and getattr(options, name) != entry.default:
-            raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
+            text = f"{entry.flag} cannot be combined with --trials: trials have their own drives, so omit it"
+            raise UsageError(text)
 
 
 def _refuse_film(asked: Sequence[Case], path: Path) -> None:
@@ -363,7 +365,9 @@ def _refuse_film(asked: Sequence[Case], path: Path) -> None:
         raise UsageError("an animation needs a robot with links in one plane")
     if path.suffix.lower() not in FILM_PX:
         endings = " or ".join(FILM_PX)
-        raise UsageError(f"'{path.name}' can be no animation", hint=f"let it end in {endings}")
+        raise UsageError(
+            f"'{path.name}' is not a valid file name for an animation", hint=f"let it end in {endings}"
+        )
 
 
 def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:

@@ -714,7 +714,7 @@ def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
         group = "xyz" if component in ("x", "y", "z") else "turn" if component in TURNS else ""
     if (kind, group) not in SENSORS:
         forms = "site/NAME/x, body/NAME/yaw, joint/NAME, joint/NAME/rate, tendon/NAME or sensor/NAME/0"
-        raise InputError(f"'{source}' is no output", file=path, hint=f"an output is {forms}")
+        raise InputError(f"'{source}' is not a valid output", file=path, hint=f"write {forms}")
     if getattr(spec, kind)(name) is None:
         names = [e.name for e in getattr(spec, {"body": "bodies"}.get(kind, kind + "s"))]
         raise InputError(f"has no {kind} '{name}'", file=path, hint=suggestion(name, [n for n in names if n]))

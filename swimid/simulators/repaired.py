@@ -16,7 +16,7 @@ import numpy as np
 from swimid.fitting.model import Array, Hooks, Trial
 from swimid.simulators.mjcf import MjcfModel, base_array, element_name, mujoco
 
-#: Relative difference of an array of the changed file to the wanted one that counts as none.
+#: Maximum relative difference between an array of the changed file and the intended array.
 ARRAY_RTOL = 1e-7
 
 

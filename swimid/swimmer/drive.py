@@ -469,7 +469,7 @@ def fit_spline(time_s: Array, angle_rad: Array) -> BSpline:
     """
     there = np.isfinite(angle_rad)
     if there.sum() < 5:
-        raise ValueError("a measured joint needs at least five samples")
+        raise ValueError(f"a measured joint angle has {there.sum()} samples; at least 5 are needed")
     times, angles = time_s[there], np.unwrap(angle_rad[there])
     # measure time in sampling intervals, so that one range of smoothing parameters suits all sampling rates
     scale = float(np.median(np.diff(times)))

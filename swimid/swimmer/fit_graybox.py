@@ -454,7 +454,9 @@ def _start_from(source: parameters_format.Source, parameters: tuple[Parameter, .
         found.append(parameter)
     if not any(p.name in file.parameters for p in parameters):
         raise InputError(
-            "holds none of this robot's coefficients", file=parameters_format.source_path(source)
+            "has none of the parameters of this robot",
+            file=parameters_format.source_path(source),
+            hint=f"the robot has: {', '.join(p.name for p in parameters)}",
         )
     return tuple(found)
 
@@ -537,7 +539,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
     agree, count = count_agreeing(ends), len(ends)
     passed, text = None, ""
     if agree < count:
-        text = "the other starts end higher; the lowest is reported"
+        text = "the other starts end at higher costs; the fit with the lowest cost is reported"
     if asked:
         passed = agree == count
     reason = f"only {agree} of {count} starts end in the reported minimum"

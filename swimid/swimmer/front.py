@@ -430,7 +430,7 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     others = {str(column) for column in table.columns} ^ {"index", "profile", *expected}
     if others or table.empty:
         raise InputError(
-            f"is no front of this fit: only one of the two has {', '.join(sorted(others)) or 'points'}",
+            f"is not a front of this fit: only one of the two has {', '.join(sorted(others)) or 'points'}",
             file=path,
             hint="give the .front.csv of an earlier --method nsga2 or hybrid with the same trials, "
             "--channels, --fix, --free and --share",
@@ -451,7 +451,7 @@ def _choose_point(pick: str, rules: Mapping[str, int], count: int) -> int:
             f"--pick takes {', '.join(RULES)} or the index of a point of the front, not '{pick}'"
         )
     if int(pick) >= count:
-        raise UsageError(f"the front has {count} points, from 0 to {count - 1}: there is no {pick}")
+        raise UsageError(f"--pick {pick}: the points of the front have the indices 0 to {count - 1}")
     return int(pick)
 
 

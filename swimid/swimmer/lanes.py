@@ -379,12 +379,12 @@ def _integer(number: int) -> Any:
 
 
 def _on_bits(change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Return a writer of machine code that changes the bits of a double."""
+    """Return a function that writes machine code by which the bits of a double are changed."""
     return lambda b, x: b.bitcast(change(b, b.bitcast(x, _INTEGER)), _DOUBLE)
 
 
 def _of_processor(name: str) -> Callable[[Any, Any], Any]:
-    """Return a writer of machine code for a function of the processor, such as the square root."""
+    """Return a function that writes the machine code of an intrinsic of the processor, such as sqrt."""
     return lambda b, x: b.call(b.module.declare_intrinsic(name, [_DOUBLE]), [x])
 
 

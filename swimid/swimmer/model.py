@@ -71,7 +71,7 @@ class Trajectory(NamedTuple):
 
 
 class SimulationRequest(NamedTuple):
-    """Request for a simulation: its cached trajectory, or else the input of the integration.
+    """Request for a simulation of a trial. It has a cached trajectory, or else the inputs of the integration.
 
     Attributes
     ----------
@@ -627,7 +627,10 @@ class Swimmer(Model, ABC):
         return found
 
     def _resonant(self, values: Array, force: Array, step_s: float) -> Array:
-        """Return a force behind the holder. It is exact for a force that is linear between the steps."""
+        """Return the force that a sensor measures behind the elastic holder of the robot.
+
+        The result is exact for a force that is linear between the steps.
+        """
         from scipy.signal import cont2discrete, lfilter
 
         named = self.tree.name_values(values)

@@ -129,7 +129,9 @@ class FitGrayboxOptions(Options, beside=(".evidence.json", ".front.csv"), makes=
     @model_validator(mode="after")
     def _belong_together(self) -> Self:
         if self.method == "least-squares" and self.front is not None:
-            raise UsageError("--front belongs to --method nsga2 or hybrid")
+            raise UsageError(
+                "--front is valid only with --method nsga2 or hybrid: omit it, or choose one of them"
+            )
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:

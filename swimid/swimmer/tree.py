@@ -224,7 +224,7 @@ def sort_links(body: Any, part: str) -> tuple[list[Any], list[Any]]:
         where = f"{part}.joints.{joint.name}"
         if joint.child in joint_of:
             raise InputError(
-                f"the link '{joint.child}' hangs on two joints: '{joint_of[joint.child].name}' "
+                f"the link '{joint.child}' is the child of two joints: '{joint_of[joint.child].name}' "
                 f"and '{joint.name}'",
                 column=where,
             )
@@ -403,7 +403,7 @@ class Tree(ABC):
         return dict(zip(self.names, values, strict=False))
 
     def _evaluate(self, key: bytes) -> dict[str, Any]:
-        """Return the arguments of the engine at the coefficient values whose bytes are ``key``."""
+        """Return the arguments of the engine. ``key`` is the array of coefficient values, as bytes."""
         values = np.frombuffer(key)
         found = {
             "topology": self.topology,

@@ -87,7 +87,7 @@ def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
         yield position, math.nan, np.asarray(frame, np.uint8)
     if bad:
         text = f"{len(bad)} of {len(files)} pictures could not be decoded ({', '.join(bad[:3])})"
-        warn("SWM044", f"{path.name}: {text}; their time is left out")
+        warn("SWM044", f"{path.name}: {text}; their times are gaps in the film")
 
 
 def _open_film(path: Path) -> cv2.VideoCapture:
@@ -340,7 +340,7 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
     if missing:
         count = sum(step // usual - 1 for step in steps)
         text = f"{count} pictures are missing by their numbers ({', '.join(missing[:3])})"
-        warn("SWM044", f"{path.name}: {text}; their time is left out")
+        warn("SWM044", f"{path.name}: {text}; their times are gaps in the film")
     return [(number - numbers[0]) // usual for number in numbers]
 
 

@@ -220,7 +220,7 @@ class Session:
         return PageAnswer(page.encode(), "text/html; charset=utf-8", headers=headers)
 
     def _frame(self, query: dict[str, str]) -> PageAnswer:
-        """Return one frame of the film as PNG; its number and time stand in the header."""
+        """Return one frame of the film as PNG. The header contains its number and time."""
         try:
             index, time_s = int(query.get("n", 0)), float(query.get("time", "nan"))
         except ValueError:

@@ -100,7 +100,7 @@ def sample_frames(path: Path, *, step: Step) -> Samples:
         keeper.take(index, frame)
     kept = list(keeper.kept.values())
     if len(kept) < 4:
-        text = f"{path.name} has only {len(kept)} frames: too few to see what moves"
+        text = f"{path.name} has only {len(kept)} frames: too few to detect motion"
         raise NoTrustworthyResult(text, hint="pick the markers by hand: --marker name@x,y")
     background = np.median(np.stack(kept[:: max(len(kept) // 25, 1)]), axis=0).astype(np.uint8)
     still = cv2.blur(background, (3, 3))

@@ -67,7 +67,9 @@ class Marker(Document):
     @model_validator(mode="after")
     def _keys_fit(self) -> Marker:
         if self.method == "background" and (self.hsv is not None or self.number > 1):
-            raise ValueError(f"marker '{self.name}' has method: background; it takes no hsv, and number 1")
+            raise ValueError(
+                f"marker '{self.name}' has 'method: background': omit its hsv, and set 'number: 1'"
+            )
         if self.method == "colour" and self.hsv is None:
             raise ValueError(f"marker '{self.name}' needs hsv")
         if self.start_px is not None and len(self.start_px) != self.number:
@@ -134,7 +136,7 @@ class Setup(Document):
             raise ValueError(f"{text}: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(
-                f"facing: {self.facing} goes with plane: vertical, and the plane is {self.plane}"
+                f"'facing: {self.facing}' is valid only with 'plane: vertical', and the plane is {self.plane}"
             )
         return self
 

@@ -238,7 +238,7 @@ def _from_film(
         samples = proposals.sample_frames(video, step=step)
     found, rejected = proposals.find_candidates(samples)
     shift = samples.factor * frames.scene_shifts(samples.frames)
-    consequence = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
+    consequence = ". Objects that move with it are not taken as markers, but a log will contain its motion"
     frames.check_camera(shift, samples.video.width, consequence)
     tried = _name_candidates(found[:MAX_TRIALS])
     markers = {name: Marker(name=name, hsv=c.colours, area_px=c.area_px) for name, c in tried.items()}

@@ -308,7 +308,7 @@ def _demand_markers(run: FilmTrack) -> None:
         if cut:
             text += f" (in {cut} the edge of the picture cuts it)"
         raise NoTrustworthyResult(
-            f"marker '{name}' was found {text}; that is no track. "
+            f"marker '{name}' was found {text}, which is too few for a track. "
             f"{frames.describe_colours(list(run.kept.values()))}",
             hint="'swimid track setup VIDEO -o setup.yaml' proposes markers from the video itself and draws "
             "them; or correct hsv and area_px in the setup",
@@ -418,7 +418,7 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
 def _judge(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> ev.Check:
-    """Return a check that passes, or else warns or (with ``fails``) fails.
+    """Return a check. If it does not pass, its level is a warning, or a failure with ``fails``.
 
     If the check does not pass and has a code, a warning with this code is recorded, too.
     """
@@ -544,7 +544,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
     yield _grade("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
     still = [n for n in shares if shares[n] > 0 and track.measure_range(n)[1] < frames.MIN_RADII]
-    reason = f"markers never left the radius of one place: {', '.join(still)}. Are they still things?"
+    reason = f"markers stay within a radius of one place: {', '.join(still)}. Are they motionless objects?"
     value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {frames.MIN_RADII:g} radius"
     yield _judge("SWM067", "Other markers move", value, limit, not still, reason)
 
@@ -657,7 +657,7 @@ def _calibration(pose: Pose) -> Iterator[ev.Check]:
         yield _judge("", "Calibration", "none", "a scale", False, reason)
     elif plane.residual_px > 1e-2:
         value = f"{plane.residual_px:.2f} px, {1000 * plane.residual:.2f} mm rms"
-        reason = f"the calibration points misfit by {plane.residual_px:.1f} px"
+        reason = f"the calibration points have a residual of {plane.residual_px:.1f} px"
         yield _grade("", "Calibration", value, "<= 1 px", plane.residual_px, (1.0, 4.0), reason)
 
 

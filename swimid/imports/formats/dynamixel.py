@@ -45,7 +45,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None, device: str = 
     fields = {name: hit for name in table.columns if (hit := _FIELD.fullmatch(name.strip()))}
     if not fields:
         hint = "its columns are named as in the control table: Present Position, Goal Position"
-        raise InputError("has no position of a servo", file=path, hint=hint)
+        raise InputError("has no column with the position of a servo", file=path, hint=hint)
     servos = {name: int([*re.findall(r"\d+", name), "1"][0]) for name in fields}
     # Number the joints from 1 in the order of the file, because the numbers of servos are arbitrary.
     numbers = list(dict.fromkeys(servos.values()))

@@ -54,18 +54,18 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
         time, found = _of_csv(path)
     else:
         hint = "export the tracks as CSV, or save a KVA file"
-        raise InputError("is no export of tracks", file=path, hint=hint)
+        raise InputError("is not a track export of Kinovea", file=path, hint=hint)
     factor, unit = length(options.length_unit, path)
     scaled = {name: values * factor for name, values in found.items()}
     frames = _frame_numbers(time)
     if frames is None:
         hint = "a mapping states the unit of the times: time: {source: Time, unit: ms}"
-        raise InputError("its times are no multiples of a frame", file=path, hint=hint)
+        raise InputError("its times are not multiples of a frame period", file=path, hint=hint)
     return ForeignTable({"frame": frames, "Time": time, **points(scaled, unit, "up")})
 
 
 def _frame_numbers(time: Array) -> Array | None:
-    """Return the frame number of each time, from 0; None if the times are no rounded multiples of a period.
+    """Return the frame number of each time, from 0; None if the times are not rounded multiples of a period.
 
     A guess of the period is the mean of the shortest steps, which differ by the rounding.
     """

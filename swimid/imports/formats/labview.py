@@ -70,7 +70,7 @@ def _add_times(
     if len(at) < 2:
         begins = ", ".join(f"{start:g} s" for start in starts)
         text = f"channels have no time in common: they start at {begins}"
-        raise InputError(text, file=path, hint="record them at the same time")
+        raise InputError(text, file=path, hint="record the channels at the same time")
     for name, lead, count in zip(clocks, first, counts, strict=True):
         if lead or count != len(at):
             columns[name] = np.interp(at, lead + np.arange(count), columns[name])
@@ -107,7 +107,7 @@ def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> Foreign
     names = names[: [*names, "Comment"].index("Comment")]
     last = next((at for at in range(end + 2, len(lines)) if not lines[at].strip()), len(lines))
     if not names or last <= end + 2:
-        raise InputError("ends before its samples", file=path, line=len(lines))
+        raise InputError("ends before its first sample", file=path, line=len(lines))
     decimal = head.get("Decimal_Separator") or "."
     values, rows = numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
     form = head.get("X_Columns", "One")

@@ -104,7 +104,7 @@ def _turn(cells: dict[str, Array], form: str, path: Path) -> dict[str, Array]:
         w, x, y, z = q.T
     else:
         hint = "export with the rotation type Quaternion"
-        raise InputError(f"its rotation type is {form!r}", file=path, line=1, hint=hint)
+        raise InputError(f"its rotation type {form!r} is not supported", file=path, line=1, hint=hint)
     return dict(zip(AXES, (w, *from_y_up(x, y, z)), strict=True))
 
 

@@ -33,7 +33,7 @@ def find_label(text: bytes) -> bytes | None:
 
 
 def split_stamps(text: bytes) -> bytes:
-    """Return a text in which the time of day that a serial monitor puts before each line is a first cell.
+    """Make the time of day, which a serial monitor writes before each line, the first cell of the line.
 
     Before a line that begins with a letter, such as the names of the columns, the cell is ``clock``.
     """

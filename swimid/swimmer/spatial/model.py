@@ -91,7 +91,8 @@ class SpatialTree(Tree):
             whole = full(apparent[i])
             if not whole.any():
                 if not (self.topology[:, 0] == i).any():
-                    raise InputError("it has no mass and nothing hangs on it", column=f"{where}.mass_kg")
+                    text = "the link has no mass and carries no other link: give it a mass, or remove it"
+                    raise InputError(text, column=f"{where}.mass_kg")
                 continue
             check_apparent(
                 whole,
