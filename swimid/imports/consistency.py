@@ -87,22 +87,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
         Period of the stroke, s, over which direction of travel and heading are averaged. By default it is a
         twelfth of the duration.
     """
-    time = columns[TIME]
-    found: list[ColumnComparison] = []
-    for name, values in columns.items():
-        hit = re.fullmatch(r"(.+)_(m|rad|px)_s", name)
-        if hit is None or hit[1] in ("u", "v", "w"):
-            continue
-        stem, pose = hit.groups()
-        of = stem.removesuffix("_rate")
-        if len(stem) == 2:
-            of = of.removeprefix("v")
-        against = f"{of}_{pose}"
-        if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
-            against = "yaw_rad"
-        if against in columns:
-            motion = unwrap_angle(against, columns[against])
-            found += _judge(time, [motion], [[values]], [name], against, angle=pose == "rad")
+    time, found = columns[TIME], _compare_rates(columns)
     turned = with_angles(dict(columns))
     for x_name, y_name, angle in PLANES:
         if {x_name, y_name, angle} <= set(turned) and not (y_name == "z_m" and "y_m" in turned):
@@ -120,6 +105,26 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     turns = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
     if {*AXES, *turns} <= set(columns):
         found += _of_quaternion(time, np.column_stack([columns[axis] for axis in AXES]), columns, turns)
+    return found
+
+
+def _compare_rates(columns: Mapping[str, Array]) -> list[ColumnComparison]:
+    """Compare each rate of one coordinate with the derivative of the column of this coordinate."""
+    found: list[ColumnComparison] = []
+    for name, values in columns.items():
+        hit = re.fullmatch(r"(.+)_(m|rad|px)_s", name)
+        if hit is None or hit[1] in ("u", "v", "w"):
+            continue
+        stem, pose = hit.groups()
+        coordinate = stem.removesuffix("_rate")
+        if len(stem) == 2:
+            coordinate = coordinate.removeprefix("v")
+        against = f"{coordinate}_{pose}"
+        if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
+            against = "yaw_rad"
+        if against in columns:
+            motion = unwrap_angle(against, columns[against])
+            found += _judge(columns[TIME], [motion], [[values]], [name], against, angle=pose == "rad")
     return found
 
 
@@ -192,21 +197,17 @@ def _judge(
     increment spans the same number of samples: the one with which the rates explain the largest fraction of
     the pose increments. Gains that do not differ significantly from 0 are left out.
     """
-    there = np.isfinite([time, *pose, *(part for parts in rates for part in parts)]).all(axis=0)
+    from scipy.integrate import cumulative_trapezoid
+
+    there = np.isfinite([time, *pose, *np.concatenate(rates)]).all(axis=0)
     if there.sum() < 2 * MIN_WINDOWS:
         return []
-    clock, steps = time[there], np.diff(time[there])
-    moved = [values[there] for values in pose]
-    integrals = [
-        [np.concatenate(([0.0], np.cumsum(steps * (v[1:] + v[:-1]) / 2))) for v in (p[there] for p in parts)]
-        for parts in rates
-    ]
+    moved = np.array(pose)[:, there]
+    integrals = cumulative_trapezoid(np.array(rates)[..., there], time[there], initial=0.0)
     best: tuple[float, Array, Array] | None = None
-    for lag in 2 ** np.arange(int(np.log2(len(clock) / MIN_WINDOWS)) + 1):
-        y = np.concatenate([values[lag:] - values[:-lag] for values in moved])
-        x = np.column_stack(
-            [np.concatenate([part[lag:] - part[:-lag] for part in parts]) for parts in integrals]
-        )
+    for lag in 2 ** np.arange(int(np.log2(there.sum() / MIN_WINDOWS)) + 1):
+        y = (moved[:, lag:] - moved[:, :-lag]).ravel()
+        x = np.column_stack((integrals[..., lag:] - integrals[..., :-lag]).reshape(len(names), -1))
         scale = np.linalg.norm(x, axis=0)
         if not (scale > 0).all() or not np.any(y):
             continue

@@ -214,12 +214,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         A cleaned track has fewer samples than :data:`swimid.kinematics.speed.MIN_SAMPLES_STROKE`.
     """
     name, columns = source.path.name, source.columns
-    order = _in_order(source)
-    for note in source.notes:
-        warn("SWM057", f"{name}: {note}")
-    if order.summary:
-        _keep(columns, order.index)
-        warn("SWM057", f"{name}: rows {order.summary}")
+    order = _sort_rows(source)
     uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
     posed, markers = _add_pose(source, request, metadata)
@@ -228,24 +223,16 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     if cleaned is None:
         cleaned = len(coordinates) > 1 and not log.is_written_by(source.metadata, "swimid track")
     cleaned = cleaned and bool(coordinates)
-    cleaning = speed = None
     jumped = _remove_jumps(source, source.rows[order.index], options.clean)
-    if len(coordinates) > 1 or cleaned:
-        track = [known[column] for column in coordinates]
-        angles = [log.unwrap(known[column]) for column in ANGLES if column in columns]
-        stamps = columns[TIME]
-        cleaning = clean_track(stamps, track, angles)
+    cleaning = speed = None
+    stamps, track = columns[TIME], [known[column] for column in coordinates]
+    if len(track) > 1 or cleaned:
+        cleaning = clean_track(stamps, track, [log.unwrap(known[name]) for name in ANGLES if name in columns])
     if options.clean is not False:
         _take_out(columns, cleaning if cleaned else None, list(jumped.values()), name, metadata)
-    channels = {
-        key: values for key, values in _select_measured(columns).items() if key not in (TIME, *markers)
-    }
-    times, times_sd_s = columns[TIME], 0.0
-    if cleaning is not None and cleaning.held is not None:
-        times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
-        measured_s = np.interp(times, stamps, cleaning.held.measured_s)
-        if (np.diff(measured_s) > 0).all():  # equal times occur if other channels have rows between pictures
-            times, times_sd_s = measured_s, cleaning.held.measured_sd_s
+    measured = _select_measured(columns).items()
+    channels = {key: values for key, values in measured if key not in (TIME, *markers)}
+    times, times_sd_s = _find_picture_times(columns[TIME], stamps, cleaning)
     stated_hz = read_frequency(metadata)
     stroke = find_stroke(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
     unknown, against, periodic_hz, period_s = "", "", None, None
@@ -263,27 +250,36 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
     comparisons = _compare_columns(columns, period_s, name)
+    made = Log(source.path, metadata, columns, None)
+    body_wave = point_evidence.wave_of(posed, periodic_hz)
+    track_results = cleaning, cleaned, jumped, speed
+    stroke_results = stroke, against, unknown
     return Examined(
-        source,
-        Log(source.path, metadata, columns, None),
-        order,
-        cleaning,
-        cleaned,
-        jumped,
-        speed,
-        stroke,
-        against,
-        unknown,
-        doubts,
-        comparisons,
-        *uneven,
-        posed,
-        point_evidence.wave_of(posed, periodic_hz),
+        source, made, order, *track_results, *stroke_results, doubts, comparisons, *uneven, posed, body_wave
     )
 
 
-def _in_order(source: MappedLog) -> Order:
-    """Return the order of the rows with strictly increasing times; raise an error if the clock was reset."""
+def _find_picture_times(times: Array, stamps: Array, cleaning: Cleaning | None) -> tuple[Array, float]:
+    """Return the times at which the pictures of a track were taken, s, and their standard deviation, s.
+
+    ``times`` has the times of the samples that remain, and ``stamps`` those of all samples of the track.
+    """
+    if cleaning is None or cleaning.held is None:
+        return times, 0.0
+    measured_s = np.interp(times, stamps, cleaning.held.measured_s)
+    if (np.diff(measured_s) > 0).all():  # equal times occur if other channels have rows between pictures
+        return measured_s, cleaning.held.measured_sd_s
+    return times, cleaning.held.lateness_s / np.sqrt(12.0)
+
+
+def _sort_rows(source: MappedLog) -> Order:
+    """Sort the rows of a foreign log by time, in place; return their order.
+
+    Raises
+    ------
+    InputError
+        Fewer than two rows have a time of their own, or the clock was reset.
+    """
     channels = {name: values for name, values in source.columns.items() if name != TIME}
     order = mapping.in_order(source.time_s, channels)
     if len(order.index) < 2:
@@ -296,6 +292,11 @@ def _in_order(source: MappedLog) -> Order:
         line = int(source.rows[order.reset_row])
         hint = "split the file there, or state the range of a counter under 'time:': 'wraps_at: 4294967296'"
         raise InputError(text, file=source.path, line=line, column=TIME, hint=hint)
+    for note in source.notes:
+        warn("SWM057", f"{source.path.name}: {note}")
+    if order.summary:
+        _keep(source.columns, order.index)
+        warn("SWM057", f"{source.path.name}: rows {order.summary}")
     return order
 
 
@@ -403,29 +404,37 @@ def _take_out(
     columns |= {n: log.unwrap(columns[n]) for one in jumped for n in one.columns if n in ANGLES}
     empty = np.any([np.zeros(len(columns[TIME]), dtype=bool), *(one.out for one in jumped)], axis=0)
     if cleaning is not None:
-        done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
-        elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
-        if elsewhere:
-            at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
-            warn("SWM059", f"{name}: the track continues at another place at {at}")
-            done["elsewhere_s"] = elsewhere
-        out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
-        if out.any():
-            if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
-                text = f"{name}: only {good} of {len(out)} samples are valid (no repeats, no jumps)"
-                hint = "--raw keeps them all; is this a track of positions in metres?"
-                raise NoTrustworthyResult(text, hint=hint)
-            lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
-            warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
-            empty |= out
-            for column in columns:
-                if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
-                    columns[column] = np.where(out, np.nan, columns[column])
+        empty |= _take_out_track(columns, cleaning, name, metadata)
     for column, values in columns.items():
         if column != TIME and empty.any():
             empty &= np.isnan(values)
     if empty.any():
         _keep(columns, ~empty)
+
+
+def _take_out_track(
+    columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]
+) -> NDArray[np.bool_]:
+    """Set repeated samples and jumps of a track to NaN, in place; return flags of these samples."""
+    done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
+    elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
+    if elsewhere:
+        at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
+        warn("SWM059", f"{name}: the track continues at another place at {at}")
+        done["elsewhere_s"] = elsewhere
+    out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
+    if not out.any():
+        return out
+    if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
+        text = f"{name}: only {good} of {len(out)} samples are valid (no repeats, no jumps)"
+        hint = "--raw keeps them all; is this a track of positions in metres?"
+        raise NoTrustworthyResult(text, hint=hint)
+    lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
+    warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
+    for column in columns:
+        if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
+            columns[column] = np.where(out, np.nan, columns[column])
+    return out
 
 
 def _check_stroke(stroke: Rhythm, stated_hz: float | None, name: str) -> str:

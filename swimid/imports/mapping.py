@@ -398,8 +398,10 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
     place = path
     if joined.file is not None:
         recorded = Path(str(log.metadata.get("source") or path.name)).stem
-        places = [one / joined.file.replace("{stem}", recorded) for one in (path.parent, folder)]
-        given = place = next((one for one in places if one.exists()), places[0])
+        name = joined.file.replace("{stem}", recorded)
+        given = place = path.parent / name
+        if not place.exists() and (folder / name).exists():
+            given = place = folder / name
     fields = joined.model_dump(by_alias=True, exclude={"file", "between", "align"}, exclude_unset=True)
     rules = yamlio.validate({"format": FORMAT, **fields}, Mapping, "join")
     other = _read(rules, rules.table(given), place)
@@ -418,14 +420,14 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
     if joined.between == "line":
         steps = np.append(np.diff(time_s), 0.0)
         outside |= steps[before] > PAUSE * usual_step(time_s)
-    for name in [name for name in other.columns if name != TIME]:
-        values = other.columns[name][order.index]
+    other.columns.pop(TIME)
+    for name, values in other.columns.items():
+        found = values[order.index][before]
         if joined.between == "line":
-            found = np.interp(log.time_s, time_s, values)
-        else:
-            found = values[before]
+            found = np.interp(log.time_s, time_s, values[order.index])
         log.columns[name] = np.where(outside, np.nan, found)
-    log.sources.update({name: source for name, source in other.sources.items() if name != TIME})
+    other.sources.pop(TIME, None)
+    log.sources.update(other.sources)
     log.unknown.extend(other.unknown)
     log.notes.extend(other.notes)
 
@@ -519,31 +521,23 @@ def _read(mapping: Mapping, table: ForeignTable, path: Path, every: int = 1) -> 
         keys += mapping.time.sources
     names = list(dict.fromkeys(table.column(key, path) for key in [*keys, *mapping.where]))
     if table.after:
-        rows = len(table.columns[names[0]]) + table.after
-        hint = f"import means of successive rows, as in --every {100 * every}, or map fewer columns"
-        what = f"{rows // every} rows of {len(names)} columns"
-        memory.check_fits(path, what, 8.0 * N_ROWS_COPIED * len(names) * (rows // every), hint)
-        if every == 1:
-            isolated.check_size(path, 8 * len(names) * rows)
+        _check_memory(len(table.columns[names[0]]) + table.after, len(names), every, path)
     clock, averager = Clock(), Averager(every)
     pieces: list[MappedLog] = []
-    refused: NoRowError | None = None
+    errors: list[NoRowError] = []
     for batch in table.batches(names):
         try:
             pieces.append(_map_columns(mapping, columns, batch, path, metadata, clock))
         except NoRowError as error:
-            refused = refused or error
+            errors.append(error)
             continue
         if every > 1:
             pieces[-1] = _average(pieces[-1], averager)
     if not pieces:
-        assert refused is not None
-        raise refused
+        raise errors[0]
     if every > 1:
         metadata["mean_of_rows"] = every
-        nothing = {name: values[:0] for name, values in pieces[-1].columns.items()}
-        end = replace(pieces[-1], columns=nothing, rows=pieces[-1].rows[:0], unlikely={})
-        pieces.append(_average(end, averager, last=True))
+        pieces.append(_average(pieces[-1], averager, last=True))
         pieces[0] = replace(pieces[0], all_rows=averager.statistics)
     whole = _concatenate(pieces)
     for name, values in whole.columns.items():
@@ -551,7 +545,20 @@ def _read(mapping: Mapping, table: ForeignTable, path: Path, every: int = 1) -> 
     return whole
 
 
+def _check_memory(rows: int, width: int, every: int, path: Path) -> None:
+    """Raise an error if the means of ``every`` rows of ``width`` columns do not fit in memory."""
+    hint = f"import means of successive rows, as in --every {100 * every}, or map fewer columns"
+    what = f"{rows // every} rows of {width} columns"
+    memory.check_fits(path, what, 8.0 * N_ROWS_COPIED * width * (rows // every), hint)
+    if every == 1:
+        isolated.check_size(path, 8 * width * rows)
+
+
 def _average(piece: MappedLog, averager: Averager, *, last: bool = False) -> MappedLog:
+    """Average the rows of a piece; with ``last`` those that the averager still holds of the pieces before."""
+    if last:
+        nothing = {name: values[:0] for name, values in piece.columns.items()}
+        piece = replace(piece, columns=nothing, rows=piece.rows[:0], unlikely={})
     columns, rows = averager.take(piece.columns, piece.rows, last=last)
     return replace(piece, columns=columns, rows=rows)
 
@@ -589,9 +596,8 @@ def _map_columns(
     sources = {column.target: table.column(column.source, path) for column in columns}
     columns = [_with_unit(column, table.units.get(sources[column.target]), path) for column in columns]
     time = _time(mapping, table, sources, path)
-    used = [table.column(key, path) for key in mapping.where]
-    if time is not None:
-        used += [table.column(key, path) for key in time.sources]
+    keys = [*mapping.where, *(time.sources if time is not None else ())]
+    used = [table.column(key, path) for key in keys]
     rows = _same_length([*sources.values(), *used], table, path)
     found: dict[str, Array] = {}
     if time is not None:
@@ -613,24 +619,10 @@ def _map_columns(
         raise InputError(text, file=path, column=by, hint=hint)
     if not chosen.all():
         found = {name: values[chosen] for name, values in found.items()}
-    infinite = [name for name, values in found.items() if (np.abs(values) > LARGEST).any()]
-    for name in infinite:
-        found[name][np.abs(found[name]) > LARGEST] = np.nan
-    if infinite:
-        text = f"infinite values and values beyond ±{LARGEST:g} taken as missing"
-        notes.append(f"{text} in {', '.join(infinite)}")
+    _empty_infinite(found, notes)
     unlikely = empty_unlikely(found, sources, mapping.min_likelihood)
-    lacking = [axis for axis in AXES if axis not in found]
-    if 0 < len(lacking) < len(AXES):
-        hint = f"map {lacking[0]} too, or leave the other components ({', '.join(AXES)}) out"
-        text = "this component of the quaternion is missing: the attitude needs all four"
-        raise InputError(text, file=path, column=lacking[0], hint=hint)
-    if not lacking:
-        q = np.column_stack([found[axis] for axis in AXES])
-        q = reorder_quaternion(q, mapping.quaternion.order, mapping.quaternion.direction)
-        found |= dict(zip(AXES, q.T, strict=True))
-    if time is not None and time.frame is None and time.sources:
-        notes += _check_frame_numbers(table, table.column(time.sources[0], path))
+    _convert_quaternion(found, mapping.quaternion, path)
+    notes += _check_frame_numbers(table, time, path)
     lines = table.before + np.arange(1, rows + 1, dtype=np.int64)
     if table.lines is not None:
         lines = table.lines
@@ -638,6 +630,35 @@ def _map_columns(
     unknown = _find_unknown(columns, metadata)
     numbers = lines[:rows][chosen]
     return MappedLog(path, found, numbers, metadata, notes, scales, unknown, table.profile, unlikely)
+
+
+def _empty_infinite(columns: dict[str, Array], notes: list[str]) -> None:
+    """Set infinite values and values beyond :data:`LARGEST` to NaN, in place, with a remark on them."""
+    infinite = [name for name, values in columns.items() if (np.abs(values) > LARGEST).any()]
+    for name in infinite:
+        columns[name][np.abs(columns[name]) > LARGEST] = np.nan
+    if infinite:
+        text = f"infinite values and values beyond ±{LARGEST:g} taken as missing"
+        notes.append(f"{text} in {', '.join(infinite)}")
+
+
+def _convert_quaternion(columns: dict[str, Array], convention: Quaternion, path: Path) -> None:
+    """Convert the columns of a quaternion to the convention of the log, in place.
+
+    Raises
+    ------
+    InputError
+        Some of the four components are missing.
+    """
+    lacking = [axis for axis in AXES if axis not in columns]
+    if 0 < len(lacking) < len(AXES):
+        hint = f"map {lacking[0]} too, or leave the other components ({', '.join(AXES)}) out"
+        text = "this component of the quaternion is missing: the attitude needs all four"
+        raise InputError(text, file=path, column=lacking[0], hint=hint)
+    if not lacking:
+        q = np.column_stack([columns[axis] for axis in AXES])
+        q = reorder_quaternion(q, convention.order, convention.direction)
+        columns |= dict(zip(AXES, q.T, strict=True))
 
 
 def _with_unit(column: Column, stated: str | None, path: Path) -> Column:
@@ -703,7 +724,7 @@ def _identity(table: ForeignTable, path: Path, metadata: dict[str, Any]) -> list
             kept.append(Column(source=name, target=name))
         elif name != "frame":
             out.append(name)
-    if not [column for column in kept if column.target != TIME]:
+    if {column.target for column in kept} <= {TIME}:
         text = "no column is named with its quantity and unit as in the log format (x_m, yaw_rad)"
         raise InputError(text, file=path, hint=hint)
     twice = [column.target for column in kept if f"{column.target} (2)" in out]
@@ -731,15 +752,20 @@ def _time(mapping: Mapping, table: ForeignTable, sources: dict[str, str], path: 
         raise InputError("states neither times nor a frame rate", file=path, hint=hint)
     if has_frames and not time.sources:
         return time.model_copy(update={"frame": "frame"})
+    return _with_time_units(time, table, path)
+
+
+def _with_time_units(time: Time, table: ForeignTable, path: Path) -> Time:
+    """Complete the source of the times by the units that the file states; raise an error if they differ."""
     stated = [canonical(table.units.get(table.column(key, path), "")) for key in time.sources]
-    if stated and time.frame is None and set(stated) <= set(UNITS["time"]):
-        given = [canonical(unit) for unit in time.units_of_sources]
-        if "unit" in time.model_fields_set and given != stated:
-            text = f"the file states {', '.join(stated)} for the times, the mapping states {', '.join(given)}"
-            hint = "leave 'unit' out of 'time:'"
-            raise InputError(text, file=path, column=str(time.sources[0]), hint=hint)
-        return time.model_copy(update={"unit": stated})
-    return time
+    if not stated or time.frame is not None or not set(stated) <= set(UNITS["time"]):
+        return time
+    given = [canonical(unit) for unit in time.units_of_sources]
+    if "unit" in time.model_fields_set and given != stated:
+        text = f"the file states {', '.join(stated)} for the times, the mapping states {', '.join(given)}"
+        hint = "leave 'unit' out of 'time:'"
+        raise InputError(text, file=path, column=str(time.sources[0]), hint=hint)
+    return time.model_copy(update={"unit": stated})
 
 
 def _same_length(names: Sequence[str], table: ForeignTable, path: Path) -> int:
@@ -788,11 +814,14 @@ def _values(
     return values * column.scale + column.offset
 
 
-def _check_frame_numbers(table: ForeignTable, name: str) -> list[str]:
+def _check_frame_numbers(table: ForeignTable, time: Time | None, path: Path) -> list[str]:
     """Return a note if the name and the steps of a time column are those of a frame number.
 
     The result is a list with this note. It is empty for any other column.
     """
+    if time is None or time.frame is not None or not time.sources:
+        return []
+    name = table.column(time.sources[0], path)
     values = table.columns[name]
     if values.dtype.kind not in "iuf" or not COUNT.fullmatch(name.strip().lower()):
         return []
@@ -956,25 +985,9 @@ def seconds(
     """
     clock = clock or Clock()
     period = time.wraps_at
-    names = [table.column(key, path) for key in time.sources]
-    parts = [table.columns[name] for name in names]
-    factors = [unit_factor(unit, TIME) for unit in time.units_of_sources]
-    if time.rate_hz is not None:
-        parts = [_frames(table, name, path) for name in names]
-        if not parts:
-            parts = [table.before + np.arange(rows, dtype=float)]
-        rate = table.scalars.get(str(time.rate_hz), time.rate_hz)
-        if isinstance(rate, str) or not 0 < rate < np.inf:
-            known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
-            hint = f"single numbers in it: {known or 'none'}"
-            raise InputError(f"holds no positive number '{time.rate_hz}' for the rate", file=path, hint=hint)
-        factors = [1.0 / rate]
-    elif any(is_text(part) for part in parts):
-        # Parse the text to dates or times of day. Times of day are then in seconds, so that their factor is
-        # 1.
-        parts, factors = [_parse_times(parts, table, time, names, path)], [1.0]
-        if parts[0].dtype.kind != "M":
-            period = DAY_S
+    parts, factors, is_parsed = _time_columns(table, time, rows, path)
+    if is_parsed and parts[0].dtype.kind != "M":
+        period = DAY_S
     known = np.logical_and.reduce([np.isfinite(part) for part in parts])
     if not known.any():
         return np.full(len(known), np.nan)
@@ -996,6 +1009,28 @@ def seconds(
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
     return np.where(known, total + time.offset_s, np.nan)
+
+
+def _time_columns(
+    table: ForeignTable, time: Time, rows: int, path: Path
+) -> tuple[list[NDArray[Any]], list[float], bool]:
+    """Return the columns whose sum is the time, their factors to seconds, and whether they were text.
+
+    Text is parsed to one column of dates, or of times of day in seconds, so that its factor is 1.
+    """
+    names = [table.column(key, path) for key in time.sources]
+    parts = [table.columns[name] for name in names]
+    if time.rate_hz is not None:
+        parts = [_frames(table, name, path) for name in names]
+        rate = table.scalars.get(str(time.rate_hz), time.rate_hz)
+        if isinstance(rate, str) or not 0 < rate < np.inf:
+            known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
+            hint = f"single numbers in it: {known or 'none'}"
+            raise InputError(f"holds no positive number '{time.rate_hz}' for the rate", file=path, hint=hint)
+        return parts or [table.before + np.arange(rows, dtype=float)], [1.0 / rate], False
+    if any(map(is_text, parts)):
+        return [_parse_times(parts, table, time, names, path)], [1.0], True
+    return parts, [unit_factor(unit, TIME) for unit in time.units_of_sources], False
 
 
 def _frames(table: ForeignTable, name: str, path: Path) -> Array:
@@ -1323,10 +1358,10 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
         lines += _of_profile(table)
     else:
         lines += _of_names(table)
-    if options.rate_hz is not None:
-        lines = [line.replace(f"rate_hz: {ASK}", f"rate_hz: {options.rate_hz:.10g}") for line in lines]
-    asked = sum(ASK in line.partition("#")[0] for line in lines)
     text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
+    if options.rate_hz is not None:
+        text = text.replace(f"rate_hz: {ASK}", f"rate_hz: {options.rate_hz:.10g}")
+    asked = sum(ASK in line.partition("#")[0] for line in text.split("\n"))
     data = {"file": str(path), "mapping": text, "open": asked}
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
@@ -1351,18 +1386,7 @@ def _of_names(table: ForeignTable) -> list[str]:
     """
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
-    asked = dict(table.asked)
-    for name in [name for name, values in columns.items() if is_text(values)]:
-        found, odd = numbers_in(columns[name])
-        texts = columns[name][odd].astype(str)
-        if any(re.fullmatch(GROUPED, text) for text in texts):
-            asked.setdefault("decimal", f"the decimal mark, for cells such as '{texts[0]}' in '{name}'")
-            found = numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
-        elif odd.sum() < np.isfinite(found).sum():
-            asked.setdefault("missing", f"the texts of missing samples, as in ['{texts[0]}'] in '{name}'")
-        else:
-            continue
-        columns[name] = found
+    asked = table.asked | _convert_asked(columns)
     time, forms = _guess_time(table, columns)
     taken: list[str] = []
     if isinstance(time, dict):
@@ -1383,6 +1407,26 @@ def _of_names(table: ForeignTable) -> list[str]:
         lines.append("  " + _line("-", entries, comment))
     lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
     return lines
+
+
+def _convert_asked(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
+    """Convert columns of text in which numbers prevail, in place; return the options that a user must state.
+
+    Each option of the reader has its reason.
+    """
+    asked: dict[str, str] = {}
+    for name in [name for name, values in columns.items() if is_text(values)]:
+        found, odd = numbers_in(columns[name])
+        texts = columns[name][odd].astype(str)
+        if any(re.fullmatch(GROUPED, text) for text in texts):
+            asked.setdefault("decimal", f"the decimal mark, for cells such as '{texts[0]}' in '{name}'")
+            found = numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
+        elif odd.sum() < np.isfinite(found).sum():
+            asked.setdefault("missing", f"the texts of missing samples, as in ['{texts[0]}'] in '{name}'")
+        else:
+            continue
+        columns[name] = found
+    return asked
 
 
 def _line(key: str, value: Any, comment: str = "") -> str:
@@ -1444,8 +1488,9 @@ def _split(name: str) -> tuple[str, str | None]:
 
 def _target(bare: str, unit: str | None) -> str | None:
     """Return the log column for a foreign column name (without its unit) and unit; None if unknown."""
-    hits = [(re.fullmatch(pattern, bare), target) for pattern, target in _NAMES]
-    targets = [target.format(**hit.groupdict()) for hit, target in hits if hit is not None]
+    targets = [
+        target.format(**hit.groupdict()) for pattern, target in _NAMES if (hit := re.fullmatch(pattern, bare))
+    ]
     if targets:
         fitting = [name for name in targets if unit is None or unit in UNITS.get(quantity_of(name) or "", {})]
         return next(iter(fitting), None)
@@ -1474,14 +1519,7 @@ def _guess_time(table: ForeignTable, columns: dict[str, Any]) -> tuple[dict[str,
     if TIME in columns:
         return {"source": TIME, "unit": "s"}, comment
     if stamps and is_text(columns[stamps[0]]):
-        texts = [name for name in stamps if is_text(columns[name])]
-        time: dict[str, Any] = {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
-        cells = _join_cells([columns[name] for name in texts])
-        if _dates(cells, None).notna().mean() < (1 - MAX_ODD) * cells.notna().mean():
-            formats = date_formats(cells)
-            time["format"] = formats[0] if len(formats) == 1 else ASK
-            comment = f"as in format: {' or '.join(map(repr, formats)) or EXAMPLE}"
-        return time, comment
+        return _guess_dates({name: columns[name] for name in stamps if is_text(columns[name])}, comment)
     if stamps and columns[stamps[0]].dtype.kind == "M":
         return {"source": stamps[0], "origin": "first"}, comment
     if stamps:
@@ -1489,6 +1527,18 @@ def _guess_time(table: ForeignTable, columns: dict[str, Any]) -> tuple[dict[str,
     if counts:
         return {"frame": counts[0], "rate_hz": ASK}, comment
     return ASK, comment
+
+
+def _guess_dates(columns: dict[str, Any], comment: str) -> tuple[dict[str, Any], str]:
+    """Return the value of ``time:`` for columns of text that form one date, and a comment on its format."""
+    names = list(columns)
+    time: dict[str, Any] = {"source": names if len(names) > 1 else names[0], "origin": "first"}
+    cells = _join_cells(list(columns.values()))
+    if _dates(cells, None).notna().mean() < (1 - MAX_ODD) * cells.notna().mean():
+        formats = date_formats(cells)
+        time["format"] = formats[0] if len(formats) == 1 else ASK
+        comment = f"as in format: {' or '.join(map(repr, formats)) or EXAMPLE}"
+    return time, comment
 
 
 def _is_clock(name: str, unit: str) -> bool:

@@ -380,6 +380,30 @@ def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> s
     return select or known[0]
 
 
+def choose_part(
+    content: Any,
+    select: str | None,
+    what: str,
+    path: Path,
+    separators: str = ".",
+    parts: Callable[[Any], Any] = lambda value: value,
+) -> Any:
+    """Return the part of nested dicts that ``select`` names; the whole content without a selection.
+
+    ``parts`` is the argument of :func:`flat`.
+
+    Raises
+    ------
+    InputError
+        There is no such part.
+    """
+    for part in filter(None, re.split(f"[{separators}]", select or "")):
+        if not isinstance(content, dict):
+            raise InputError(f"holds no {what} '{select}'", file=path)
+        content = parts(content[choose(part, list(content), what, path)])
+    return content
+
+
 def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any], Any]) -> ForeignTable:
     """Return a table of the nested arrays in a file, or in the group of the file that ``select`` names.
 
@@ -392,13 +416,9 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
     InputError
         There is no such group.
     """
-    content = parts(content)
-    for part in filter(None, (select or "").replace("/", ".").split(".")):
-        if not isinstance(content, dict):
-            raise InputError(f"holds no struct or group '{select}'", file=path)
-        content = parts(content[choose(part, list(content), "struct or group", path)])
+    content = choose_part(parts(content), select, "struct or group", path, "/.", parts)
     if not isinstance(content, dict):
-        content = {part: content}
+        content = {re.split("[/.]", str(select).strip("/."))[-1]: content}
     table, arrays = ForeignTable({}), {}
     for name, value in flat(content, parts, "{}"):
         array = np.atleast_1d(np.asarray(value))

@@ -100,6 +100,11 @@ class Beat:
         half = float(special.stdtrit(max(self.cycles - WINDOW_CYCLES - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
 
+    @property
+    def speed(self) -> float:
+        """Product of amplitude and frequency, in the unit of the channel per s."""
+        return self.amplitude * self.frequency_hz
+
     def may_cause(self, frequency_hz: float) -> bool:
         """Return whether a beat at ``frequency_hz`` may be a harmonic of this beat."""
         return frequency_hz < (MAX_HARMONIC + 0.5) * self.frequency_hz
@@ -200,46 +205,53 @@ def find_beats(
     t, x = time_s[there], values[there]
     if len(t) < 2 * MIN_SAMPLES_BEAT:
         return []
-    active = _active_part(x)
-    if np.ptp(active) < MAX_ACTIVE_SHARE * len(x):
-        part = slice(*active)
-        of_part = find_beats(t[part], x[part], lowest_hz=lowest_hz, highest_hz=highest_hz)
-        if of_part:
-            return of_part
+    first, end = _active_part(x)
+    if end - first < MAX_ACTIVE_SHARE * len(x):
+        beats = find_beats(t[first:end], x[first:end], lowest_hz=lowest_hz, highest_hz=highest_hz)
+        if beats:
+            return beats
+    tested, sure = _test_peaks(t, x, lowest_hz, highest_hz)
+    if not sure:
+        return []
+    if has_levels(x):
+        # Remove beats that are harmonics of jumps between levels. A signal with jumps has harmonics of any
+        # order, but at most half as many cycles as jumps.
+        jumps = np.count_nonzero(np.diff(x))
+        sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
+    if lowest_hz is None and (slow := find_slow_motion(t, x)) is not None:
+        sure = [beat for beat in sure if not slow.may_cause(beat.frequency_hz) or beat.speed > slow.speed]
+    return _remove_harmonics(tested, sure, 1.0 / (t[-1] - t[0]))
+
+
+def _test_peaks(
+    t: Array, x: Array, lowest_hz: float | None, highest_hz: float | None
+) -> tuple[list[Beat], list[Beat]]:
+    """Return all beats at the spectral peaks of a channel, and those that are significant in the search."""
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = max(lowest_hz or 0.0, MIN_CYCLES / duration)
     # Limit the range of the search: an unevenly sampled record determines no more frequencies than an evenly
     # sampled record of as many samples.
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
-        return []
+        return [], []
     peaks, main, number = _peaks(t, x, low, high, duration)
-    tested = [_test(t, x, frequency, duration) for frequency in peaks]
-    found = [result for result in tested if result is not None]
+    tested = [result for frequency in peaks if (result := _test(t, x, frequency, duration)) is not None]
     limit = FALSE_ALARM_BEAT / max(duration * (high - low), 1.0)
-    sure = [beat for chance, beat in found if chance < limit]
+    sure = [beat for chance, beat in tested if chance < limit]
     # The strongest line of the spectrum competes with few other frequencies if it holds most of the power.
     sure += [
         beat
-        for chance, beat in found
+        for chance, beat in tested
         if limit <= chance < FALSE_ALARM_BEAT / number
         and abs(beat.frequency_hz - main) < 1.0 / duration
         and beat.share > MIN_MAIN_SHARE
         and beat.cycles > 1.5 * MIN_CYCLES
     ]
-    slow = find_slow_motion(t, x) if lowest_hz is None else None
-    if has_levels(x):
-        # Remove beats that are harmonics of jumps between levels. A signal with jumps has harmonics of any
-        # order, but at most half as many cycles as jumps.
-        jumps = np.count_nonzero(np.diff(x))
-        sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
-    if slow is not None:
-        fastest = slow.amplitude * slow.frequency_hz
-        sure = [
-            beat
-            for beat in sure
-            if beat.amplitude * beat.frequency_hz > fastest or not slow.may_cause(beat.frequency_hz)
-        ]
+    return [beat for _, beat in tested], sure
+
+
+def _remove_harmonics(tested: list[Beat], sure: list[Beat], resolution_hz: float) -> list[Beat]:
+    """Return the fundamental of the largest significant beat, and the beats that are not its multiples."""
     large = [beat for beat in sure if beat.share >= MIN_SHARE]
     if not large:
         return []
@@ -248,8 +260,8 @@ def find_beats(
     # half or one third of its frequency has precedence.
     below = [
         beat
-        for _, beat in found
-        if any(abs(k * beat.frequency_hz - largest.frequency_hz) < 1.0 / duration for k in (2, 3))
+        for beat in tested
+        if any(abs(k * beat.frequency_hz - largest.frequency_hz) < resolution_hz for k in (2, 3))
     ]
     first = max(below, key=lambda beat: beat.amplitude, default=largest)
     # Leave out multiples of the first beat, and beats near its frequency, from which windows of two cycles
@@ -258,7 +270,7 @@ def find_beats(
         beat
         for beat in sure
         if abs(beat.frequency_hz - first.frequency_hz) > beat.frequency_hz / WINDOW_CYCLES
-        and not multiple(beat, first, 1.0 / duration)
+        and not multiple(beat, first, resolution_hz)
     ]
     return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
 

@@ -154,28 +154,9 @@ def find_jumps(
     elsewhere : list of int
         Indices of the samples at which the track continues at another place.
     """
-    from scipy import ndimage
-
     if until is None:
         until = time
-    steps_s, steps = time[1:] - until[:-1], np.diff(place, axis=0)
-    usual_s = float(np.median(steps_s))
-    velocity = steps / steps_s[:, None]
-    # Reflect the steps at the ends of the record, because copies of the last step would hide a jump there.
-    expected = ndimage.median_filter(velocity, size=(WINDOW, 1), mode="reflect")
-    off = np.linalg.norm(steps - expected * steps_s[:, None], axis=1)
-    length = np.linalg.norm(steps, axis=1)
-    units = [unit for column in place.T if (unit := quantum(column)) <= np.ptp(column)]
-    least = max(*units, 0.05 * float(np.median(length)), 0.0)
-    scale = max(float(np.median(off)), least)
-    local = np.maximum(ndimage.median_filter(off, size=min(WIDE, len(off)), mode="reflect"), scale)
-    alike = np.linalg.norm(expected, axis=1)
-    if not brief:
-        alike = np.linalg.norm(ndimage.median_filter(velocity, size=(ALIKE, 1), mode="reflect"), axis=1)
-    fastest = max(float(np.percentile(alike, 99)), least_rate / FASTER)
-    longer = np.maximum(steps_s / usual_s, 1.0)
-    limit = OUTLYING * local * np.minimum(longer, PAUSE)
-    outlying = (off > limit) & (length > FASTER * np.maximum(alike, fastest) * steps_s + OUTLYING * scale)
+    outlying, strength, fastest, scale = _find_outlying_steps(time, place, until, brief, least_rate)
     if not outlying.any():
         return np.ones(len(time), dtype=bool), []
     starts = np.concatenate(([0], np.flatnonzero(outlying) + 1))
@@ -198,10 +179,41 @@ def find_jumps(
         return stays, elsewhere
     back = [(ends[a], starts[b]) for a, b in pairwise(chain) if goes_on(a, b) and b > a + 1]
     stays[:] = True
-    usual = max(float(np.percentile((off / local)[~outlying], 99)), OUTLYING)
-    for first, end in _spikes(np.array(back, dtype=int).reshape(-1, 2), off / local, usual):
+    usual = max(float(np.percentile(strength[~outlying], 99)), OUTLYING)
+    for first, end in _spikes(np.array(back, dtype=int).reshape(-1, 2), strength, usual):
         stays[first:end] = False
     return stays, []
+
+
+def _find_outlying_steps(
+    time: Array, place: Array, until: Array, brief: bool, least_rate: float
+) -> tuple[Flags, Array, float, float]:
+    """Return whether each step of a channel is outlying, and what the limits of its steps are.
+
+    The other results are the deviation of each step relative to its neighbours, the usual maximum of the rate
+    of the channel, and the usual deviation of a step.
+    """
+    from scipy import ndimage
+
+    steps_s, steps = time[1:] - until[:-1], np.diff(place, axis=0)
+    usual_s = float(np.median(steps_s))
+    velocity = steps / steps_s[:, None]
+    # Reflect the steps at the ends of the record, because copies of the last step would hide a jump there.
+    expected = ndimage.median_filter(velocity, size=(WINDOW, 1), mode="reflect")
+    off = np.linalg.norm(steps - expected * steps_s[:, None], axis=1)
+    length = np.linalg.norm(steps, axis=1)
+    units = [unit for column in place.T if (unit := quantum(column)) <= np.ptp(column)]
+    least = max(*units, 0.05 * float(np.median(length)), 0.0)
+    scale = max(float(np.median(off)), least)
+    local = np.maximum(ndimage.median_filter(off, size=min(WIDE, len(off)), mode="reflect"), scale)
+    alike = np.linalg.norm(expected, axis=1)
+    if not brief:
+        alike = np.linalg.norm(ndimage.median_filter(velocity, size=(ALIKE, 1), mode="reflect"), axis=1)
+    fastest = max(float(np.percentile(alike, 99)), least_rate / FASTER)
+    longer = np.maximum(steps_s / usual_s, 1.0)
+    limit = OUTLYING * local * np.minimum(longer, PAUSE)
+    outlying = (off > limit) & (length > FASTER * np.maximum(alike, fastest) * steps_s + OUTLYING * scale)
+    return outlying, off / local, fastest, scale
 
 
 def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[np.int64]:

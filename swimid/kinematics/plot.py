@@ -68,13 +68,11 @@ def plot(
 ) -> Drawn:
     """Draw logs: channels over time, the track from above, and spectra of the channels.
 
-    By default the title lists the names of the logs.
-
     Parameters
     ----------
     logs : path, Log or DataFrame, or a sequence of these
         Logs. Several logs are drawn over each other, each with its own time axis origin. A table has the
-        columns of the log format, shape (n, k), in SI units.
+        columns of the log format, shape (n, k), in SI units. The default title lists the names of the logs.
     output : path, optional
         File that ends in ``.svg`` or ``.png``. Without this path nothing is written.
 
@@ -123,8 +121,7 @@ def plot(
     )
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
     told = "\n".join(f"{record.name}: {len(record)} samples, drawn as logged" for record in records)
-    drawn = Drawn("plot", told, data, evidence=proof, document=records)
-    return drawn.write_output(output)
+    return Drawn("plot", told, data, evidence=proof, document=records).write_output(output)
 
 
 def _picture(path: Path) -> Path:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.kinematics.frequency import waves
-
-if TYPE_CHECKING:
-    pass
 from swimid.kinematics.jumps import Cleaning
 
 Array = NDArray[np.float64]
@@ -157,26 +153,12 @@ def net_speed(
     first, last = float(time_s[0]), float(time_s[-1])
     duration = last - first
     end_s = END_SHARE * duration if frequency_hz is None else END_CYCLES / frequency_hz
-    near_hz = [frequency_hz]
     if 2.0 * end_s > duration:
-        if frequency_hz is not None:
-            near_hz = [frequency_hz + part / duration for part in np.linspace(-0.1, 0.1, 9)]
-        tried = product(range(1, MAX_ORDER + 1), near_hz)
-        fits = [_fit_path(time_s, place, (first, last), *one, changes=True) for one in tried]
-        criteria = np.array([criterion for criterion, *_ in fits])
-        weights = np.exp(-0.5 * (criteria - criteria.min()))
-        weights /= weights.sum()
-        moves = np.array([ends[1] - ends[0] for _, ends, _, _ in fits])
-        variances = np.array([cover[0, 0] + cover[1, 1] - 2.0 * cover[0, 1] for _, _, cover, _ in fits])
-        away = weights @ moves
-        variance = weights @ (variances + (moves - away) ** 2)
-        freedom = min(freedom for *_, freedom in fits)
+        away, variance, freedom = _average_displacement(time_s, place, frequency_hz)
     else:
         counts = np.searchsorted(time_s, [first + end_s, last - end_s])
-        head, tail = (
-            max(int(counts[0]), MIN_SAMPLES_SPEED),
-            min(int(counts[1]), len(time_s) - MIN_SAMPLES_SPEED),
-        )
+        head = max(int(counts[0]), MIN_SAMPLES_SPEED)
+        tail = min(int(counts[1]), len(time_s) - MIN_SAMPLES_SPEED)
         start = _fit_path(time_s[:head], place[:head], (first,), END_ORDER, frequency_hz)
         stop = _fit_path(time_s[tail:], place[tail:], (last,), END_ORDER, frequency_hz)
         away, variance = stop[1][0] - start[1][0], start[2][0, 0] + stop[2][0, 0]
@@ -186,6 +168,25 @@ def net_speed(
     late = np.sqrt(2.0) * stamp_sd_s * size / duration
     half = float(stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
     return TrackEstimate(size / duration, (size - half) / duration, (size + half) / duration)
+
+
+def _average_displacement(
+    time_s: Array, place: Array, frequency_hz: float | None
+) -> tuple[Array, Array, int]:
+    """Return the mean displacement of fits to a short track, its variances and the degrees of freedom."""
+    first, last = float(time_s[0]), float(time_s[-1])
+    near_hz: list[float | None] = [frequency_hz]
+    if frequency_hz is not None:
+        near_hz = [frequency_hz + part / (last - first) for part in np.linspace(-0.1, 0.1, 9)]
+    tried = product(range(1, MAX_ORDER + 1), near_hz)
+    fits = [_fit_path(time_s, place, (first, last), *one, changes=True) for one in tried]
+    criteria = np.array([criterion for criterion, *_ in fits])
+    weights = np.exp(-0.5 * (criteria - criteria.min()))
+    weights /= weights.sum()
+    moves = np.array([ends[1] - ends[0] for _, ends, _, _ in fits])
+    variances = np.array([cover[0, 0] + cover[1, 1] - 2.0 * cover[0, 1] for _, _, cover, _ in fits])
+    away = weights @ moves
+    return away, weights @ (variances + (moves - away) ** 2), min(freedom for *_, freedom in fits)
 
 
 def _fit_path(

@@ -226,38 +226,30 @@ def find_stroke(
     not averaged, because the channels are not independent. Beats that contradict the stroke are stored in
     :attr:`Rhythm.rivals`, unless the frequency equals the stated one.
     """
-    ranges = [range_hz]
-    if stated_hz is not None and range_hz is None:
-        ranges.append(((1 - FREQUENCY_RTOL) * stated_hz, (1 + FREQUENCY_RTOL) * stated_hz))
-    for within in ranges:
-        seen = _motions(time_s, columns, within)
-        pushed = {n: b for n, b in seen.items() if PUSHED.fullmatch(n) or n in ALONG}
-        beats = {n: b for n, b in seen.items() if SIDEWAYS.fullmatch(n)} or seen
-        if not beats:
-            continue
-        chosen = _choose_stroke(beats, beats | pushed)
-        if not within:
-            slow = find_slowest(time_s, columns)
-            if slow is not None and slow[1].may_cause(chosen.frequency_hz):
-                return None
-        # Take the channel with the smallest standard error among those that beat with the stroke frequency.
-        at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
-        best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
-        channel = min(best, key=lambda name: best[name].stderr_hz)
-        rivals = {}
-        if stated_hz is None or abs(chosen.frequency_hz - stated_hz) > FREQUENCY_RTOL * stated_hz:
-            rivals = _rivals(chosen, beats | pushed)
-        return Rhythm(
-            best[channel],
-            channel,
-            {name: found[0] for name, found in beats.items()},
-            maybe_double=channel in pushed,
-            rivals=rivals,
-        )
-    return None
+    seen = _find_motions(time_s, columns, range_hz)
+    if not seen and stated_hz is not None and range_hz is None:
+        range_hz = ((1 - FREQUENCY_RTOL) * stated_hz, (1 + FREQUENCY_RTOL) * stated_hz)
+        seen = _find_motions(time_s, columns, range_hz)
+    if not seen:
+        return None
+    pushed = {n: b for n, b in seen.items() if PUSHED.fullmatch(n) or n in ALONG}
+    beats = {n: b for n, b in seen.items() if SIDEWAYS.fullmatch(n)} or seen
+    chosen = _choose_stroke(beats, beats | pushed)
+    if not range_hz and (slow := find_slowest(time_s, columns)) and slow[1].may_cause(chosen.frequency_hz):
+        return None
+    rivals = _find_rivals(chosen, beats | pushed, stated_hz)
+    beat, channel = _choose_channel(chosen, beats)
+    strongest = {name: found[0] for name, found in beats.items()}
+    return Rhythm(beat, channel, strongest, maybe_double=channel in pushed, rivals=rivals)
 
 
-def _motions(
+def _choose_channel(chosen: Beat, beats: Mapping[str, list[Beat]]) -> tuple[Beat, str]:
+    """Return the beat at the stroke frequency with the smallest standard error, and its channel."""
+    at_it = [(beat, name) for name in beats for beat in beats[name] if multiple(beat, chosen) == 1]
+    return min(at_it, key=lambda pair: pair[0].stderr_hz)
+
+
+def _find_motions(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
     """Return the beats of all channels that may oscillate with the stroke, by channel.
@@ -265,35 +257,43 @@ def _motions(
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
     channels = {n: unwrap_angle(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
-    channels |= swing(columns)
-    seen = _beats(time_s, channels, within)
-    swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
-    lap = next((b for b in swings if _is_lap(time_s, columns, b.frequency_hz)), None)
-    if lap is not None:
-        track = swing(columns, 0.25 / lap.cycles)
-        rest = {n: b for n, b in seen.items() if n not in (*ALONG, "sway")}
-        channels = {n: v for n, v in channels.items() if n not in (*ALONG, "sway")} | track
-        seen = _beats(time_s, track, within) | rest
-        seen = {
-            n: [b for b in beats if not 1 <= multiple(b, lap) <= MAX_LAP_HARMONIC]
-            for n, beats in seen.items()
-        }
-    for name in seen:
-        turns = _turns(channels[name]) if name.endswith("_rad") else 0.0
-        if turns >= 1.0:
+    seen = _beats(time_s, channels | swing(columns), within)
+    seen = _remove_laps(time_s, columns, within, seen)
+    found = {}
+    for name, beats in seen.items():
+        if name.endswith("_rad") and (turns := _turns(channels[name])) >= 1.0:
             near_hz = 1.0 / float(np.ptp(time_s))
             turning = Beat(turns * near_hz, 0.0, 0.0, 0.0, turns)
-            beats = seen[name]
-            seen[name] = [b for b in beats if not 1 <= multiple(b, turning, near_hz) <= MAX_COMPASS_HARMONIC]
+            beats = _remove_multiples(beats, turning, MAX_COMPASS_HARMONIC, near_hz)
         # Leave out beats that are not larger than the rounding error, because they cannot be distinguished
         # from it. A rounding error is at most half of the rounding step, and it is periodic in a steady
         # motion.
-        measured = _coordinates(columns)
-        if name in columns:
-            measured = [columns[name]]
+        measured = [columns[name]] if name in columns else _coordinates(columns)
         rounding = sum(map(quantum, measured))
-        seen[name] = [b for b in seen[name] if b.amplitude > rounding / 2 * np.sqrt(2.0 * b.share)]
-    return {name: beats for name, beats in seen.items() if beats}
+        if large := [b for b in beats if b.amplitude > rounding / 2 * np.sqrt(2.0 * b.share)]:
+            found[name] = large
+    return found
+
+
+def _remove_laps(
+    time_s: Array,
+    columns: Mapping[str, Array],
+    within: tuple[float, float] | None,
+    seen: dict[str, list[Beat]],
+) -> dict[str, list[Beat]]:
+    """Return the beats of all channels without those caused by laps of the path."""
+    swings = [beat for name in (*ALONG, "sway") for beat in seen.get(name, [])]
+    lap = next((beat for beat in swings if _is_lap(time_s, columns, beat.frequency_hz)), None)
+    if lap is None:
+        return seen
+    rest = {name: beats for name, beats in seen.items() if name not in (*ALONG, "sway")}
+    seen = _beats(time_s, swing(columns, 0.25 / lap.cycles), within) | rest
+    return {name: _remove_multiples(beats, lap, MAX_LAP_HARMONIC) for name, beats in seen.items()}
+
+
+def _remove_multiples(beats: list[Beat], of: Beat, highest: int, resolution_hz: float = 0.0) -> list[Beat]:
+    """Return the beats whose frequencies are no multiples of another one, up to the order ``highest``."""
+    return [beat for beat in beats if not 1 <= multiple(beat, of, resolution_hz) <= highest]
 
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
@@ -374,12 +374,14 @@ def _choose_stroke(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list
     return max((beat for beats in candidates.values() for beat in beats), key=worth)
 
 
-def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
+def _find_rivals(chosen: Beat, seen: Mapping[str, list[Beat]], stated_hz: float | None) -> dict[str, Beat]:
     """Return the largest beat of each channel whose frequency contradicts that of the stroke.
 
     Beats at a multiple of the stroke frequency do not contradict it, nor do faster beats with little power
-    relative to the stroke.
+    relative to the stroke. Nothing contradicts a stroke at the stated frequency.
     """
+    if stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz:
+        return {}
     found = {}
     for name, beats in seen.items():
         stroke = max((b.amplitude for b in beats if multiple(b, chosen)), default=0.0)

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.kinematics.cycles import block_speeds
 from swimid.kinematics.frequency import Beat, waves
 from swimid.kinematics.jumps import Cleaning, gaps
 from swimid.kinematics.speed import TrackEstimate, error_factor, mean_of_blocks, net_speed, path_speed
 from swimid.kinematics.stroke import explain_missing, find_stroke
 from swimid.logs.log import runs
-
-if TYPE_CHECKING:
-    pass
-from swimid.kinematics.cycles import block_speeds
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -187,7 +184,6 @@ def measure_swimming(
 
     Parameters
     ----------
-    track : Track
     window_s : (float or None, float or None)
         Start and end of the window, s. If both are None, the steady part is used.
 
@@ -206,20 +202,11 @@ def measure_swimming(
     .. [1] White, K. P. (1997). An effective truncation heuristic for bias reduction in simulation output.
        Simulation 69(6), 323-334. doi:10.1177/003754979706900601
     """
-    known = track.time_s[np.isfinite(track.smooth).all(axis=0)]
-    begin, end = float(known[0]), float(known[-1])
-    kind: Literal["given", "steady part", "whole track"] = "given"
-    if window_s == (None, None):
-        steady = _steady_part(_blocks(track, begin, end, _find_stroke(track, begin, end).period_s))
-        kind = "whole track" if steady is None else "steady part"
-        begin, end = steady or (begin, end)
-    if window_s[0] is not None:
-        begin = max(window_s[0], begin)
-    if window_s[1] is not None:
-        end = min(window_s[1], end)
+    begin, end, window = _choose_window(track, window_s)
     stroke = _find_stroke(track, begin, end)
     blocks = _blocks(track, begin, end, stroke.period_s)
     advance = change = acceleration = across = frequency = None
+    amplitudes = {}
     # Do not compute speeds if a periodic motion is slower than the blocks, because the block speeds oscillate
     # with it. Laps of the path are no such motion.
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
@@ -231,20 +218,15 @@ def measure_swimming(
     inside = (track.time_s >= begin) & (track.time_s <= end)
     if stroke.beat is None and not blocks.turn_round:
         rows = inside & track.measured & np.isfinite(track.raw).all(axis=0)
-        net = net_speed(track.time_s[rows], track.raw[:, rows].T, stroke.slow_hz)
-        advance = _not_negative(net)
-    amplitudes = {}
+        advance = _not_negative(net_speed(track.time_s[rows], track.raw[:, rows].T, stroke.slow_hz))
     if stroke.beat is not None:
         frequency = TrackEstimate(stroke.beat.frequency_hz, *stroke.beat.interval_hz)
         amplitudes = _amplitudes(track, begin, end, stroke.beat.frequency_hz)
-    time, good, none = track.time_s[inside], track.measured[inside], np.zeros(int(inside.sum()), dtype=bool)
-    cleaning = Cleaning(good, none, none, 0, [], gaps(time, good))
-    speeds = path_speed(time, list(track.raw[:, inside]), cleaning)
     return Swimming(
         begin_s=begin,
         end_s=end,
-        window=kind,
-        path_speed=_not_negative(None if speeds is None else speeds.path),
+        window=window,
+        path_speed=_measure_path_speed(track, inside),
         advance=advance,
         change=change,
         acceleration=acceleration,
@@ -255,6 +237,34 @@ def measure_swimming(
         doubt=stroke.doubt,
         unknown=stroke.unknown,
     )
+
+
+def _measure_path_speed(track: SwimTrack, inside: Flags) -> TrackEstimate | None:
+    """Return the speed along the path in the chosen samples of a track; None without a long segment."""
+    time, good, none = track.time_s[inside], track.measured[inside], np.zeros(int(inside.sum()), dtype=bool)
+    speeds = path_speed(time, list(track.raw[:, inside]), Cleaning(good, none, none, 0, [], gaps(time, good)))
+    if speeds is None:
+        return None
+    return _not_negative(speeds.path)
+
+
+def _choose_window(
+    track: SwimTrack, window_s: tuple[float | None, float | None]
+) -> tuple[float, float, Literal["given", "steady part", "whole track"]]:
+    """Return start and end of the window of a track that is measured, s, and the kind of the window."""
+    known = track.time_s[np.isfinite(track.smooth).all(axis=0)]
+    begin, end = float(known[0]), float(known[-1])
+    low, high = window_s
+    if low is None and high is None:
+        steady = _steady_part(_blocks(track, begin, end, _find_stroke(track, begin, end).period_s))
+        if steady is None:
+            return begin, end, "whole track"
+        return *steady, "steady part"
+    if low is not None:
+        begin = max(low, begin)
+    if high is not None:
+        end = min(high, end)
+    return begin, end, "given"
 
 
 def _is_level(change: TrackEstimate, speed: float) -> bool:

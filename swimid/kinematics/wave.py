@@ -106,9 +106,7 @@ def measure_wave(
     frequency_hz: float,
     like: Wave | None = None,
 ) -> Wave | None:
-    """Measure the wave along a body.
-
-    Return None if there are fewer than three windows of two cycles, or if a body does not move.
+    """Measure the wave along a body; return None without three windows of two cycles, or without motion.
 
     Parameters
     ----------
@@ -133,22 +131,9 @@ def measure_wave(
     along the body, weighted by the squared amplitudes. The intervals are Student's, from the variation
     between windows.
     """
-    width = CYCLES / frequency_hz
-    known = np.isfinite(stations).all(axis=1) & np.isfinite(heading)
-    found = []
-    for start in time_s[0] + width * np.arange(int((time_s[-1] - time_s[0]) / width * (1 + 1e-9))):
-        rows = known & (time_s >= start) & (time_s < start + width)
-        if rows.sum() < MIN_FRAMES or np.ptp(time_s[rows]) < 0.8 * width:
-            continue
-        t, ahead = time_s[rows], np.mean(np.exp(1j * heading[rows]))
-        lateral = (stations[rows] * np.conj(ahead) / abs(ahead)).imag
-        u, turn = (t - start) / width, 2 * np.pi * frequency_hz * (t - time_s[0])
-        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones(len(t)), u, u * u])
-        weights = np.linalg.lstsq(design, lateral, rcond=None)[0]
-        found.append(weights[0] - 1j * weights[1])
-    if len(found) < MIN_WINDOWS:
+    waves = _fit_lateral_motion(time_s, stations, heading, frequency_hz)
+    if len(waves) < MIN_WINDOWS:
         return None
-    waves = np.array(found)
     most = int(np.argmax(np.abs(waves).mean(axis=0)))
     if like is not None:
         most = like.reference
@@ -172,8 +157,25 @@ def measure_wave(
         length = TrackEstimate(*(2 * np.pi / end for end in ends))
         speed = TrackEstimate(*(2 * np.pi * frequency_hz / end for end in ends))
     amplitude = [_student(column) for column in (waves * np.exp(-1j * np.angle(mean))).real.T]
-    phase = [_student(column) for column in lags.T]
-    return Wave(behind, amplitude, phase, length, speed, len(waves), frequency_hz, most)
+    return Wave(behind, amplitude, list(map(_student, lags.T)), length, speed, len(waves), frequency_hz, most)
+
+
+def _fit_lateral_motion(time_s: Array, stations: Complex, heading: Array, frequency_hz: float) -> Complex:
+    """Return the complex amplitude of the lateral motion of each station in each window, shape (m, k)."""
+    width = CYCLES / frequency_hz
+    known = np.isfinite(stations).all(axis=1) & np.isfinite(heading)
+    found = []
+    for start in time_s[0] + width * np.arange(int((time_s[-1] - time_s[0]) / width * (1 + 1e-9))):
+        rows = known & (time_s >= start) & (time_s < start + width)
+        if rows.sum() < MIN_FRAMES or np.ptp(time_s[rows]) < 0.8 * width:
+            continue
+        t, ahead = time_s[rows], np.mean(np.exp(1j * heading[rows]))
+        lateral = (stations[rows] * np.conj(ahead) / abs(ahead)).imag
+        u, turn = (t - start) / width, 2 * np.pi * frequency_hz * (t - time_s[0])
+        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones(len(t)), u, u * u])
+        weights = np.linalg.lstsq(design, lateral, rcond=None)[0]
+        found.append(weights[0] - 1j * weights[1])
+    return np.array(found)
 
 
 @dataclass(frozen=True)

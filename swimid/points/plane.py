@@ -170,14 +170,10 @@ def plane_of(
     else:
         if scale.points_px is not None:
             points = _undistort(np.array(scale.points_px), lens)
-        if scale.distance_m is not None:
-            factor = scale.distance_m / float(np.hypot(*((points[1] - points[0]) * (pixel_aspect, 1.0))))
-        if scale.metres_per_pixel is not None:
-            factor = scale.metres_per_pixel
+        factor = _metres_per_pixel(scale, points, pixel_aspect)
         if scale.heights is not None:
             shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
-    # The y axis of the picture points down. Therefore the picture is flipped, so that yaw is
-    # counter-clockwise.
+    # The y axis of the picture points down. Flip the picture, so that yaw is counter-clockwise.
     across = factor * pixel_aspect
     matrix = np.array([[across, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
     far_x = across * (width - 1)
@@ -206,6 +202,15 @@ def plane_of(
             "z and the pitch have the wrong sign (they are right if the camera hung upside down)",
         )
     return plane
+
+
+def _metres_per_pixel(scale: Scale, points: Array, pixel_aspect: float) -> float:
+    """Return the scale that a distance between two calibration points or the setup states; 1 without one."""
+    if scale.metres_per_pixel is not None:
+        return scale.metres_per_pixel
+    if scale.distance_m is not None:
+        return scale.distance_m / float(np.hypot(*((points[1] - points[0]) * (pixel_aspect, 1.0))))
+    return 1.0
 
 
 def camera_matrix(

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from swimid.kinematics import wave
-from swimid.points.bundle import FALSE_ALARM_POINTS, UNDETERMINED
+from swimid.points.film import FALSE_ALARM_POINTS
+from swimid.points.film_bias import UNDETERMINED
 from swimid.points.linkage import Array
 from swimid.points.points import MAX_BIAS, MAX_PERSPECTIVE, WRONG_DISTANCE, Posed
 from swimid.results import evidence as ev

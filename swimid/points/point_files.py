@@ -128,33 +128,20 @@ def linkage_of(body: planar.MultilinkRobot, points: Mapping[str, planar.TrackedP
         A point is on an unknown link, or the links are no tree. ``where`` names the file.
     """
     known = {link.name: link for link in body.links}
-    for name, place in points.items():
-        if place.link not in known:
-            hint = suggestion(place.link, list(known), "the links are")
-            text, key = f"there is no link '{place.link}'", f"points.{name}.link"
-            if points is body.points:
-                key = f"multilink.{key}"
-            raise InputError(text, file=where, column=key, hint=hint)
+    _check_links(body, points, where)
     moving = [joint for joint in body.joints if joint.driven is not None or joint.passive is not None]
     columns = {joint.name: f"joint{k}_rad" for k, joint in enumerate(moving, 1)}
-
-    def value(quantity: float | str) -> float:
-        values = {name: coefficient.value for name, coefficient in body.coefficients.items()}
-        return Polynomial.of(quantity).at(values)
+    values = {name: coefficient.value for name, coefficient in body.coefficients.items()}
 
     #: Index of the moving link of each link, its direction and its front end in the axes of that link.
     frames: dict[str, tuple[int, complex, complex]] = {body.links[0].name: (0, 1 + 0j, 0j)}
     parent, joints, mounts, names, order = [-1], [0j], [0.0], [""], [body.links[0].name]
-    waiting = list(body.joints)
-    while waiting:
-        joint = next((one for one in waiting if one.parent in frames and one.child in known), None)
-        if joint is None:
-            text = "the joints connect no tree of links with the first link"
-            raise InputError(text, file=where, column=f"multilink.joints.{waiting[0].name}")
-        waiting.remove(joint)
+    for joint in _order_joints(body, where):
         up, way, front = frames[joint.parent]
-        behind = known[joint.parent].length_m if joint.at_m is None else value(joint.at_m)
-        at = front + way * complex(-behind, value(joint.offset_m))
+        behind = known[joint.parent].length_m
+        if joint.at_m is not None:
+            behind = Polynomial.of(joint.at_m).at(values)
+        at = front + way * complex(-behind, Polynomial.of(joint.offset_m).at(values))
         turn = math.radians(joint.mount_deg)
         if joint.name in columns:
             parent.append(up)
@@ -182,6 +169,33 @@ def linkage_of(body: planar.MultilinkRobot, points: Mapping[str, planar.TrackedP
         reference,
         np.array(rear, dtype=complex),
     )
+
+
+def _check_links(body: planar.MultilinkRobot, points: Mapping[str, planar.TrackedPoint], where: str) -> None:
+    """Raise an error for a point on an unknown link."""
+    links = [link.name for link in body.links]
+    for name, place in points.items():
+        if place.link not in links:
+            hint = suggestion(place.link, links, "the links are")
+            text, key = f"there is no link '{place.link}'", f"points.{name}.link"
+            if points is body.points:
+                key = f"multilink.{key}"
+            raise InputError(text, file=where, column=key, hint=hint)
+
+
+def _order_joints(body: planar.MultilinkRobot, where: str) -> list[planar.PlanarJoint]:
+    """Return the joints of a robot, each after the joint of its parent link."""
+    reached, waiting, order = {body.links[0].name}, list(body.joints), []
+    names = {link.name for link in body.links}
+    while waiting:
+        joint = next((joint for joint in waiting if joint.parent in reached and joint.child in names), None)
+        if joint is None:
+            text = "the joints connect no tree of links with the first link"
+            raise InputError(text, file=where, column=f"multilink.joints.{waiting[0].name}")
+        waiting.remove(joint)
+        reached.add(joint.child)
+        order.append(joint)
+    return order
 
 
 # ---------------------------------------------------------------- tracked points

@@ -28,7 +28,8 @@ from swimid.notices import warn
 from swimid.points import bundle
 from swimid.points import linkage as links
 from swimid.points import point_files as files
-from swimid.points.bundle import Film, FilmFit
+from swimid.points.bundle import FilmFit
+from swimid.points.film import Film
 from swimid.points.linkage import Array, Complex, Flags, Linkage
 from swimid.robots import file as robot_format
 from swimid.robots import planar
@@ -283,17 +284,10 @@ def pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> Po
 def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> Posed:
     spec, body, robot, where = request.read()
     placed: Mapping[str, planar.TrackedPoint] = spec.points
-    if body is not None and not spec.points:
-        placed = body.points
-    place = (where, "points.{}")
-    if spec.chain:
-        place = (where, "chain")
-    names, unit = files.select_points(
-        columns, spec.chain or list(placed), not (spec.chain or spec.points), place, path
-    )
     plane = "horizontal"
     if body is not None:
-        plane = body.plane
+        placed, plane = spec.points or body.points, body.plane
+    names, unit = _select_points(columns, spec, placed, where, path)
     if spec.facing == "left" and plane == "horizontal":
         text = "'facing: left' is valid only for a robot in the vertical plane: omit it"
         raise InputError(text, file=where, column="facing")
@@ -306,10 +300,9 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
             raise InputError(text, file=where, column="scale")
         view = files.View(spec.scale, spec.camera, plane)
         seen, known_scale = files.in_metres(seen, shown, view, where, path)
-        source = "stated"
+        unit, source = "m", "stated"
         if known_scale is not None:
             source = f"from the distance of {' and '.join(spec.scale.between or ())}"
-        unit = "m"
     if spec.facing == "left":
         seen = -seen.conj()
     there = np.isfinite(seen)
@@ -320,23 +313,48 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     linkage, estimated = _linkage(film, body, names, placed, where, unit, request.calibrate)
     fit = bundle.fit_film(film, linkage)
     if estimated:
-        error = math.sqrt(float(fit.linkage.covariance[0, 0]))
-        if not error < MAX_SCALE_SE:
-            text = f"the points do not determine the scale: its standard error is {100 * error:.2g} %"
-            raise InputError(text, file=where, hint=SCALE_HINT)
-        known_scale = (1.0 / fit.linkage.scale, error / fit.linkage.scale)
-        source = "from the links of the robot"
-        unit = "m"
+        known_scale = _invert_scale(fit.linkage, where)
+        unit, source = "m", "from the links of the robot"
     tracked = files.find_tracked_points(shown)
-    for axis in range(2):
-        pair = [tracked[safe(name)][axis] for name in names]
-        values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
-        columns.update(zip(pair, np.where(fit.used, values, np.nan).T, strict=True))
+    _remove_faults(columns, [tracked[safe(name)] for name in names], fit)
     made, empty = _columns(fit, unit, plane, known_scale, relative=spec.zero == "mean")
     examined, time_s = _examine_points(fit, linkage, bool(robot)), columns[TIME]
     posed = Posed(fit, linkage, made, unit, known_scale, source, robot, *examined, empty, time_s, spec.zero)
     _warn(posed, path)
     return posed
+
+
+def _select_points(
+    columns: Mapping[str, Array],
+    spec: files.PointsFile,
+    placed: Mapping[str, planar.TrackedPoint],
+    where: str,
+    path: Path,
+) -> tuple[list[str], str]:
+    """Return the tracked points that the files name, and their unit."""
+    place = (where, "points.{}")
+    if spec.chain:
+        place = (where, "chain")
+    return files.select_points(
+        columns, spec.chain or list(placed), not (spec.chain or spec.points), place, path
+    )
+
+
+def _invert_scale(linkage: Linkage, where: str) -> tuple[float, float]:
+    """Return the estimated scale in metres per unit of the tracked points, with its standard error."""
+    error = math.sqrt(float(linkage.covariance[0, 0]))
+    if not error < MAX_SCALE_SE:
+        text = f"the points do not determine the scale: its standard error is {100 * error:.2g} %"
+        raise InputError(text, file=where, hint=SCALE_HINT)
+    return 1.0 / linkage.scale, error / linkage.scale
+
+
+def _remove_faults(columns: dict[str, Array], tracked: list[tuple[str, str, str]], fit: FilmFit) -> None:
+    """Exchange labels back, and replace points that were left out by NaN, in the columns of a log."""
+    for axis in range(2):
+        pair = [names[axis] for names in tracked]
+        values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
+        columns.update(zip(pair, np.where(fit.used, values, np.nan).T, strict=True))
 
 
 def _linkage(

@@ -50,18 +50,19 @@ def find_format(path: Path, name: str | None) -> Format:
             hint = suggestion(name, list(known))
             raise InputError(f"there is no format '{name}'", file=path, hint=hint)
         return known[name]
-    begins = [one for one in known.values() if one.magic and peek.head.startswith(one.magic)]
-    ends = [one for one in known.values() if path.suffix.lower() in one.endings]
     # Try the profile of swimid's own log format last, because a log of another program may have a column
     # named like its time.
-    for one in sorted(known.values(), key=lambda one: one.name == "swimid"):
-        if name is not None and (one in begins or not one.magic) and peek.fits(one):
-            return one
-    both = [one for one in begins if one in ends]
-    # A ZIP archive may be of any format, so that its ending decides.
-    begins = [one for one in begins if one in ends or not peek.head.startswith(b"PK")]
-    plain = [one for one in [*both, *begins, *ends] if one.recognises is None]
-    return [*plain, known["delimited"]][0]
+    for profile in sorted(known, key="swimid".__eq__) if name is not None else ():
+        if peek.head.startswith(known[profile].magic or b"") and peek.fits(known[profile]):
+            return known[profile]
+
+    def rank(one: Format) -> int:
+        begins, ends = peek.head.startswith(one.magic), path.suffix.lower() in one.endings
+        # A ZIP archive may be of any format, so that its ending decides.
+        return 2 * (begins and (ends or not peek.head.startswith(b"PK"))) + ends
+
+    plain = [one for one in known.values() if one.recognises is None]
+    return max([known["delimited"], *plain], key=rank)
 
 
 def open_table(

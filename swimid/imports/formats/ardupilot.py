@@ -20,6 +20,7 @@ from swimid.errors import InputError
 from swimid.imports.formats import open_table
 from swimid.imports.formats.gps import east_north
 from swimid.imports.table import (
+    Array,
     ForeignTable,
     Format,
     Peek,
@@ -125,28 +126,8 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
         table = _messages(path, kind or None)
     else:
         table, instance = open_table(path), instance or kind
-    by = next((name for name in _INSTANCES if name in table.columns), None)
-    if by is not None and not is_text(table.columns[by]):
-        there = [f"{value:g}" for value in np.unique(table.columns[by])]
-        taken = choose(instance or there[0], there, "instance", path)
-        table = rows(table, table.columns[by] == float(taken))
-        if len(there) > 1 and not instance:
-            other = there[1]
-            if "type" in table.metadata:
-                other = f"{table.metadata['type']}[{other}]"
-            note = f"instance {taken} of {', '.join(there)} is taken (another one: --select {other})"
-            table.notes.append(note)
-    columns = rename_columns(table, ARDUPILOT_FIELDS)
-    for name in columns:
-        columns[name] *= next((f for ending, f in FACTORS.items() if name.endswith(ending)), 1.0)
-    # A field without a known unit is left out, such as the raw counts of a sensor. Quaternions have no unit.
-    units = {MAVLINK[name]: STATED.get(unit) for name, unit in table.units.items() if name in MAVLINK}
-    for name, values in rename_columns(table, MAVLINK).items():
-        factor = 1.0 if name in AXES else units.get(name)
-        if factor is not None:
-            columns[name] = values * factor
-    yaws = [name for name in columns if "yaw" in name]
-    columns |= {name: np.unwrap(np.angle(np.exp(1j * columns[name]))) for name in yaws}
+    table = _choose_instance(table, instance, path)
+    columns = _convert_fields(table)
     for (lat, lon), factor in _PLACES.items():
         if lat in table.columns:
             place, origin = east_north(*(factor * table.columns[name].astype(float) for name in (lat, lon)))
@@ -160,16 +141,50 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))}, units={})
 
 
+def _choose_instance(table: ForeignTable, instance: str, path: Path) -> ForeignTable:
+    """Return the messages of one instance of a sensor: that of a given number, or the first one."""
+    by = next((name for name in _INSTANCES if name in table.columns), None)
+    if by is None or is_text(table.columns[by]):
+        return table
+    there = [f"{value:g}" for value in np.unique(table.columns[by])]
+    taken = choose(instance or there[0], there, "instance", path)
+    table = rows(table, table.columns[by] == float(taken))
+    if len(there) > 1 and not instance:
+        other = there[1]
+        if "type" in table.metadata:
+            other = f"{table.metadata['type']}[{other}]"
+        note = f"instance {taken} of {', '.join(there)} is taken (another one: --select {other})"
+        table.notes.append(note)
+    return table
+
+
+def _convert_fields(table: ForeignTable) -> dict[str, Array]:
+    """Return the fields of known quantities in SI units, by their log columns, with unwrapped yaw angles.
+
+    A field without a known unit is left out, such as the raw counts of a sensor. Quaternions have no unit.
+    """
+    columns = rename_columns(table, ARDUPILOT_FIELDS)
+    for name in columns:
+        columns[name] *= next((f for ending, f in FACTORS.items() if name.endswith(ending)), 1.0)
+    units = {MAVLINK[name]: STATED.get(unit) for name, unit in table.units.items() if name in MAVLINK}
+    for name, values in rename_columns(table, MAVLINK).items():
+        factor = 1.0 if name in AXES else units.get(name)
+        if factor is not None:
+            columns[name] = values * factor
+    yaws = [name for name in columns if "yaw" in name]
+    return columns | {name: np.unwrap(np.angle(np.exp(1j * columns[name]))) for name in yaws}
+
+
 def _messages(path: Path, kind: str | None) -> ForeignTable:
     """Return a table of the messages of one type in a text log of ArduPilot."""
     import pandas as pd
 
     text = path.read_text(encoding="utf-8", errors="replace")
     messages = [[cell.strip() for cell in line.split(",")] for line in text.split("\n")]
-    formats = {cells[3]: cells[5:] for cells in messages if cells[0] == "FMT" and len(cells) > 5}
-    known = {kind for kind, names in formats.items() if "TimeUS" in names and {*ARDUPILOT_FIELDS} & {*names}}
+    timed = [cells for cells in messages if cells[0] == "FMT" and "TimeUS" in cells[5:]]
+    formats = {cells[3]: cells[5:] for cells in timed if not {*ARDUPILOT_FIELDS}.isdisjoint(cells[5:])}
     present = dict.fromkeys(cells[0] for cells in messages)
-    kind = choose(kind, [kind for kind in present if kind in known], "message type", path)
+    kind = choose(kind, list(filter(formats.get, present)), "message type", path)
     found = {at: cells[1:] for at, cells in enumerate(messages, start=1) if cells[0] == kind}
     whole = {at: cells for at, cells in found.items() if len(cells) == len(formats[kind])}
     frame = pd.DataFrame.from_dict(whole, orient="index", columns=formats[kind])

@@ -55,20 +55,13 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     for one in found:
         tracks.setdefault(_track(one, categories), []).append(one)
     chosen = tracks[choose(select, list(tracks), "individual", path)]
-    frames = _frames(named.get("images", []))
-    at = np.array([frames.get(one["image_id"], one["image_id"]) for one in chosen])
-    if at.dtype.kind not in "iu":
-        raise InputError("its image_id are no numbers, and its pictures are not listed", file=path)
-    values, counts = np.unique(at, return_counts=True)
-    if (counts > 1).any():
-        text = f"{counts.max()} individuals in one picture have no numbers to distinguish them"
-        hint = f"each annotation needs one of the keys {', '.join(_TRACK)}"
-        raise InputError(text, file=path, frame=int(values[np.argmax(counts)]), hint=hint)
-    widths = {len(one["keypoints"]) for one in chosen}
+    at = _find_frames(chosen, named.get("images", []), path)
+    lists = [one["keypoints"] for one in chosen]
+    widths = set(map(len, lists))
     if len(widths) > 1 or max(widths) % 3:
         text = f"its annotations have {', '.join(map(str, sorted(widths)))} values; each must have x, y and v"
         raise InputError(text, file=path)
-    cells = np.array([one["keypoints"] for one in chosen], dtype=float)[np.argsort(at)]
+    cells = np.array(lists, dtype=float)[np.argsort(at)]
     cells = cells.reshape(len(cells), -1, 3)
     names = categories.get(chosen[0].get("category_id"), {}).get("keypoints") or []
     if len(names) != cells.shape[1]:
@@ -76,10 +69,31 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     columns: dict[str, Array] = {}
     for k, name in enumerate(names):
         x, y, visible = cells[:, k].T
-        columns[f"{name}.x"], columns[f"{name}.y"] = (np.where(visible > 0, v, np.nan) for v in (x, y))
+        columns[f"{name}.x"] = np.where(visible > 0, x, np.nan)
+        columns[f"{name}.y"] = np.where(visible > 0, y, np.nan)
         if isinstance(content, list):
             columns[f"{name}.score"] = visible
     return ForeignTable({"frame": np.sort(at).astype(float), **points(columns)})
+
+
+def _find_frames(annotations: list[dict[str, Any]], images: list[dict[str, Any]], path: Path) -> Any:
+    """Return the frame of each annotation of one individual.
+
+    Raises
+    ------
+    InputError
+        The frames are unknown, or two annotations are in one picture.
+    """
+    frames = _frames(images)
+    at = np.array([frames.get(one["image_id"], one["image_id"]) for one in annotations])
+    if at.dtype.kind not in "iu":
+        raise InputError("its image_id are no numbers, and its pictures are not listed", file=path)
+    values, counts = np.unique(at, return_counts=True)
+    if (counts > 1).any():
+        text = f"{counts.max()} individuals in one picture have no numbers to distinguish them"
+        hint = f"each annotation needs one of the keys {', '.join(_TRACK)}"
+        raise InputError(text, file=path, frame=int(values[np.argmax(counts)]), hint=hint)
+    return at
 
 
 def _track(annotation: dict[str, Any], categories: dict[Any, dict[str, Any]]) -> str:

@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress, pairwise
+from itertools import chain, compress, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,30 +116,38 @@ def read_text(text: bytes, notes: list[str], options: ReaderOptions, path: Path)
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
     stated = dict(zip(found.names, found.units, strict=False))
-    asked: dict[str, str] = {}
-    parsed, width = None, len(found.names)
-    if b'"' not in text:
-        parsed = _parse(text, found, options)
-    if parsed is not None and _is_regular(text, parsed, found.delimiter):
-        rows = np.arange(len(parsed), dtype=np.int64) + found.first_line
-    else:
-        numbered = enumerate(text.split(b"\n"), start=found.first_line)
-        blanks = b" \t".replace(found.delimiter.encode(), b"")
-        filled = [(at, line) for at, line in numbered if line.strip(blanks)]
-        cells = np.array([count_cells(line.decode(), found.delimiter) for _, line in filled])
-        broken = [(at, int(count)) for (at, _), count in zip(filled, cells, strict=True) if count != width]
-        filled = list(compress(filled, cells == width))
-        rows = np.array([at for at, _ in filled], dtype=np.int64)
-        if broken:
-            asked = _note_ragged(broken, width, len(rows), path, options, notes)
-        if broken or parsed is None:
-            parsed = _parse(b"\n".join(line for _, line in filled), found, options)
+    parsed, rows, asked = _parse_lines(text, found, options, path, notes)
     blank = [name for name in found.names if _UNNAMED.fullmatch(name) and not parsed[name].notna().any()]
     kept = [name for name in found.names if name not in blank] or found.names
     columns = {name: _convert(parsed[name], found.decimal, options) for name in kept}
     return ForeignTable(
         columns, stated, notes=notes, comments=comments, lines=rows, names=found.names, asked=asked
     )
+
+
+def _parse_lines(
+    text: bytes, found: Layout, options: ReaderOptions, path: Path, notes: list[str]
+) -> tuple[pd.DataFrame, NDArray[np.int64], dict[str, str]]:
+    """Return the samples in a text, their line numbers, and the options of the reader that they need.
+
+    Lines with a wrong number of cells are left out, with a remark that is appended to ``notes``.
+    """
+    parsed, asked, width = None, {}, len(found.names)
+    if b'"' not in text:
+        parsed = _parse(text, found, options)
+        if _is_regular(text, parsed, found.delimiter):
+            return parsed, np.arange(len(parsed), dtype=np.int64) + found.first_line, {}
+    numbered = enumerate(text.split(b"\n"), start=found.first_line)
+    blanks = b" \t".replace(found.delimiter.encode(), b"")
+    filled = [(at, line) for at, line in numbered if line.strip(blanks)]
+    cells = np.array([count_cells(line.decode(), found.delimiter) for _, line in filled])
+    broken = [(at, int(count)) for (at, _), count in zip(filled, cells, strict=True) if count != width]
+    filled = list(compress(filled, cells == width))
+    if broken:
+        asked = _note_ragged(broken, width, len(filled), path, options, notes)
+    if broken or parsed is None:
+        parsed = _parse(b"\n".join(line for _, line in filled), found, options)
+    return parsed, np.array([at for at, _ in filled], dtype=np.int64), asked
 
 
 def _cut_below(text: bytes, found: Layout, notes: list[str]) -> bytes:
@@ -181,31 +189,54 @@ def _read_utf8(path: Path, options: ReaderOptions) -> tuple[bytes, list[str]]:
 def _find_layout(lines: list[str], options: ReaderOptions, path: Path, notes: list[str]) -> Layout:
     """Return the layout of a file, from the options or from its first lines; append remarks to ``notes``."""
     numbered = list(enumerate(lines, start=1))[options.skip_rows :]
-    kept = [(at, line) for at, line in numbered if line.strip()]
+    kept = {at: line for at, line in numbered if line.strip()}
+    at, texts = list(kept), list(kept.values())
     if not kept:
         raise InputError("holds no samples", file=path)
     stated_mark = _MARKS.get(options.delimiter, options.delimiter)
-    delimiter = stated_mark or _likely_delimiter([line for _, line in kept[:LINES]])
-    table = [_cells(line, delimiter) for _, line in kept]
+    delimiter = stated_mark or _likely_delimiter(texts[:LINES])
+    table = [_cells(line, delimiter) for line in texts]
     decimal = options.decimal or _decimal(table[:LINES], delimiter)
     if delimiter == decimal:
         raise InputError("a comma cannot both separate cells and mark decimals", file=path)
     width = Counter(map(len, table)).most_common(1)[0][0]
     first = _first_sample(table, width, decimal, options)
-    if first is None or first == len(table):
+    if first is None:
         hint = "give delimiter, header or skip_rows under 'reader:' of a mapping, or mend lost line ends"
-        raise InputError("no line holds numbers", file=path, line=kept[0][0], hint=hint)
+        raise InputError("no line holds numbers", file=path, line=at[0], hint=hint)
     above, samples = table[:first], [cells for cells in table[first:] if len(cells) == width]
-    stated: list[str] = []
-    if above and _are_units(above[-1]) and (len(above) > 1 or not _differ(above[-1])):
-        stated = [_unit(cell) for cell in above.pop()]
+    units = _take_units(above)
     if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
         # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
-        above[-1] = [*above[-1], ""]
-    elif above and len(above[-1]) > width and not any(above[-1][width:]):
-        above[-1] = above[-1][:width]
-    elif above and len(above[-1]) != width and _is_header(above[-1]):
-        text = f"line {kept[len(above) - 1][0]} has {len(above[-1])} names, the lines below {width} values"
+        above[-1].append("")
+    names = _read_names(above, width, at[: first + 1], options, notes)
+    missing = {*MISSING, *map(str, options.missing)}
+    numbers = [_are_numbers({*cells} - missing, decimal) for cells in zip(*samples, strict=True)]
+    return Layout(names, units, list(compress(names, numbers)), delimiter, decimal, at[first])
+
+
+def _take_units(above: list[list[str]]) -> list[str]:
+    """Remove the line of units, if there is one, from the lines above the samples; return its cells."""
+    cells = [cell.strip("[]()") for cell in chain(*above[-1:])]
+    texts = list(filter(None, cells))
+    are_units = sum(canonical(text) in KNOWN or text in ("-", "1") for text in texts) > len(texts) / 2
+    if not are_units or (len(above) == 1 and _differ(above[-1])):
+        return []
+    above.pop()
+    return cells
+
+
+def _read_names(
+    above: list[list[str]], width: int, lines: list[int], options: ReaderOptions, notes: list[str]
+) -> list[str]:
+    """Return the column names from the lines above the samples; append remarks to ``notes``.
+
+    ``lines`` has the line numbers of the lines above the samples and of the first sample.
+    """
+    if above and not any(above[-1][width:]):
+        del above[-1][width:]
+    if above and len(above[-1]) != width and _is_header(above[-1]):
+        text = f"line {lines[len(above) - 1]} has {len(above[-1])} names, the lines below {width} values"
         notes.append(f"{text}: no name is used, and the columns have numbers")
     levels: list[list[str]] = []
     # Read several header lines: if the names in one line repeat, complete them by the names in the line
@@ -213,11 +244,8 @@ def _find_layout(lines: list[str], options: ReaderOptions, path: Path, notes: li
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:
-        notes.append(f"{kept[first][0] - 1} lines above the samples are not read as samples")
-    names = _names(levels, width)
-    known = [{*column} - {*MISSING, *map(str, options.missing)} for column in zip(*samples, strict=True)]
-    numbers = [all(_value(cell, decimal) is not None for cell in cells) for cells in known]
-    return Layout(names, stated, list(compress(names, numbers)), delimiter, decimal, kept[first][0])
+        notes.append(f"{lines[-1] - 1} lines above the samples are not read as samples")
+    return _names(levels, width)
 
 
 def _likely_delimiter(lines: list[str]) -> str:
@@ -262,18 +290,23 @@ def _first_sample(table: list[list[str]], width: int, decimal: str, options: Rea
     """
     if options.header is False:
         return 0
-    filled = [[cell for cell in cells if cell] for cells in table]
-    counts = [sum(_is_sample(cell, decimal) for cell in cells) for cells in filled]
-    headers = [at for at in range(1, min(len(table), LINES)) if counts[at] == 0 and _is_header(table[at])]
-    headers = [at for at in headers if table[at] not in table[:at]]
-    sampled = [count > 0 and len(cells) == width for count, cells in zip(counts, table, strict=True)]
+    filled = [list(filter(None, cells)) for cells in table]
+    counts = np.array([sum(_is_sample(cell, decimal) for cell in cells) for cells in filled])
+    sampled = (counts > 0) & (np.array(list(map(len, table))) == width)
+    sampled[0] &= not options.header
+    candidates = (np.flatnonzero(counts[1:LINES] == 0) + 1).tolist()
+    headers = [k for k in candidates if _is_header(table[k]) and table[k] not in table[:k]]
     for at in np.flatnonzero(sampled).tolist():
         later = [k for k in headers if k > at and len(filled[k]) >= len(filled[at])]
         has_text = counts[at] < len({*filled[at]} - {*MISSING})
-        is_setting = has_text and any(sum(sampled[at:k]) < sum(sampled[k:]) for k in later)
-        if not is_setting and (at > 0 or not options.header):
+        is_setting = has_text and any(sampled[at:k].sum() < sampled[k:].sum() for k in later)
+        if not is_setting:
             return at
     return None
+
+
+def _are_numbers(cells: set[str], decimal: str) -> bool:
+    return all(_value(cell, decimal) is not None for cell in cells)
 
 
 def _is_sample(cell: str, decimal: str) -> bool:
@@ -285,15 +318,6 @@ def _is_header(cells: list[str]) -> bool:
     """Return whether the cells of a line may be names of columns: two or more, all different, no numbers."""
     filled = [cell for cell in cells if cell]
     return len(filled) > 1 and _differ(cells) and not any(_is_sample(cell, ".") for cell in filled)
-
-
-def _are_units(cells: list[str]) -> bool:
-    texts = [text for text in map(_unit, cells) if text]
-    return sum(canonical(text) in KNOWN or text in ("-", "1") for text in texts) > len(texts) / 2
-
-
-def _unit(cell: str) -> str:
-    return cell.strip("[]()")
 
 
 def _differ(cells: list[str]) -> bool:

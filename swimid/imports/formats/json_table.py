@@ -6,6 +6,7 @@ The forms that pandas writes are read, too.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from itertools import chain
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.imports.table import MAX_ODD, ForeignTable, Format, ReaderOptions, choose, flat, of_records
+from swimid.imports.table import MAX_ODD, ForeignTable, Format, ReaderOptions, choose_part, flat, of_records
 
 _HINT = "a table in JSON is a list of records, an object of columns, or one record in each line"
 
@@ -26,22 +27,15 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     try:
         content = json.loads(text)
     except ValueError as error:
-        filled = [
-            (at, _parse_line(line)) for at, line in enumerate(text.split("\n"), start=1) if line.strip()
-        ]
-        broken = [at for at, value in filled if value is None]
-        if len(broken) > max(1, MAX_ODD * len(filled)) or len(filled) - len(broken) < 2:
+        records, broken = _read_json_lines(text)
+        total = len(records) + len(broken)
+        if len(broken) > max(1, MAX_ODD * total) or len(records) < 2:
             raise InputError(f"is no JSON: {error}", file=path, hint=_HINT) from error
         if broken:
-            share = f"{len(broken)} of {len(filled)} lines"
+            share = f"{len(broken)} of {total} lines"
             notes.append(f"{share} are no JSON and are left out (first: line {broken[0]})")
-        content = [value for _, value in filled if value is not None]
-        lines = np.array([at for at, value in filled if value is not None], dtype=np.int64)
-    for part in filter(None, (select or "").split(".")):
-        if not isinstance(content, dict):
-            raise InputError(f"holds no table '{select}'", file=path)
-        content = content[choose(part, list(content), "table", path)]
-    columns = _columns(content)
+        content, lines = list(records.values()), np.array(list(records), dtype=np.int64)
+    columns = _columns(choose_part(content, select, "table", path))
     if not columns:
         raise InputError("holds no table of numbers", file=path, hint=_HINT)
     longest = max(map(len, columns.values()))
@@ -51,13 +45,18 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     return ForeignTable(columns, notes=notes, lines=lines)
 
 
-def _parse_line(line: str) -> Any:
-    """Return the record in a line of JSON; None if the line is no record, for example if it is cut off."""
-    try:
-        value = json.loads(line)
-    except ValueError:
-        return None
-    return value if isinstance(value, dict | list) else None
+def _read_json_lines(text: str) -> tuple[dict[int, Any], list[int]]:
+    """Return the records in JSON lines by line number, and the numbers of lines with other text."""
+    records, broken = {}, []
+    for at, line in enumerate(text.split("\n"), start=1):
+        value = None
+        with contextlib.suppress(ValueError):
+            value = json.loads(line)
+        if isinstance(value, dict | list):
+            records[at] = value
+        elif line.strip():
+            broken.append(at)
+    return records, broken
 
 
 def _columns(value: Any, name: str = "") -> dict[str, NDArray[Any]]:

@@ -54,10 +54,12 @@ def _add_times(
     InputError
         The intervals differ, or the channels have no time in common.
     """
-    if TIME in columns or not clocks:
+    if TIME in columns:
+        return ForeignTable(columns, metadata=metadata)
+    if not clocks:
         rows = np.arange(len(next(iter(columns.values()))), dtype=float)
-        return ForeignTable({**({} if TIME in columns else {"frame": rows}), **columns}, metadata=metadata)
-    starts, steps = (np.array(values) for values in zip(*clocks.values(), strict=True))
+        return ForeignTable({"frame": rows, **columns}, metadata=metadata)
+    starts, steps = np.array(list(clocks.values())).T
     if np.ptp(steps) > 1e-9 * steps[0]:
         text = f"channels have different times: intervals {', '.join(f'{step:g} s' for step in {*steps})}"
         raise InputError(text, file=path, hint="write channels of one rate to one group")
@@ -92,36 +94,48 @@ def _is_lvm(peek: Peek) -> bool:
 def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     ends = [at for at, line in enumerate(lines) if line.strip().startswith(_END)]
-    head: dict[str, list[str]] = {}
-    mark = ","
-    for line in lines[: ends[0] if ends else 0]:
-        key, *cells = re.split(r"[\t,]", line, maxsplit=1)
-        head[key.strip()] = cells
-        if key.strip() == "Separator":
-            mark = _SEPARATORS.get("".join(cells).strip(), "\t")
+    top = "\n".join(lines[: min(ends, default=0)])
+    head = {key.strip(): value.strip() for key, value in re.findall(r"(?m)^([^\t,\n]*)[\t,]?(.*)$", top)}
+    mark = _SEPARATORS.get(head.get("Separator", "Comma"), "\t")
     # The first header describes the file, each other one a segment.
     starts = {str(k): (before + 1, end) for k, (before, end) in enumerate(pairwise(ends), start=1)}
     if not starts:
         raise InputError("has no segment with samples", file=path, hint=f"a segment follows a line {_END}")
     begin, end = starts[choose(select, list(starts), "segment", path)]
     segment = {cells[0]: cells[1:] for cells in (line.split(mark) for line in lines[begin:end])}
-    names = [name.strip() for name in lines[end + 1].split(mark)] if end + 1 < len(lines) else []
-    if "Comment" in names:
-        names = names[: names.index("Comment")]
+    names = [name.strip() for name in "".join(lines[end + 1 : end + 2]).split(mark)]
+    names = names[: [*names, "Comment"].index("Comment")]
     last = next((at for at in range(end + 2, len(lines)) if not lines[at].strip()), len(lines))
-    if not names or last == end + 2:
+    if not names or last <= end + 2:
         raise InputError("ends before its first sample", file=path, line=len(lines))
-    decimal = "".join(head.get("Decimal_Separator", ["."])).strip() or "."
+    decimal = head.get("Decimal_Separator") or "."
     values, rows = numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
-
-    def read_value(key: str, at: int) -> str:
-        cells = segment.get(key, [])
-        return cells[at].strip() if at < len(cells) else ""
-
-    form = "".join(head.get("X_Columns", ["One"])).strip()
+    form = head.get("X_Columns", "One")
     if form == "Multi":
         hint = "write the file with one column of x values (or none)"
         raise InputError("has a column of x values for each channel", file=path, hint=hint)
+    table = _convert_channels(names, values, segment, decimal, path, has_times=form == "One")
+    return replace(table, lines=rows[: len(next(iter(table.columns.values())))])
+
+
+def _convert_channels(
+    names: list[str],
+    values: Array,
+    segment: dict[str, list[str]],
+    decimal: str,
+    path: Path,
+    *,
+    has_times: bool,
+) -> ForeignTable:
+    """Return the table of the channels of a segment, in SI units, at their common times.
+
+    ``segment`` is the header of the segment: the cells of each key, one for each channel. If ``has_times``,
+    the first column of ``values`` holds the times.
+    """
+
+    def read_value(key: str, at: int) -> str:
+        return "".join(segment.get(key, [])[at : at + 1]).strip()
+
     columns: dict[str, Array] = {}
     clocks: dict[str, tuple[float, float]] = {}
     in_time, channels = read_value("X_Dimension", 0) in ("Time", ""), range(len(names) - 1)
@@ -132,10 +146,9 @@ def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> Foreign
         start, step = (float(read_value(key, at).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
         if in_time and step > 0:
             clocks[column] = start + leads[at], step
-    if in_time and form == "One" and len(set(clocks.values())) < 2:
+    if in_time and has_times and len(set(clocks.values())) < 2:
         columns = {TIME: values[:, 0], **columns}
-    table = _add_times(columns, clocks, metadata, path)
-    return replace(table, lines=rows[: len(next(iter(table.columns.values())))])
+    return _add_times(columns, clocks, metadata, path)
 
 
 def _date(day: str, time: str, decimal: str) -> Any:
@@ -159,10 +172,8 @@ def _read_tdms(path: Path, options: ReaderOptions, select: str | None) -> Foreig
     file = TdmsFile.read(path)
     if file.file_status.incomplete_final_segment:
         raise InputError("is cut off within its samples", file=path, hint="copy the file again")
-    groups = {group.name: [c for c in group.channels() if len(c)] for group in file.groups()}
-    there = [name for name, channels in groups.items() if channels]
-    name = choose(select, there, "group", path)
-    channels, keys = groups[name], ("wf_increment", "wf_start_offset")
+    groups = {group.name: list(filter(len, group.channels())) for group in file.groups()}
+    channels = groups[choose(select, list(filter(groups.get, groups)), "group", path)]
     columns: dict[str, Array] = {}
     clocks: dict[str, tuple[float, float]] = {}
     metadata = {str(key): value for key, value in file.properties.items() if isinstance(value, str)}
@@ -178,8 +189,9 @@ def _read_tdms(path: Path, options: ReaderOptions, select: str | None) -> Foreig
             columns[TIME] = values.astype(float) * UNITS["time"][canonical(unit)]
         else:
             column, columns[column] = in_si(shown, unit, values.astype(float))
-            step, start = (float(channels[at].properties.get(key, 0.0)) for key in keys)
+            step = float(channels[at].properties.get("wf_increment", 0.0))
             if step > 0:
+                start = float(channels[at].properties.get("wf_start_offset", 0.0))
                 clocks[column] = start + leads[at], step
     return _add_times(columns, clocks, metadata | origin, path)
 

@@ -11,6 +11,7 @@ converted to y up. Coordinates in three dimensions keep their axes. Times are se
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,35 +41,41 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
         text = "has no variable 'position' with the dimensions 'time' and 'space'"
         raise InputError(text, file=path, hint="movement datasets are saved by ds.to_netcdf(path)")
     if "individual" in data.dims:
-        names = [str(name) for name in data["individual"].values]
+        names = list(map(str, data["individual"].values))
         data = data.isel(individual=names.index(choose(select, names, "individual", path)))
     if "keypoint" not in data.dims:
         data = data.expand_dims(keypoint=[""])
-    position, space = data["position"], [str(axis) for axis in data["space"].values]
+    position, space = data["position"], list(map(str, data["space"].values))
     stated = position.attrs.get("space_unit") or data.attrs.get("space_unit")
     if not stated and "z" not in space:
         stated = "px"
     factor, unit = length(options.length_unit or stated, path)
-    found: dict[str, Array] = {}
-    for k, name in enumerate(data["keypoint"].values):
-        prefix = f"{name}." if str(name) else ""
-        one = position.isel(keypoint=k)
-        for at, axis in enumerate(space):
-            found[f"{prefix}{axis}"] = one.isel(space=at).to_numpy().astype(float) * factor
-        if "confidence" in data:
-            confidence = data["confidence"].isel(keypoint=k, missing_dims="ignore").to_numpy().astype(float)
-            # A confidence that is missing throughout is unknown, and not low.
-            if np.isfinite(confidence).any():
-                found[f"{prefix}likelihood"] = confidence
     y_axis = "up" if "z" in space else "down"
     clock = {"seconds": TIME, "frames": "frame"}.get(str(data.attrs.get("time_unit")))
     if clock is None:
         text = f"its attribute time_unit is {data.attrs.get('time_unit')!r}"
         raise InputError(text, file=path, hint="it must be 'seconds' or 'frames'")
-    about = {name: data.attrs.get(name) for name in ("source_software", "source_file", "fps")}
-    metadata = {name: value for name, value in about.items() if isinstance(value, str | float | int)}
-    columns = {clock: data["time"].to_numpy().astype(float), **points(found, unit, y_axis)}
+    about = ("source_software", "source_file", "fps")
+    metadata = {n: data.attrs[n] for n in about if isinstance(data.attrs.get(n), str | float | int)}
+    columns = points(_select_points(data, factor), unit, y_axis)
+    columns = {clock: data["time"].to_numpy().astype(float), **columns}
     return ForeignTable(columns, metadata=metadata)
+
+
+def _select_points(data: Any, factor: float) -> dict[str, Array]:
+    """Return the coordinates of each point of a dataset times ``factor``, and its likelihood if known."""
+    columns: dict[str, Array] = {}
+    for k, name in enumerate(data["keypoint"].values):
+        prefix = f"{name}.".removeprefix(".")
+        point = data.isel(keypoint=k, missing_dims="ignore")
+        for at, axis in enumerate(data["space"].values):
+            columns[f"{prefix}{axis}"] = point["position"].isel(space=at).to_numpy().astype(float) * factor
+        if "confidence" in data:
+            confidence = point["confidence"].to_numpy().astype(float)
+            # A confidence that is missing throughout is unknown, and not low.
+            if np.isfinite(confidence).any():
+                columns[f"{prefix}likelihood"] = confidence
+    return columns
 
 
 PROFILE = Format("movement", "dataset of movement", _read, _recognises, extra="netcdf")

@@ -81,21 +81,26 @@ def _motion(lines: list[str], path: Path) -> ForeignTable:
     columns, left_out = {TIME: values[:, 0]}, []
     has_coordinates = path.suffix.lower() == ".mot" or "coordinates" in head[0]
     for name, cells in zip(names[1:], values.T[1:], strict=True):
-        hit = _OPENSIM_COORDINATE.fullmatch(name)
-        word, rate = safe(name), ""
-        if hit:
-            word, rate = safe(hit["name"]), {"value": "", "speed": "_s"}[hit["kind"]]
-        unit = next(unit for pattern, unit in _UNITS.items() if re.fullmatch(pattern, word))
-        if unit == "rad" and not (has_coordinates or hit):
+        target, is_angle = _name_column(name)
+        if is_angle and not (has_coordinates or _OPENSIM_COORDINATE.fullmatch(name)):
             left_out.append(name)
             continue
-        if unit == "rad" and in_degrees:
+        if is_angle and in_degrees:
             cells = np.radians(cells)
-        columns[f"{word}_{unit}{rate}"] = cells
+        columns[target] = cells
     if left_out:
         text = f"columns that are no coordinates are left out: {', '.join(left_out[:20])}"
         warn("SWM004", f"{path.name}: {text}")
     return ForeignTable(columns, lines=at)
+
+
+def _name_column(name: str) -> tuple[str, bool]:
+    """Return the log column for a column of a motion file, and whether it holds an angle or its rate."""
+    word, rate = safe(name), ""
+    if hit := _OPENSIM_COORDINATE.fullmatch(name):
+        word, rate = safe(hit["name"]), {"value": "", "speed": "_s"}[hit["kind"]]
+    unit = next(unit for pattern, unit in _UNITS.items() if re.fullmatch(pattern, word))
+    return f"{word}_{unit}{rate}", unit == "rad"
 
 
 PROFILE = Format("opensim", "TRC, MOT or STO file of OpenSim", _read, _recognises)

@@ -45,9 +45,9 @@ def _recognises(peek: Peek) -> bool:
 def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     with path.open(encoding="utf-8-sig", newline="") as stream:
         lines = list(islice(csv.reader(stream), _HEADER_LINES))
-    at = next((k for k, cells in enumerate(lines) if cells[:1] == ["Frame"]), None)
-    top = next((k for k, cells in enumerate(lines) if {_BODY, _MARKER} & set(cells)), None)
-    if at is None or top is None or not top < at:
+    at = next((k for k, cells in enumerate(lines) if cells[:1] == ["Frame"]), 0)
+    top = next((k for k, cells in enumerate(lines) if {_BODY, _MARKER} & set(cells)), at)
+    if top >= at:
         hint = "export rigid bodies or markers, with the header"
         raise InputError("has no rigid bodies and no markers", file=path, hint=hint)
     head = dict(zip(lines[0][::2], lines[0][1::2], strict=False))

@@ -86,13 +86,7 @@ def _read_idtracker(path: Path, options: ReaderOptions, select: str | None) -> F
         tracks = _of_numpy(path)
     elif peek.lines:
         table, attributes = open_table(path), _attributes(path)
-        names = [name for name in table.columns if name not in ("time", "seconds")]
-        if names[:2] != ["x1", "y1"] or len(names) % 2:
-            hint = "trajectories of idtracker.ai have the columns x1, y1, x2, y2, ..."
-            raise InputError("is no table of trajectories", file=path, hint=hint)
-        time_s = next((table.columns[name] for name in ("time", "seconds") if name in table.columns), None)
-        cells = np.column_stack([table.columns[name].astype(float) for name in names])
-        tracks, lines = cells.reshape(len(cells), -1, 2), table.lines
+        lines, (tracks, time_s) = table.lines, _of_table(table.columns, path)
     else:
         import h5py
 
@@ -114,6 +108,17 @@ def _read_idtracker(path: Path, options: ReaderOptions, select: str | None) -> F
     kept = {name: attributes[name] for name in ("body_length", "version") if name in attributes}
     metadata = {f"idtrackerai_{name}": np.asarray(value).item() for name, value in kept.items()}
     return ForeignTable({**clock, **points({"x": x, "y": y})}, metadata=metadata, lines=lines)
+
+
+def _of_table(columns: dict[str, Any], path: Path) -> tuple[Array, Array | None]:
+    """Return the tracks and the times in the columns of a table; None without times."""
+    times = [columns[name] for name in ("time", "seconds") if name in columns]
+    names = [name for name in columns if name not in ("time", "seconds")]
+    if names[:2] != ["x1", "y1"] or len(names) % 2:
+        hint = "trajectories of idtracker.ai have the columns x1, y1, x2, y2, ..."
+        raise InputError("is no table of trajectories", file=path, hint=hint)
+    cells = np.column_stack([columns[name].astype(float) for name in names])
+    return cells.reshape(len(cells), -1, 2), next(iter(times), None)
 
 
 def _of_numpy(path: Path) -> Array:

@@ -50,13 +50,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
         raise InputError(f"has the data '{kind}', neither 3D nor 6D", file=path, hint=hint)
     names = [name for name in head.get({"3D": "MARKER_NAMES", "6D": "BODY_NAMES"}[kind], []) if name]
     each = {"3D": 3, "6D": _WIDTH}[kind]
-    first = lines[start].rstrip("\t").split("\t")
-    timed = 2 * (first[0] == "Frame")
-    if first[0] == "Frame" or any(cell[:1].isalpha() for cell in first if cell not in ("NULL", "nan")):
-        start += 1
-        first = lines[start].rstrip("\t").split("\t") if start < len(lines) else []
-    if not timed and len(first) == 2 + each * len(names):
-        timed = 2
+    start, timed = _find_rows(lines, start, each * len(names))
     values, rows = numbers(path, start, "\t", timed + each * len(names))
     complete(path, head.get("NO_OF_FRAMES", [None])[0], len(values), int(rows[-1]))
     clock = {"frame": np.arange(len(values), dtype=float)}
@@ -75,6 +69,17 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
             part = np.where((part == 0).all(axis=1)[:, None], np.nan, part * factor)
             columns |= {f"{name}_{axis}_{unit}": v for axis, v in zip("xyz", part.T, strict=True)}
     return ForeignTable({**clock, **columns}, lines=rows)
+
+
+def _find_rows(lines: list[str], start: int, width: int) -> tuple[int, int]:
+    """Return the index of the first row of numbers, and its number of cells before the ``width`` cells."""
+    first = lines[start].rstrip("\t").split("\t")
+    if first[0] == "Frame":
+        return start + 1, 2
+    if any(cell[:1].isalpha() for cell in first if cell not in ("NULL", "nan")):
+        start += 1
+        first = "".join(lines[start : start + 1]).rstrip("\t").split("\t")
+    return start, 2 * (len(first) == 2 + width)
 
 
 def _body(cells: Array, unit: str, factor: float) -> dict[str, Array]:

@@ -52,13 +52,12 @@ def to_table(text: bytes, label: bytes, notes: list[str]) -> tuple[bytes, list[s
     ``notes``. The second result has the labels.
     """
     lines = text.split(b"\n")
-    hits = [hit if (hit := _LINE.fullmatch(line)) and hit[3] == label else None for line in lines]
-    rows = {at: dict(_PAIR.findall(hit["pairs"])) for at, hit in enumerate(hits) if hit}
-    clocks = {at: hit["clock"] for at, hit in enumerate(hits) if hit and hit["clock"]}
+    matches = enumerate(map(_LINE.fullmatch, lines))
+    hits = {at: hit for at, hit in matches if hit and hit[3] == label}
+    rows = {at: dict(_PAIR.findall(hit["pairs"])) for at, hit in hits.items()}
+    if any(hit["clock"] for hit in hits.values()):
+        rows = {at: {b"clock": hits[at]["clock"] or b"", **row} for at, row in rows.items()}
     names = list(dict.fromkeys(chain.from_iterable(rows.values())))
-    if clocks:
-        names.insert(0, b"clock")
-        rows = {at: row | {b"clock": clocks.get(at, b"")} for at, row in rows.items()}
     others = [at for at, line in enumerate(lines) if line.strip() and at not in rows]
     if others:
         share = f"{len(others)} of {len(rows) + len(others)} lines"

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from swimid.errors import InputError
-from swimid.imports.table import ForeignTable, Format, ReaderOptions, choose, length, numbers
+from swimid.imports.table import ForeignTable, Format, Peek, ReaderOptions, choose, length, numbers
 from swimid.logs.log import TIME
 from swimid.logs.units import safe
 
@@ -22,47 +22,53 @@ _TRACKER_NAME = re.compile(
 _PER = {"": "", "v": "_s", "a": "_s2"}
 
 
-def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
-    """Return header height, delimiter, and cells of the last two header lines; None for an unknown layout."""
+def _layout(lines: list[str], path: Path) -> tuple[int, str, list[str], list[str]]:
+    """Return header height, delimiter, and cells of the last two header lines.
+
+    Raises
+    ------
+    InputError
+        The layout is none of Tracker.
+    """
     is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
     height = 2 + is_multi
-    if len(lines) <= height:
-        return None
-    for mark in ("\t", ",", ";"):
+    for mark in ("\t", ",", ";") * (len(lines) > height):
         tracks = [cell.strip().lstrip("#") for cell in lines[height - 2].split(mark)]
         names = [cell.strip() for cell in lines[height - 1].split(mark)]
         hits = [hit for hit in map(_TRACKER_NAME.fullmatch, names) if hit]
         has_place = any(hit["kind"] == "" and hit["axis"] in ("x", "y") for hit in hits)
         if len(hits) > 2 and hits[0][1] == "t" and has_place and (is_multi or not any(tracks[1:])):
             return height, mark, tracks, names
-    return None
+    hint = "Tracker exports a line with the track, a line 't x y', and the samples"
+    raise InputError("is no export of Tracker", file=path, hint=hint)
+
+
+def _recognises(peek: Peek) -> bool:
+    return bool(_layout(peek.lines, peek.path))
 
 
 def _read_tracker(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     import pandas as pd
 
     lines = path.read_text(encoding="utf-8-sig").splitlines()
-    found = _layout(lines[:4])
-    if found is None:
-        hint = "Tracker exports a line with the track, a line 't x y', and the samples"
-        raise InputError("is no export of Tracker", file=path, hint=hint)
-    height, mark, above, names = found
-    decimal = "," if mark != "," and any("," in line for line in lines[height:]) else "."
+    height, mark, above, names = _layout(lines[:4], path)
+    decimal = "," if mark != "," and "," in "".join(lines[height:]) else "."
     values, rows = numbers(path, height, mark, len(names), decimal=decimal)
     # Assign each column to its track. The name of a track is in the cell above the first of its columns.
     filled = pd.Series(above).reindex(range(len(names)))
     owners = filled.where(filled != "").ffill().fillna("").tolist()
-    tracks = [track for track in dict.fromkeys(owners[1:]) if track]
+    tracks = list(filter(None, dict.fromkeys(owners[1:])))
     track = None
     if select:
         track = choose(select, tracks, "track", path)
+        tracks = [track]
     columns = {TIME: values[:, 0]}
     taken = [k for k in range(len(names)) if track in (None, owners[k])]
     hits = {k: hit for k in taken if (hit := _TRACKER_NAME.fullmatch(names[k])) and hit["axis"]}
     for k, hit in hits.items():
         factor, unit = length(options.length_unit or hit["unit"] or "m", path)
         target = f"{hit['kind']}{hit['axis']}_{unit}{_PER[hit['kind']]}"
-        if len(tracks) > 1 and track is None:
+        if len(tracks) > 1:
             target = f"{safe(owners[k])}_{target}"
         columns[target] = values[:, k] * factor
     notes = []
@@ -72,4 +78,4 @@ def _read_tracker(path: Path, options: ReaderOptions, select: str | None) -> For
     return ForeignTable(columns, notes=notes, lines=rows)
 
 
-TRACKER = Format("tracker", "export of Tracker", _read_tracker, lambda peek: _layout(peek.lines) is not None)
+TRACKER = Format("tracker", "export of Tracker", _read_tracker, _recognises)
