@@ -130,7 +130,7 @@ class TestSobol:
             sensitivity.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
         # a line is a batch of points
-        assert 49 - sensitivity.ROWS_PER_BATCH <= kept * indices.ROWS_PER_BATCH < 64 * 4
+        assert 49 - sensitivity.ROWS_PER_BATCH <= kept * sensitivity.ROWS_PER_BATCH < 64 * 4
         before = count
         again = sensitivity.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         whole = sensitivity.sobol(each(ishigami), -SIDE, SIDE, samples=64)
