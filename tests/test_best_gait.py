@@ -16,8 +16,7 @@ from swimid.fitting.model import Array
 from swimid.optimisation.optimise_gait import BestGait
 from swimid.optimisation.problem import descend
 from swimid.optimisation.study import Performance
-from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import draw_parameters
+from swimid.simulation.catalogue import Applied, draw_parameters
 from tests.conftest import Ran, interrupting
 
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0}

@@ -19,7 +19,6 @@ from swimid.results import evidence, parameters
 from swimid.rig import fit_drag as drag_module
 from swimid.rig import model as equation
 from swimid.rig import model as rig_model
-from swimid.rig import trials as rig_trials
 from swimid.robots import file as robot_format
 from tests.conftest import Ran
 from tests.generators import rig as generator
@@ -142,23 +141,23 @@ class TestModel:
 class TestEncoder:
     def test_clicks_and_samples_are_distinguished(self, clicks: dict[int, np.ndarray]) -> None:
         times = clicks[20]
-        assert rig_trials.read_encoder(times, np.arange(len(times)) * STEP).kind == "clicks"
+        assert rig_model.read_encoder(times, np.arange(len(times)) * STEP).kind == "clicks"
         t = np.arange(0, times[-1], 0.01)
         x = np.interp(t, times, np.arange(len(times)) * STEP)
-        sampled = rig_trials.read_encoder(t, np.floor(x / STEP) * STEP)
+        sampled = rig_model.read_encoder(t, np.floor(x / STEP) * STEP)
         assert sampled.kind == "sampled"
         assert sampled.shifts["ceil"] == pytest.approx(-STEP, rel=1e-6)
-        assert rig_trials.read_encoder(t, x).kind == "continuous"
+        assert rig_model.read_encoder(t, x).kind == "continuous"
 
     def test_a_noisy_rounded_record_is_no_encoder(self, rng: np.random.Generator) -> None:
         t = np.arange(0, 5, 0.01)
         x = np.round(0.05 * t**2 + rng.normal(0, 2e-3, len(t)), 3)
-        assert rig_trials.read_encoder(t, x).kind == "continuous"
+        assert rig_model.read_encoder(t, x).kind == "continuous"
 
     def test_the_time_error_of_a_step_follows_the_sampling_interval(self) -> None:
         """A log with irregular samples has long intervals at the start of a drop."""
         t = np.cumsum(np.r_[0.0, np.geomspace(0.4, 0.02, 120)])
-        record = rig_trials.read_encoder(t, np.floor(0.002 * t**2 / STEP) * STEP)
+        record = rig_model.read_encoder(t, np.floor(0.002 * t**2 / STEP) * STEP)
         assert record.kind == "sampled"
         gaps = np.diff(t)[np.searchsorted(t, record.time_s) - 1]
         np.testing.assert_allclose(record.time_sd_s, gaps / np.sqrt(12.0), rtol=1e-12)
@@ -166,19 +165,19 @@ class TestEncoder:
     @pytest.mark.parametrize("way", [1, -1])
     def test_two_steps_within_an_interval_have_their_middle_in_its_middle(self, way: int) -> None:
         counts = np.array([0, 0, 1, 1, 2, 2, 2, 3, 3, 5, 5, 6, 6, 9, 9, 10])
-        record = rig_trials.read_encoder(0.1 * np.arange(len(counts)), way * STEP * counts)
+        record = rig_model.read_encoder(0.1 * np.arange(len(counts)), way * STEP * counts)
         assert record.kind == "sampled"
         np.testing.assert_allclose(record.position, way * STEP * np.array([1, 2, 3, 4.5, 6, 8, 10]))
         np.testing.assert_allclose(record.time_s, [0.15, 0.35, 0.65, 0.85, 1.05, 1.25, 1.45])
         np.testing.assert_allclose(record.time_sd_s, 0.1 / np.sqrt(12.0))
 
-    @pytest.mark.parametrize("rounding", rig_trials.ROUNDINGS)
+    @pytest.mark.parametrize("rounding", rig_model.ROUNDINGS)
     def test_true_positions_from_rounded_counts(self, rounding: str) -> None:
         t = np.arange(0, 10, 0.001)
         x = 0.1 * t
         count = {"floor": np.floor, "nearest": np.round, "ceil": np.ceil}[rounding](x / STEP + 1e-9)
-        record = rig_trials.read_encoder(t, count * STEP)
-        true = rig_trials.true_position(record, rounding)
+        record = rig_model.read_encoder(t, count * STEP)
+        true = rig_model.true_position(record, rounding)
         assert np.max(np.abs(true - 0.1 * record.time_s)) < 0.1 * 0.001
 
 
@@ -205,14 +204,14 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
             else:
                 t = t + rng.uniform(0, 0.02)
                 x = np.floor(path(np.minimum(t, exact[-1])) / STEP) * STEP
-        record = rig_trials.read_encoder(t, x, STEP)
+        record = rig_model.read_encoder(t, x, STEP)
         use = slice(1, None) if record.kind == "clicks" else slice(None)
         trials.append(
             Trial(
                 f"w{w}",
                 "fit",
                 record.time_s[use],
-                {"x_m": rig_trials.true_position(record, "floor")[use]},
+                {"x_m": rig_model.true_position(record, "floor")[use]},
                 rig=_known(w),
                 time_sd_s=record.time_sd_s,
                 stamps_uncertain=record.kind == "clicks",

@@ -15,7 +15,7 @@ from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.problem import map_in_threads
 from swimid.results import evidence
-from swimid.sensitivity_analysis import indices, sensitivity
+from swimid.sensitivity_analysis import sensitivity
 from swimid.sensitivity_analysis.sensitivity import SensitivityFile
 from tests.conftest import Ran
 
@@ -44,7 +44,7 @@ def linear(x: np.ndarray) -> np.ndarray:
 
 class TestSobol:
     def test_intervals_contain_the_indices_of_the_ishigami_function(self) -> None:
-        found = indices.sobol(each(ishigami), -SIDE, SIDE, samples=1024)
+        found = sensitivity.sobol(each(ishigami), -SIDE, SIDE, samples=1024)
         first = np.array(ISHIGAMI_FIRST) / ISHIGAMI_VARIANCE
         total = first + np.array([1.0, 0.0, 1.0]) * ISHIGAMI_TOGETHER / ISHIGAMI_VARIANCE
         assert np.all((found.first_ci[0, 0] <= first) & (first <= found.first_ci[1, 0]))
@@ -56,7 +56,7 @@ class TestSobol:
     def test_indices_of_a_linear_function_are_its_variance_shares(self) -> None:
         """Shares go as slope times range, squared; those of a group as the sums of these."""
         width = np.array([1.0, 1.0, 2.0])
-        found = indices.sobol(each(linear), np.zeros(3), width, samples=1024, groups=[[0, 1]])
+        found = sensitivity.sobol(each(linear), np.zeros(3), width, samples=1024, groups=[[0, 1]])
         parts = np.array([(np.array([1.0, 2.0, 3.0]) * width) ** 2, [16.0, 0.0, 0.0]])
         shares = np.array([*(p / p.sum() for p in parts), parts.sum(axis=0) / parts.sum()])
         for index, ends in ((found.first, found.first_ci), (found.total, found.total_ci)):
@@ -68,7 +68,7 @@ class TestSobol:
 
     def test_the_result_depends_on_the_seed_and_not_on_the_threads(self) -> None:
         one, two, other = (
-            indices.sobol(each(ishigami), -SIDE, SIDE, samples=64, seed=seed, jobs=jobs)
+            sensitivity.sobol(each(ishigami), -SIDE, SIDE, samples=64, seed=seed, jobs=jobs)
             for seed, jobs in ((3, 1), (3, 4), (4, 1))
         )
         assert np.array_equal(one.first, two.first)
@@ -76,7 +76,7 @@ class TestSobol:
         assert not np.array_equal(one.first, other.first)
 
     def test_a_constant_output_has_no_indices(self) -> None:
-        found = indices.sobol(
+        found = sensitivity.sobol(
             each(lambda x: np.array([1.0, x[0]])), np.zeros(2), np.ones(2), samples=64, groups=[[0]]
         )
         assert np.all(found.total[[0, 2]] == 0)
@@ -88,7 +88,7 @@ class TestSobol:
         def breaking(x: np.ndarray) -> np.ndarray:
             return linear(x) if x[2] < 0.995 else np.full(2, np.nan)
 
-        found = indices.sobol(each(breaking), np.zeros(3), np.ones(3), samples=256)
+        found = sensitivity.sobol(each(breaking), np.zeros(3), np.ones(3), samples=256)
         assert 0 < found.broken < 0.01 * found.evaluations
         assert found.evaluations == 256 * 5
         assert 0 < found.left_out <= found.broken
@@ -100,7 +100,7 @@ class TestSobol:
             return linear(x) if x[1] < 0.6 else np.full(2, np.inf)
 
         with pytest.raises(NoTrustworthyResult, match="break down, more than 1 %") as caught:
-            indices.sobol(
+            sensitivity.sobol(
                 each(breaking),
                 np.zeros(3),
                 np.ones(3),
@@ -111,9 +111,9 @@ class TestSobol:
 
     def test_the_number_of_samples_must_be_a_power_of_two(self) -> None:
         with pytest.raises(UsageError, match="power of two"):
-            indices.sobol(each(ishigami), -SIDE, SIDE, samples=100)
+            sensitivity.sobol(each(ishigami), -SIDE, SIDE, samples=100)
         with pytest.raises(UsageError, match="two or more"):
-            indices.sobol(each(ishigami), -SIDE[:1], SIDE[:1])
+            sensitivity.sobol(each(ishigami), -SIDE[:1], SIDE[:1])
 
     def test_kept_evaluations_are_not_repeated(self, tmp_path: Path) -> None:
         count = 0
@@ -127,14 +127,14 @@ class TestSobol:
 
         path = tmp_path / "kept"
         with pytest.raises(KeyboardInterrupt):
-            indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+            sensitivity.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
         # a line is a batch of points
-        assert 49 - indices.ROWS_PER_BATCH <= kept * indices.ROWS_PER_BATCH < 64 * 4
+        assert 49 - sensitivity.ROWS_PER_BATCH <= kept * sensitivity.ROWS_PER_BATCH < 64 * 4
         before = count
-        again = indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
-        whole = indices.sobol(each(ishigami), -SIDE, SIDE, samples=64)
-        assert count == before + whole.evaluations - kept * indices.ROWS_PER_BATCH
+        again = sensitivity.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+        whole = sensitivity.sobol(each(ishigami), -SIDE, SIDE, samples=64)
+        assert count == before + whole.evaluations - kept * sensitivity.ROWS_PER_BATCH
         for name, value in vars(whole).items():
             assert np.array_equal(getattr(again, name), value), name
 

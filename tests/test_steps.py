@@ -11,7 +11,7 @@ import pytest
 
 from swimid.fitting import drives, output_error
 from swimid.fitting.model import SwimInput, Trial, choose_parameters
-from swimid.fitting.steps import choose_step
+from swimid.fitting.problem import choose_step
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.test_simulate import LIGHT_FIN

@@ -13,8 +13,7 @@ from swimid.optimisation import optimise_gait, study
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.study import Performance
 from swimid.results.parameters import ParameterFile
-from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import draw_parameters
+from swimid.simulation.catalogue import Applied, draw_parameters
 
 VALUES = {
     "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,

@@ -31,9 +31,8 @@ from swimid.effects.base import Effect
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.fit_common import step_check
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.problem import map_in_processes
+from swimid.fitting.problem import STEP_ERROR, StepChoice, choose_step, map_in_processes
 from swimid.fitting.rivals import STRONG
-from swimid.fitting.steps import STEP_ERROR, StepChoice, choose_step
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
 

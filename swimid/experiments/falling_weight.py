@@ -21,7 +21,7 @@ from swimid.logs.log import Log
 from swimid.notices import warn
 from swimid.results import parameters as parameters_format
 from swimid.rig import model as rig
-from swimid.rig.trials import (
+from swimid.rig.model import (
     ROUNDINGS,
     Displacement,
     RigTrial,

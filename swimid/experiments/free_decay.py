@@ -17,7 +17,7 @@ from swimid.logs.log import Log, unwrap_angle
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import warn
 from swimid.rig import model as rig
-from swimid.rig.trials import MASS_KEY, RigTrial, mass_of
+from swimid.rig.model import MASS_KEY, RigTrial, mass_of
 from swimid.robots.file import Robot
 
 #: Relative tolerance of comparisons in a free decay. A sample within it counts as the extreme of a swing. A

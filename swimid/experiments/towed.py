@@ -16,7 +16,7 @@ from swimid.logs.experiments import Trials
 from swimid.logs.log import longest_run, runs
 from swimid.notices import warn
 from swimid.rig import model as rig
-from swimid.rig.trials import RigTrial, area_factors, mass_of
+from swimid.rig.model import RigTrial, area_factors, mass_of
 
 #: Maximum number of successive missing samples of the applied force, which are interpolated.
 MAX_FORCE_GAP = 4

@@ -26,8 +26,7 @@ from swimid.results import numbers, parameters
 from swimid.results.parameters import Estimate
 from swimid.results.result import Text
 from swimid.robots import file as robot
-from swimid.simulation.catalogue import Applied
-from swimid.simulation.draws import draw_parameters
+from swimid.simulation.catalogue import Applied, draw_parameters
 
 FORMAT = "swimid-export/1"
 #: Key of the list of force elements in the JSON document, for each kind of force element.

@@ -4,8 +4,8 @@ The interface of a model is in ``model`` (parameters, channels, trials and their
 typical scales, shared parameters). ``drives`` has the motions of tail beats and strokes.
 
 The fit is in ``output_error``, which also searches for a better solution near the estimates. It uses
-``problem`` (residuals, derivatives, Levenberg-Marquardt method, threads and processes). ``global_search``
-has fits from many starting points, and Pareto fronts.
+``problem`` (residuals, derivatives, Levenberg-Marquardt method, threads and processes, integration step).
+``global_search`` has fits from many starting points, and Pareto fronts.
 
 The statistics are in ``uncertainty`` (noise model, tests of residuals, covariance of the estimates,
 identifiability), ``noise`` (noise with a memory) and ``intervals`` (errors of the estimates, differences

@@ -17,10 +17,10 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic
 from swimid.files.kernels import numba
 from swimid.files.provenance import Input
-from swimid.fitting import steps
 from swimid.fitting.intervals import ASSUMED_DIFFERENCE, DIFFERENT, NORMAL, Differences
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, choose_parameters
 from swimid.fitting.output_error import FitResult
+from swimid.fitting.problem import STEP_ERROR, STEP_LIMIT
 from swimid.fitting.uncertainty import (
     SIGNIFICANCE,
     autocorrelation,
@@ -616,7 +616,7 @@ def _correlation(result: FitResult) -> Correlation | None:
     return Correlation(names=[result.labels[i] for i in keep], matrix=(part / np.outer(sd, sd)).tolist())
 
 
-def _known_sums(result: FitResult) -> dict[str, Estimate]:
+def _sum_confounded(result: FitResult) -> dict[str, Estimate]:
     """Return the weighted sums of confounded parameters that the trials determine, by their text."""
     return {
         c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
@@ -739,7 +739,7 @@ def parameter_file(
         parameters=estimates(result),
         identifiability=_identifiability(result, correlation),
         correlation=correlation,
-        derived={**_known_sums(result), **(derived or {})},
+        derived={**_sum_confounded(result), **(derived or {})},
         settings=settings or {},
         fit=Fit(
             trials=trials["fit"],
@@ -818,12 +818,15 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     With ``held_out`` a fit without held-out trials does not pass. The caller sets it to False if it holds out
     parts of the data itself.
     """
-    found = [*_convergence(result), *_identified(result)]
+    found = [*_convergence(result), *_check_identified(result)]
     found += [_whiteness(result, channel) for channel in result.noise]
-    found += _agreement(result)
+    if result.differences is not None:
+        if result.differences.trials > 1:
+            found.append(_consistency(result, result.differences))
+        found.append(_visibility(result, result.differences))
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
     if result.step_error:
-        found += step_check(["the trials"], [{"a sample": result.step_error / steps.STEP_ERROR}])
+        found += step_check(["the trials"], [{"a sample": result.step_error / STEP_ERROR}])
     if held_out:
         number = sum(t.role == "validate" for t in result.trials)
         text = "trials with role: validate are predicted, not fitted"
@@ -849,7 +852,7 @@ def _convergence(result: FitResult) -> list[ev.Check]:
     return [*found, ev.make_check(name, value, result.settled, "yes", text, reason=reason)]
 
 
-def _identified(result: FitResult) -> list[ev.Check]:
+def _check_identified(result: FitResult) -> list[ev.Check]:
     """Return the checks whether the trials determine the shared parameters, inside their bounds."""
     names = {p.name: parameter_text(p.name, p.meaning) for p in result.parameters}
     unknown, at_bound, known = (
@@ -878,7 +881,7 @@ def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) ->
     trials : sequence of str
         Ids of the trials.
     changes : sequence of mapping of str to float
-        Changes of the channels of each trial (:attr:`swimid.fitting.steps.StepChoice.changes`). There is no
+        Changes of the channels of each trial (:attr:`swimid.fitting.problem.StepChoice.changes`). There is no
         check if nothing is integrated.
     """
     found = {f"{name} of {t}": c for t, own in zip(trials, changes, strict=True) for name, c in own.items()}
@@ -890,7 +893,7 @@ def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) ->
         size = f"below {MIN_SHOWN_CHANGE:g}"
     text = (
         "largest change of a sample when the step is halved, over the allowed change: "
-        f"{steps.STEP_ERROR:g} of the noise, or if that is unknown {steps.STEP_LIMIT:g} of the range"
+        f"{STEP_ERROR:g} of the noise, or if that is unknown {STEP_LIMIT:g} of the range"
     )
     reason = f"halving the integration step changes {name} by {size} times what is allowed"
     return [warn_check("SWM016", "integration step", size, change <= 1.0, "≤ 1", text, reason)]
@@ -909,15 +912,6 @@ def warn_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
     if not passed:
         warn(code, f"{reason}; {text}".removesuffix("; "))
     return ev.make_check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
-
-
-def _agreement(result: FitResult) -> list[ev.Check]:
-    """Return checks whether the trials agree, and whether they could show that they do not."""
-    differ = result.differences
-    if differ is None:
-        return []
-    agree = [_consistency(result, differ)] if differ.trials > 1 else []
-    return [*agree, _visibility(result, differ)]
 
 
 def _consistency(result: FitResult, differ: Differences) -> ev.Check:

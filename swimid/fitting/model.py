@@ -186,11 +186,6 @@ class SwimInput:
             return self
         return replace(self, beat=replace(self.beat, steady=True, ramp_s=0.0))
 
-    @property
-    def has_measured_joints(self) -> bool:
-        """Whether the joint motions in the log were measured. Otherwise they are commands to actuators."""
-        return self.joints is not None and not self.commanded
-
     def get_pose(self, count: int = 3) -> tuple[float, ...]:
         """Return the initial pose of the robot; ``count`` zeros if it is unknown."""
         return self.pose or (0.0,) * count
@@ -485,12 +480,6 @@ class Hooks:
             self.command or self.stroke or self.tables or self.coefficients or self.force or self.flow
         )
 
-    def drop_sensing(self) -> Hooks:
-        """Return the hooks without the effects of sensors and clocks, which change only the measurement."""
-        if not (self.output or self.late):
-            return self
-        return replace(self, output=(), clock_s=0.0, clock_drift=0.0)
-
     def actuate(self, time_s: Array, command: Array, joint: int = 0) -> Array:
         """Return the output of the actuator of a driven joint, after all ``command`` hooks."""
         for change in self.command:
@@ -776,8 +765,9 @@ class Model(RobotFacts):
             Whether effects of sensors and clocks act.
         """
         hooks = self.hooks(values, trial)
-        if not measured:
-            hooks = hooks.drop_sensing()
+        if not measured and (hooks.output or hooks.late):
+            # Sensors and clocks change only the measurement.
+            hooks = replace(hooks, output=(), clock_s=0.0, clock_drift=0.0)
         own = self.acting[0].first if self.acting else len(values)
         return self._add_changes(values)[:own], trial, hooks
 

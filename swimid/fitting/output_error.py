@@ -19,10 +19,22 @@ from scipy import special
 from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise, steps, uncertainty
+from swimid.fitting import noise, uncertainty
 from swimid.fitting.intervals import Differences, compute_errors
 from swimid.fitting.model import Array, Model, Parameter, Trial, values_of
-from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Blocks, Patience, Problem, minimise
+from swimid.fitting.problem import (
+    KINKED,
+    MAX_REFINEMENTS,
+    MIN_DECREASE,
+    STALLED,
+    STEP_ERROR,
+    STRIDE,
+    Blocks,
+    Patience,
+    Problem,
+    choose_step,
+    minimise,
+)
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import Progress, show, silent, warn
 
@@ -305,7 +317,7 @@ def _objective(result: FitResult) -> float:
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _fit_with_step(search: NoiseSearch) -> FitResult:
     """Fit a model, and repeat the fit with a smaller integration step until the samples hardly change."""
-    spent, halvings = 0, steps.MAX_REFINEMENTS
+    spent, halvings = 0, MAX_REFINEMENTS
     while True:
         result = search.run()
         if search.must_converge and not (result.converged or result.interrupted):
@@ -322,9 +334,9 @@ def _fit_with_step(search: NoiseSearch) -> FitResult:
         noise: dict[str, dict[str, Array]] = {t.id: {} for t in result.trials}
         for s in result.series:
             noise[s.trial][s.channel] = s.sd
-        chosen = steps.choose_step(result.model, runs, list(noise.values()), halvings=halvings)
+        chosen = choose_step(result.model, runs, list(noise.values()), halvings=halvings)
         spent += sum(bool(changes) for changes in chosen.changes)
-        result = replace(result, step_error=steps.STEP_ERROR * chosen.change, evaluations=spent)
+        result = replace(result, step_error=STEP_ERROR * chosen.change, evaluations=spent)
         if not chosen.halvings:
             return result
         halvings -= chosen.halvings
@@ -413,7 +425,7 @@ class NoiseSearch:
         if problem.find_broken(self.theta):
             runs = [(problem.vector(self.theta, k), trial) for k, trial in enumerate(fitted)]
             unknown = [dict.fromkeys(trial.measured, math.inf) for trial in fitted]
-            chosen = steps.choose_step(self.model, runs, unknown, halvings=MAX_START_HALVINGS)
+            chosen = choose_step(self.model, runs, unknown, halvings=MAX_START_HALVINGS)
             self.problem = Problem(chosen.model, self.parameters, fitted, jobs=self.jobs)
         if self.samples <= len(self.theta):
             raise NoTrustworthyResult(

@@ -81,11 +81,6 @@ class Judged:
         """Whether the evidence for the rival is strong."""
         return self.score > STRONG
 
-    @property
-    def is_as_good(self) -> bool:
-        """Whether the evidence against the rival is not strong."""
-        return self.score > -STRONG
-
 
 def free(stated: FitResult, name: str) -> Rival:
     """Return the rival of a fit in which a held parameter is free."""

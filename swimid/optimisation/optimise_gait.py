@@ -26,7 +26,7 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
 from swimid.simulation.cases import format_quantity
-from swimid.simulation.draws import draw_parameters
+from swimid.simulation.catalogue import draw_parameters
 
 #: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range; and relative
 #: tolerance within which the limit of a quantity counts as reached.

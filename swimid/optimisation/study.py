@@ -23,8 +23,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
 from swimid.fitting import fit_common
 from swimid.fitting.model import Array, SwimInput
-from swimid.fitting.problem import map_in_threads
-from swimid.fitting.steps import choose_step
+from swimid.fitting.problem import choose_step, map_in_threads
 from swimid.notices import Notice, Progress, silent
 from swimid.optimisation.options import GaitOptions
 from swimid.results import evidence as ev

@@ -338,7 +338,7 @@ def find_omitted(stated: FitResult, judged: Sequence[Judged]) -> list[Judged]:
         held = next(p for p in stated.parameters if p.name == name)
         if held.per_trial or one.fit.status.get(name, "fixed") not in ("estimated", "fixed"):
             continue
-        if replaced and one.is_as_good and find_moved(stated, one.fit):
+        if replaced and one.score > -rivals.STRONG and find_moved(stated, one.fit):
             found.append(replace(one, fit=output_error.with_intervals(one.fit)))
         elif one.is_better and not replaced:
             fit = output_error.with_intervals(one.fit)

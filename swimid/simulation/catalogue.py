@@ -13,7 +13,7 @@ import numpy as np
 
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Effect
-from swimid.errors import InputError, UsageError, suggestion
+from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting.fit_common import Experiment, load_experiment
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.logs.experiments import Trials, find_experiments, read_experiments
@@ -300,7 +300,11 @@ def with_effects(
     count = len(model.parameters)
     affected.parameters = (
         *model.parameters,
-        *(_fill_parameter(p, file) for p in affected.parameters[count:]),
+        *(
+            replace(p, start=file.parameters[p.name].value, lower=lower, upper=upper)
+            for p in affected.parameters[count:]
+            for lower, upper in [file.parameters[p.name].limits]
+        ),
     )
     return affected
 
@@ -357,13 +361,6 @@ def form_of(
             hint=hint,
         )
     return form
-
-
-def _fill_parameter(p: Parameter, file: ParameterFile) -> Parameter:
-    """Return the parameter of an effect with its value and bounds in a parameter file."""
-    estimate = file.parameters[p.name]
-    lower, upper = estimate.limits
-    return replace(p, start=estimate.value, lower=lower, upper=upper)
 
 
 class Loaded(NamedTuple):
@@ -524,3 +521,55 @@ def is_possible(model: Model, values: Array) -> bool:
     except InputError:
         return False
     return True
+
+
+# ---------------------------------------------------------------- random samples
+
+
+#: Number of random samples of the coefficients that are drawn at once, and maximum number of samples that are
+#: drawn.
+BLOCK, MAX_DRAWS = 50_000, 5_000_000
+
+
+def draw_parameters(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
+    """Draw random parameter vectors from the covariance of the coefficients.
+
+    The normal distribution is truncated at the bounds of each coefficient, and at physically impossible
+    masses.
+
+    Returns
+    -------
+    vectors : list of ndarray
+        Parameter vectors of the model.
+    inside : float
+        Fraction of the samples that lay within the bounds. The others were replaced.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        If fewer than ``count`` of MAX_DRAWS samples are possible.
+    """
+    model, centre = applied.model, applied.values()
+    names, covariance = applied.uncertain()
+    index = [model.index(name) for name in names]
+    lower = np.array([model.parameters[k].lower for k in index])
+    upper = np.array([model.parameters[k].upper for k in index])
+    sd = np.sqrt(np.diag(covariance))
+    # use eigenvectors, because the correlation matrix is singular if coefficients share a value
+    values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
+    root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(seed)
+    found: list[Array] = []
+    for made in range(0, MAX_DRAWS, BLOCK):
+        moved = centre[index] + rng.standard_normal((BLOCK, len(names))) @ root.T
+        for k in np.flatnonzero(((moved >= lower) & (moved <= upper)).all(axis=1)):
+            vector = centre.copy()
+            vector[index] = moved[k]
+            if is_possible(model, vector):
+                found.append(vector)
+            if len(found) == count:
+                return found, count / (made + int(k) + 1)
+    raise NoTrustworthyResult(
+        "hardly a draw of the coefficients from their covariance is possible",
+        hint="they lie at their bounds or have large standard errors; hold them (--set) or add trials",
+    )

@@ -17,7 +17,7 @@ from swimid.files.yamlio import Number
 from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.fitting.output_error import Series
-from swimid.fitting.steps import StepChoice, choose_step
+from swimid.fitting.problem import StepChoice, choose_step
 from swimid.kinematics.cycles import body_velocity, cycle_means, cycle_speeds, last_cycles
 from swimid.notices import warn
 from swimid.simulation.cases import beat_frequency, drive_block

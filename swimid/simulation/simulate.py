@@ -17,8 +17,9 @@ from swimid.errors import Named, NoTrustworthyResult, UsageError
 from swimid.files import atomic, yamlio
 from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
-from swimid.fitting import fit_common, steps
+from swimid.fitting import fit_common
 from swimid.fitting.model import Array
+from swimid.fitting.problem import choose_step, is_broken_down
 from swimid.kinematics.cycles import CYCLE_QUANTITIES, UNSTEADY
 from swimid.logs import log as log_format
 from swimid.notices import Progress, silent, warn
@@ -57,7 +58,7 @@ class Simulated:
         Columns of the log, ``t_s`` first.
     step : dict of str to float
         Maximum change of each channel when the integration step is halved, divided by the allowed change
-        (:func:`swimid.fitting.steps.choose_step`); empty if nothing is integrated.
+        (:func:`swimid.fitting.problem.choose_step`); empty if nothing is integrated.
     """
 
     case: Case
@@ -74,7 +75,7 @@ def simulate_case(case: Case) -> Simulated:
     NoTrustworthyResult
         If the simulation breaks down.
     """
-    chosen = steps.choose_step(case.applied.model, [(case.values, case.trial)], [case.applied.noise()])
+    chosen = choose_step(case.applied.model, [(case.values, case.trial)], [case.applied.noise()])
     case, model, (step,) = case.at_step(chosen.model), chosen.model, chosen.changes
     simulated = model.run(case.values, case.trial)
     _refuse_broken(case, simulated)
@@ -97,7 +98,7 @@ def simulate_case(case: Case) -> Simulated:
 
 def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
     """Raise an error if a simulation breaks down before its inputs end."""
-    if not steps.is_broken_down(case.trial, simulated):
+    if not is_broken_down(case.trial, simulated):
         return
     lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
     whole = np.flatnonzero(~lost)

@@ -278,7 +278,7 @@ class DrivenJoints:
         found = self._motions.get(trial.id, key)
         if found is None:
             of_joints = hooks
-            if trial.swim.has_measured_joints:
+            if trial.swim.joints is not None and not trial.swim.commanded:
                 of_joints = NONE
             found = self._compute_motion(trial, grid, phase_rad, laws, of_joints)
             if laws.inputs:

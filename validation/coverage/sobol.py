@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from swimid.sensitivity_analysis import indices
+from swimid.sensitivity_analysis import sensitivity
 
 REPEATS = 400
 A, B = 7.0, 0.1
@@ -22,7 +22,7 @@ def one(seed: int) -> dict[str, float]:
     first = alone / (alone.sum() + common)
     total = first + np.array([1.0, 0.0, 1.0]) * common / (alone.sum() + common)
     side = np.full(3, np.pi)
-    found = indices.sobol(each, -side, side, samples=256, seed=seed)
+    found = sensitivity.sobol(each, -side, side, samples=256, seed=seed)
     shares = {}
     for name, ends, true in (("first-order", found.first_ci, first), ("total", found.total_ci, total)):
         for k in range(3):
