@@ -458,7 +458,8 @@ def _scores(search: SearchResult) -> list[EffectRow]:
     screening.
     """
     rows: dict[str, EffectRow] = {}
-    for h in (*search.singles, *search.first_screen):
+    screens: list[Hypothesis | Screening] = [*search.singles, *search.first_screen]
+    for h in screens:
         about: dict[str, float] = {}
         tried = h.last_screening if isinstance(h, Hypothesis) else h
         name = tried.effect.name

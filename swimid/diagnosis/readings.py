@@ -76,8 +76,11 @@ class Reread:
                 model = self.model(model, question, option)
         except InputError:
             return False
-        names, others = ([p.name for p in (*m.parameters, *m.channels)] for m in (model, self._nominal))
-        return names == others
+
+        def list_names(m: Model) -> list[str]:
+            return [p.name for p in m.parameters] + [c.name for c in m.channels]
+
+        return list_names(model) == list_names(self._nominal)
 
 
 class OtherReading(Effect):

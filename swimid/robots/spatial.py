@@ -9,7 +9,7 @@ are given in the axes of their link. Any physical quantity may be a product with
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -45,7 +45,7 @@ def _check_length(direction: Direction) -> Direction:
 AxisDirection = Annotated[Direction, AfterValidator(_check_length)]
 
 
-def unit_vector(direction: Direction) -> list[float]:
+def unit_vector(direction: Sequence[float]) -> list[float]:
     """Return the unit vector of a direction."""
     vector = np.asarray(direction, dtype=float)
     return [float(x) for x in vector / np.linalg.norm(vector)]

@@ -35,7 +35,7 @@ PASSIVE = (
     "friction_below",
 )
 #: Entries of the input arrays that effects may change although they are zero in the robot file.
-FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1), "load": -1}
+FILLED: dict[str, Any] = {"passive": slice(0, PASSIVE.index("rest") + 1), "load": -1}
 #: Number of integers for an element in the input array ``ELEMENT_link``: its link; for a propeller also the
 #: row of its input; for a rudder also the rows of its input and of its propeller; for a term also its
 #: component and the indices of its velocities.
@@ -426,7 +426,9 @@ def interpolate_states(time, begin, step, states, rates):  # type: ignore[no-unt
     return values
 
 
-def place_frame(pose: Sequence[float], reference: Sequence[float]) -> NDArray[np.float64]:
+def place_frame(
+    pose: Sequence[float], reference: Sequence[float] | NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the coordinate frame of a simulation in the world, for the forces of effects, shape (8,).
 
     Parameters

@@ -270,7 +270,7 @@ class Swimmer(Model, ABC):
 
     @property
     @abstractmethod
-    def reference_m(self) -> Sequence[float]:
+    def reference_m(self) -> Sequence[float] | NDArray[np.float64]:
         """Position of the reference point in the axes of the base, m."""
 
     @abstractmethod

@@ -282,9 +282,9 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
     markers are written into ``reasons``.
     """
     best, limits = next(iter(scores)), frames.MAX_DISTANCE_SD
-    changes = {pair: distance_change(run, *pair) for pair in combinations(scores, 2)}
     rigid: dict[tuple[str, str], tuple[float, float]] = {}
-    for pair, change in changes.items():
+    for pair in combinations(scores, 2):
+        change = distance_change(run, *pair)
         strong = min(scores[name] for name in pair) >= SECOND_SHARE * scores[best]
         if strong and change is not None and change <= limits[1]:
             rigid[pair] = (max(change, limits[0]), -sum(scores[name] for name in pair))

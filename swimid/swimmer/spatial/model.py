@@ -232,7 +232,8 @@ class MultibodyModel(Swimmer):
         first = int(self._surface_matters())
         if self._attitude_matters() and np.isfinite(quantities).all():
             before = Rotation.from_quat(start[[4, 5, 6, 3]])
-            turn = from_angles(*quantities[first : first + 2, None], [0.0])[0]
+            roll, pitch = quantities[first : first + 2]
+            turn = from_angles([roll], [pitch], [0.0])[0]
             state[3:7] = np.roll(turn.as_quat(), 1)
             state[2] += (before.apply(self.tree.reference) - turn.apply(self.tree.reference))[2]
         if first:
