@@ -514,8 +514,7 @@ def _read(mapping: Mapping, table: ForeignTable, path: Path, every: int = 1) -> 
     columns = mapping.columns or _identity(table, path, metadata)
     if mapping.profile is not None and TIME in table.columns:
         mapping, columns = _with_own_times(mapping, columns, table, path)
-    if table.keys:
-        table = replace(table, columns=table.columns | table.keys)
+    table = replace(table, columns=table.columns | table.keys)
     keys: list[str | int] = [column.source for column in columns]
     if mapping.time is not None:
         keys += mapping.time.sources

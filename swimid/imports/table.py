@@ -428,7 +428,7 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
             arrays[name] = array
     lengths = Counter(chain.from_iterable(set(values.shape) for values in arrays.values()))
     lengths[1] = 0
-    longest = max(lengths, key=lambda n: (lengths[n], n))
+    longest = max(zip(lengths.values(), lengths, strict=True))[1]
     for name, values in arrays.items():
         matrix = values.reshape(len(values), -1)
         if len(matrix) == 1 or len(matrix) != longest == matrix.shape[1]:

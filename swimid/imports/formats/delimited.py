@@ -206,9 +206,7 @@ def _find_layout(lines: list[str], options: ReaderOptions, path: Path, notes: li
         raise InputError("no line holds numbers", file=path, line=at[0], hint=hint)
     above, samples = table[:first], [cells for cells in table[first:] if len(cells) == width]
     units = _take_units(above)
-    if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
-        # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
-        above[-1].append("")
+    _fit_width(above, samples, width)
     names = _read_names(above, width, at[: first + 1], options, notes)
     missing = {*MISSING, *map(str, options.missing)}
     numbers = [_are_numbers({*cells} - missing, decimal) for cells in zip(*samples, strict=True)]
@@ -226,6 +224,15 @@ def _take_units(above: list[list[str]]) -> list[str]:
     return cells
 
 
+def _fit_width(above: list[list[str]], samples: list[list[str]], width: int) -> None:
+    """Add or remove empty cells at the end of the line of names, in place, so that each column has one."""
+    if above and not any(above[-1][width:]):
+        del above[-1][width:]
+    if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
+        # Each line of samples ends with a delimiter, but the line of names does not.
+        above[-1].append("")
+
+
 def _read_names(
     above: list[list[str]], width: int, lines: list[int], options: ReaderOptions, notes: list[str]
 ) -> list[str]:
@@ -233,8 +240,6 @@ def _read_names(
 
     ``lines`` has the line numbers of the lines above the samples and of the first sample.
     """
-    if above and not any(above[-1][width:]):
-        del above[-1][width:]
     if above and len(above[-1]) != width and _is_header(above[-1]):
         text = f"line {lines[len(above) - 1]} has {len(above[-1])} names, the lines below {width} values"
         notes.append(f"{text}: no name is used, and the columns have numbers")

@@ -58,9 +58,11 @@ def to_table(text: bytes, label: bytes, notes: list[str]) -> tuple[bytes, list[s
     if any(hit["clock"] for hit in hits.values()):
         rows = {at: {b"clock": hits[at]["clock"] or b"", **row} for at, row in rows.items()}
     names = list(dict.fromkeys(chain.from_iterable(rows.values())))
-    others = [at for at, line in enumerate(lines) if line.strip() and at not in rows]
+    others = sorted({at for at, line in enumerate(lines) if line.strip()} - rows.keys())
     if others:
         share = f"{len(others)} of {len(rows) + len(others)} lines"
         notes.append(f"{share} hold no labelled values and are left out (first: line {others[0] + 1})")
-    cells = [[rows[at].get(name, b"") for name in names] if at in rows else [] for at in range(len(lines))]
-    return b"\n".join(map(b",".join, cells)), [name.decode() for name in names]
+    table = [b""] * len(lines)
+    for at, row in rows.items():
+        table[at] = b",".join(row.get(name, b"") for name in names)
+    return b"\n".join(table), [name.decode() for name in names]

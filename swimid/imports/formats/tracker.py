@@ -63,8 +63,8 @@ def _read_tracker(path: Path, options: ReaderOptions, select: str | None) -> For
         track = choose(select, tracks, "track", path)
         tracks = [track]
     columns = {TIME: values[:, 0]}
-    taken = [k for k in range(len(names)) if track in (None, owners[k])]
-    hits = {k: hit for k in taken if (hit := _TRACKER_NAME.fullmatch(names[k])) and hit["axis"]}
+    matches = enumerate(map(_TRACKER_NAME.fullmatch, names))
+    hits = {k: hit for k, hit in matches if hit and hit["axis"] and track in (None, owners[k])}
     for k, hit in hits.items():
         factor, unit = length(options.length_unit or hit["unit"] or "m", path)
         target = f"{hit['kind']}{hit['axis']}_{unit}{_PER[hit['kind']]}"
