@@ -282,9 +282,10 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
     markers are written into ``reasons``.
     """
     best, limits = next(iter(scores)), frames.MAX_DISTANCE_SD
+    changes: dict[tuple[str, str], float | None] = {}
     rigid: dict[tuple[str, str], tuple[float, float]] = {}
     for pair in combinations(scores, 2):
-        change = distance_change(run, *pair)
+        changes[pair] = change = distance_change(run, *pair)
         strong = min(scores[name] for name in pair) >= SECOND_SHARE * scores[best]
         if strong and change is not None and change <= limits[1]:
             rigid[pair] = (max(change, limits[0]), -sum(scores[name] for name in pair))
