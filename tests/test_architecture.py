@@ -71,7 +71,7 @@ def test_imports_run_one_way(name: str) -> None:
 
 
 def test_every_package_is_in_the_table() -> None:
-    beside = {"commands", "errors", "executors", "notices", "options", "reading"}
+    beside = {"commands", "errors", "notices", "options", "reading"}
     assert set(LEVEL) == {*PACKAGES, *beside}
     assert {name for name, level in LEVEL.items() if level == 0} == beside
 

@@ -49,6 +49,40 @@ def fit(
         If the model does not have a named parameter, or no trial has the role ``fit``.
     NoTrustworthyResult
         If the search does not converge, or no parameter can be identified.
+
+    Examples
+    --------
+    A body coasts from 1 m/s against a quadratic drag. The experiment is a class here, or else a file:
+
+    >>> from typing import Literal
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> import swimid
+    >>> from swimid.fitting.fit_common import Experiment, read_log
+    >>> from swimid.logs.experiments import TrialEntry
+    >>> class CoastingModel(swimid.Model):
+    ...     name = "coasting"
+    ...     parameters = (swimid.Parameter("drag_per_m", "1/m", 0.0, 10.0, start=1.0, scale=1.0),)
+    ...     channels = (swimid.Channel("x_m", "m", "way"),)
+    ...
+    ...     def simulate(self, values, trial):
+    ...         return {"x_m": np.log1p(values[0] * trial.time_s) / values[0]}
+    >>> class Coasting(swimid.Trials):
+    ...     about = "a body coasts"
+    ...     models = ("coasting",)
+    ...     experiment: Literal["coasting"]
+    ...     trials: list[TrialEntry]
+    ...
+    ...     def load(self, path, **options):
+    ...         logs = [read_log(one, path.parent, required=("x_m",)) for one in self.trials]
+    ...         trials = [swimid.Trial(log.path.name, "fit", log.time_s, {"x_m": log["x_m"]}) for log in logs]
+    ...         return Experiment.of(self, path, CoastingModel(), trials, [log.source for log in logs])
+    >>> t = np.arange(200) / 50
+    >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
+    >>> log = pd.DataFrame({"t_s": t, "x_m": way})
+    >>> trials = swimid.load([{"log": log}], experiment=Coasting, robot="boxfish")
+    >>> round(fit(trials)["drag_per_m"].value, 2)
+    0.5
     """
     if not isinstance(trials, TrialSet):
         trials = TrialSet.read(trials, read_experiments(*options.own_experiments))
@@ -97,6 +131,14 @@ def fit_model(
         Sources of the trials for the provenance: the ``log.source`` of each log.
     output : path, optional
         Parameter file to write, together with its evidence file.
+    progress : Progress
+        Progress bar of the search.
+
+    Returns
+    -------
+    Fitted
+        ``.parameters`` has the value, standard error and 95 % interval of each parameter, in its unit.
+        ``.correlation``, ``.has_converged`` and ``.verdict`` show whether the parameters can be trusted.
 
     Raises
     ------

@@ -289,7 +289,10 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
         strong = min(scores[name] for name in pair) >= SECOND_SHARE * scores[best]
         if strong and change is not None and change <= limits[1]:
             rigid[pair] = (max(change, limits[0]), -sum(scores[name] for name in pair))
-    names = list(min(rigid, key=lambda pair: rigid[pair])) if rigid else [best]
+    names = [best]
+    if rigid:
+        pair = min(rigid, key=rigid.__getitem__)
+        names = [*pair]
     first = names[0]
     for name in scores:
         change = changes.get((first, name), changes.get((name, first), 0.0))
