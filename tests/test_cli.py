@@ -349,7 +349,7 @@ class TestInterrupts:
 
         ran = self.verb(work, [], tmp_path / "out.yaml")
         assert ran.exit_code == 130
-        assert "out.yaml.partial keeps what was computed: the same command goes on from there" in ran.stderr
+        assert "out.yaml.partial keeps the computed part: the same command continues from there" in ran.stderr
 
     def test_a_search_that_goes_on_with_what_it_has_is_told(self, tmp_path: Path) -> None:
         def work() -> None:

@@ -216,7 +216,7 @@ READERS = {
         partial(load_experiment, command="fit-graybox"),
         _trials(experiment="multibody", robot="sealion", drive={"stroke": "characteristic"}),
         {**OF_TRIAL, **LOG, **STROKE, "robot": "tfish", "trials.start_state": "steady"},
-        refused={"robot": "no stroke", "trials.start_state": "robots in space are not supported"},
+        refused={"robot": "no stroke"},
     ),
     "rwls": Reader(
         lambda path: arma.read([path], RwlsOptions()),

@@ -58,7 +58,7 @@ def fit(
     >>> import numpy as np
     >>> import pandas as pd
     >>> import swimid
-    >>> from swimid.fitting.fit_common import Experiment, read_log
+    >>> from swimid.fitting.fit_common import Experiment, read_trial_log
     >>> from swimid.logs.experiments import TrialEntry
     >>> class CoastingModel(swimid.Model):
     ...     name = "coasting"
@@ -74,7 +74,7 @@ def fit(
     ...     trials: list[TrialEntry]
     ...
     ...     def load(self, path, **options):
-    ...         logs = [read_log(one, path.parent, required=("x_m",)) for one in self.trials]
+    ...         logs = [read_trial_log(one, path.parent, required=("x_m",)) for one in self.trials]
     ...         trials = [swimid.Trial(log.path.name, "fit", log.time_s, {"x_m": log["x_m"]}) for log in logs]
     ...         return Experiment.of(self, path, CoastingModel(), trials, [log.source for log in logs])
     >>> t = np.arange(200) / 50
@@ -122,9 +122,12 @@ def fit_model(
     model : Model
     trials : sequence of Trial
         Trials of the role ``validate`` are held out: they are simulated and scored, not fitted.
-    fixed, freed, bounds : mapping, sequence and mapping, optional
-        Values of parameters that are not estimated, names of parameters that are estimated although the model
-        fixes them, and bounds (lower, upper) that replace those of the model, in the units of the parameters.
+    fixed : mapping, optional
+        Values of parameters that are not estimated, in the units of the parameters.
+    freed : sequence of str
+        Names of parameters that are estimated although the model fixes them.
+    bounds : mapping, optional
+        Bounds (lower, upper) that replace those of the model, in the units of the parameters.
     robot : str
         Name of the robot, for the parameter file.
     inputs : sequence of paths or objects
