@@ -265,20 +265,22 @@ def make_check(
 
 
 def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict on a result: its answer, then the number of failed checks and their reasons.
+    """Return the verdict on a result: its answer, then how many checks fail or warn, and why.
 
     The level is bad if a check has the verdict ``fail``, caution if one has ``warn``, and good otherwise.
     """
-    failed = [check for grade in ("fail", "warn") for check in checks if check.verdict == grade]
-    if not failed:
+    by_grade = {grade: [c for c in checks if c.verdict == grade] for grade in ("fail", "warn")}
+    failed, warned = by_grade.values()
+    if not failed and not warned:
         return Verdict(level="good", text=answer)
-    level: Literal["caution", "bad"] = "caution"
-    if failed[0].verdict == "fail":
-        level = "bad"
     count = sum(check.verdict != "info" for check in checks)
     noun = "check" if count == 1 else "checks"
-    reasons = "; ".join(dict.fromkeys(c.reason or f"{c.name} {c.value}".strip() for c in failed))
-    return Verdict(level=level, text=f"{answer} {len(failed)} of {count} {noun} failed: {reasons}.")
+    parts = [f"{len(failed)} of {count} {noun} failed"] if failed else []
+    if warned:
+        parts.append(f"{len(warned)} warn" if failed else f"{len(warned)} of {count} {noun} warn")
+    reasons = "; ".join(dict.fromkeys(c.reason or f"{c.name} {c.value}".strip() for c in failed + warned))
+    level: Literal["caution", "bad"] = "bad" if failed else "caution"
+    return Verdict(level=level, text=f"{answer} {', '.join(parts)}: {reasons}.")
 
 
 def count_checks(checks: Sequence[Check]) -> str:
