@@ -293,7 +293,7 @@ def test_a_reformatted_file_keeps_its_evidence(tmp_path: Path) -> None:
 def test_equal_reasons_count_once_in_a_verdict() -> None:
     reasons = ["a", "a", "b", "c", "d"]
     checks = [evidence.make_check("n", "v", False, reason=reason) for reason in reasons]
-    assert evidence.make_verdict("Answer.", checks).text == "Answer. 5 of 5 checks failed: a; b; c; d."
+    assert evidence.make_verdict("Answer.", checks).text == "Answer. 5 of 5 checks warn: a; b; c; d."
 
 
 def test_simulated_data_are_named_at_the_top_of_a_result(
