@@ -61,7 +61,7 @@ def name_arguments(arguments: Mapping[str, str] | None) -> Iterator[None]:
 def in_words_of_the_caller(text: str) -> str:
     """Return a message with each option named as the caller typed it, as an option or as a Python argument.
 
-    >>> with naming({"--start-state": "start_state", "--raw": "clean=False"}):
+    >>> with name_arguments({"--start-state": "start_state", "--raw": "clean=False"}):
     ...     in_words_of_the_caller("give --start-state rest, or --raw")
     'give start_state rest, or clean=False'
     """

@@ -256,7 +256,7 @@ def publish_word(text: str) -> str:
 def remove_folders(text: str) -> str:
     """Return a text of a log without the folders of the installation, of the user and of the working folder.
 
-    >>> without_places(f'File "{__file__}"')
+    >>> remove_folders(f'File "{__file__}"')
     'File "swimid/reading.py"'
     """
     known = (os.path.dirname(_PACKAGE), sys.prefix, sys.base_prefix, os.getcwd(), os.path.expanduser("~"))

@@ -156,7 +156,7 @@ def _constant(segments: Sequence[Segment]) -> Segment | None:
 def round_down(value: float) -> float:
     """Return a value with three significant digits that is not larger in size.
 
-    >>> rounded_down(2.5199), rounded_down(-0.12345)
+    >>> round_down(2.5199), round_down(-0.12345)
     (2.51, -0.123)
     """
     if value == 0.0 or not math.isfinite(value):

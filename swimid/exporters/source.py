@@ -503,7 +503,7 @@ def xml_text(
 def _to_xml_text(value: Any) -> Any:
     """Convert a number, or a sequence of numbers, in a template to XML text with all digits.
 
-    >>> _shown([0.1, -0.0])
+    >>> _to_xml_text([0.1, -0.0])
     '0.1 0.0'
     """
     if isinstance(value, str):

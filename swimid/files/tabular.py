@@ -69,7 +69,7 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
 def find_repeated(names: Iterable[str]) -> str | None:
     """Return the first name that stands twice in a list; None if all names differ.
 
-    >>> repeated(["x", "y", "z", "y"])
+    >>> find_repeated(["x", "y", "z", "y"])
     'y'
     """
     return next((name for name, count in Counter(names).items() if count > 1), None)
@@ -163,7 +163,7 @@ def column_error(
 def parse_number(text: str) -> float | None:
     """Return the number in a cell of a table; None if the text is not a number.
 
-    >>> number(" 1e-3 "), number("1,5"), number("1_0")
+    >>> parse_number(" 1e-3 "), parse_number("1,5"), parse_number("1_0")
     (0.001, None, None)
     """
     if "_" in text or not text.isascii():

@@ -1052,7 +1052,7 @@ def unwrap_counter(counts: NDArray[Any], period: float, before: float = 0.0) -> 
 
     ``before`` is the last unwrapped value of the rows before.
 
-    >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
+    >>> unwrap_counter(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
     [65534.0, 65535.0, 65536.0, 65537.0]
     """
     values = counts.astype(float)
@@ -1458,7 +1458,7 @@ def name_target(source: str, written: str | None = None) -> tuple[str, str | Non
 
     An unknown target column or unit is ``ASK``. The unit is None for a column of the log format.
 
-    >>> named("Yaw [deg]"), named("accX"), named("x_m"), named("level (mm)")
+    >>> name_target("Yaw [deg]"), name_target("accX"), name_target("x_m"), name_target("level (mm)")
     (('yaw_rad', 'deg'), ('ax_m_s2', 'ASK'), ('x_m', None), ('level_m', 'mm'))
     """
     name = source.strip()

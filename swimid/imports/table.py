@@ -450,9 +450,9 @@ def restore_sign(values: Array, name: str, notes: list[str]) -> Array:
     near half of it. To distinguish them from single wrong values, the steps through zero must not exceed
     twice the steps elsewhere, or twice the range on the side of zero with the smaller range.
 
-    >>> signed(np.array([4.0, 1.0, 65534.0, 65531.0]), "speed", [])
+    >>> restore_sign(np.array([4.0, 1.0, 65534.0, 65531.0]), "speed", [])
     array([ 4.,  1., -2., -5.])
-    >>> signed(np.array([50000.0, 51000.0, 0.0, 52000.0]), "pressure", [])
+    >>> restore_sign(np.array([50000.0, 51000.0, 0.0, 52000.0]), "pressure", [])
     array([50000., 51000.,     0., 52000.])
     """
     top = np.max(values, initial=0.0, where=np.isfinite(values))

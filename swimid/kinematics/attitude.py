@@ -49,7 +49,7 @@ AXES = ("qw", "qx", "qy", "qz")
 def reorder_quaternion(q: Array, order: str = "wxyz", direction: str = "body-to-world") -> Array:
     """Convert quaternions, shape (n, 4), to real part first and to the rotation from body to world.
 
-    >>> rearranged(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()
+    >>> reorder_quaternion(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()
     [[0.8, -0.0, -0.0, -0.6]]
     """
     if order == "xyzw":

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def quote_name(name: str | Path) -> str:
     """Return a file name as it is typed in a command: quoted for the shell, and never taken for an option.
 
-    >>> typed("my $(run).yaml"), typed("-x.yaml")
+    >>> quote_name("my $(run).yaml"), quote_name("-x.yaml")
     ("'my $(run).yaml'", './-x.yaml')
     """
     text = str(name)

@@ -2,11 +2,11 @@
 
 The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
 
->>> measured(0.70512, 0.0331)
+>>> format_estimate(0.70512, 0.0331)
 '0.705 ± 0.033'
->>> measured(4.512e-5, 1.2e-6, "kg m^2")
+>>> format_estimate(4.512e-5, 1.2e-6, "kg m^2")
 '(4.51 ± 0.12) × 10⁻⁵ kg·m²'
->>> number(0.0012345678)
+>>> format_number(0.0012345678)
 '0.001235'
 >>> column_title("u_m_s")
 'surge speed (m/s)'

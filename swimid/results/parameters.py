@@ -55,7 +55,7 @@ def parameter_text(name: str, meaning: str) -> str:
 
     It is the name in words if the meaning contains these words, and otherwise the meaning with the name.
 
-    >>> spoken("c_ma", "added mass over mass"), spoken("added_mass", "added mass")
+    >>> parameter_text("c_ma", "added mass over mass"), parameter_text("added_mass", "added mass")
     ('added mass over mass (c_ma)', 'added mass')
     """
     if not meaning:
