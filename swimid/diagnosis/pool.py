@@ -176,7 +176,7 @@ class HypothesisPool:
         return np.concatenate((h.deviances, h.log_determinant, h.theta, [h.strain, h.cost]))
 
     def _unpack(self, effects: Sequence[Effect], values: Array, tried: Screening | None = None) -> Hypothesis:
-        """Return the hypothesis with the given numbers (:meth:`_packed`). Its fit is rough."""
+        """Return the hypothesis with the given numbers (:meth:`_pack`). Its fit is rough."""
         own, log, theta = np.split(values[:-2], np.array([1, 2]) * self.study.folds.count)
         strain, cost = values[-2:].tolist()
         h = self.study.at(effects, theta, cost)

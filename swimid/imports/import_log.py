@@ -211,7 +211,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     InputError
         No sample has a time, or the clock is reset within the log.
     NoTrustworthyResult
-        A cleaned track has fewer samples than :data:`swimid.kinematics.speed.MIN_SAMPLES_STROKE`.
+        A cleaned track has fewer samples than :data:`swimid.kinematics.speed.MIN_SAMPLES_SPEED`.
     """
     name, columns = source.path.name, source.columns
     order = _sort_rows(source)
