@@ -45,8 +45,8 @@ PER_SAMPLE = 0.002
 #: Number of random noise records, and quantile of the decreases of their squared residuals when a generic
 #: description is fitted to them. The decrease in the trials must exceed this quantile to count as structure.
 DRAWS, QUANTILE = 400, 0.975
-#: Upper and lower limit of the minimum decrease in :func:`find_structure`, in units of the noise variance. Between these limits, the
-#: minimum decrease of the held-out squared residuals is half the number of samples.
+#: Upper and lower limit of the minimum decrease in :func:`find_structure`, in units of the noise variance.
+#: Between these limits, the minimum decrease of the held-out squared residuals is half the number of samples.
 LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
 
 
