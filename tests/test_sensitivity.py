@@ -268,7 +268,7 @@ class TestCommand:
         monkeypatch.setattr(sensitivity.StudyRun, "outputs", stopping)
         ran = swimid("sensitivity", tfish, "-o", out, "--jobs", "1", *options)
         assert ran.status == 130
-        assert f"{out}.partial keeps what was computed: the same command goes on from there" in ran.err
+        assert f"{out}.partial keeps the computed part: the same command continues from there" in ran.err
         assert not out.exists()
         assert (tmp_path / "again.yaml.partial").exists()
         calls = 100

@@ -494,4 +494,4 @@ def test_an_export_says_how_to_command_the_joints(
     assert "command it with 0.25 times its angle" in text
     assert "command it with its angle by the table of the robot file" in text
     (causes,) = tmp_path.glob("*_causes.py")
-    assert '"tendon": [AmplitudeLoss(loss=0.1)]' in causes.read_text()
+    assert '"tendon": [AmplitudeLossFilter(loss=0.1)]' in causes.read_text()
