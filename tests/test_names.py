@@ -29,7 +29,7 @@ NO_VERBS = frozenset(
         written acting agreeing carrying describing facing following having integrating leading matching
         missing moving naming replacing running telling widening yielding afterwards against ahead alike
         amid among anew apart around away beside besides beyond mostly nearly often seldom together within
-        without own shared
+        without
         """,
     )
 )
