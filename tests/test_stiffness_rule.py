@@ -136,7 +136,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
         ({"over": {"frequency_hz": (1.0, 2.0, 2)}}, "three frequencies"),
         ({"coefficient": "K"}, "no law of a passive joint contains K"),
         ({"robot": "sealion", "stroke": "characteristic"}, "tail beat"),
-        ({"between": (-1.0, 2.0)}, "lies between"),
+        ({"between": (-1.0, 2.0)}, "must be within 0 to 20"),
         ({"amplitude_deg": None}, "needs amplitude_deg"),
     ],
 )

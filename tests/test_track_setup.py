@@ -253,5 +253,5 @@ def test_a_buoy_among_equal_markers_is_reported(tmp_path):
         "scale: {metres_per_pixel: 0.002}\n"
     )
     result = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "never left the radius of one place: red3" in result.output
+    assert "stay within a radius of one place: red3" in result.output
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "caution"

@@ -201,12 +201,6 @@ def test_steps_are_a_list(case: Case, swimid: Run, name: str, plan: str) -> None
     assert "steps are a list" in ran.err
 
 
-def test_words_of_scripts_are_quoted(case: Case, swimid: Run) -> None:
-    case("t4-slurm-retry")
-    assert swimid("batch", "plan.yaml", "-o", "run", "--slurm", "jobs", "--retry", "no result").status == 0
-    assert "--retry 'no result'" in Path("jobs/array.sh").read_text()
-
-
 def test_a_sticky_folder_holds_no_kernels(case: Case, tmp_path: Path) -> None:
     case("t4-sticky-cache")
     shared = tmp_path / "shared"
