@@ -86,5 +86,5 @@ def test_one_picture_and_a_wrong_board_are_refused(board: Path, swimid: Run, tmp
     assert "--squares 9x6" in ran.err
     ran = swimid("track", "camera", *few, "--squares", "9by6", "--square-mm", "25", *output)
     assert ran.status == 2
-    assert "such as 9x6" in ran.err
+    assert "does not state two numbers of squares" in ran.err
     assert not output[1].exists()
