@@ -56,7 +56,7 @@ def test_memory_for_each_frame_while_tracking_is_that_of_its_detection():
         follower = Follower(rules, film.width, film.height)
         for k in range(laps * len(pictures)):
             follower.step(k / film.rate_hz, pictures[k % len(pictures)])
-        assert follower.track().found.mean() > 0.9
+        assert follower.track().is_whole.mean() > 0.9
 
     follow(1)
     short, long = peak_bytes(follow, 5), peak_bytes(follow, 20)
