@@ -120,8 +120,11 @@ def rwls(
     Fitted
         ``.parameters`` has ``a1``, ... (1), ``b1``, ... (unit of the output divided by that of the input) and
         ``c1``, ... (1). ``.tables()`` has the ``errors`` of the predictions and the ``modes`` of the model.
-        ``.data["orders_tried"]`` has the orders of an order search with their BIC, lowest first. The errors
-        contain ``fit_percent`` as the System Identification Toolbox defines it.
+        ``.data["orders_tried"]`` has the orders of an order search with their BIC, lowest first.
+
+        The errors contain ``fit_percent``, the NRMSE fit ``100 (1 - ||y - yhat|| / ||y - mean(y)||)`` as the
+        System Identification Toolbox defines it. The mean is taken over the compared samples of the measured
+        output in all records of a data set.
 
     Raises
     ------
@@ -131,6 +134,17 @@ def rwls(
         The options contradict each other.
     NoTrustworthyResult
         There are too few rows, input or output are constant, or the search for ``c1``, ... does not converge.
+
+    References
+    ----------
+    .. [1] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic underwater
+       vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159.
+       Eq 3: the substitute input; Eqs 4 to 7: the model; Eqs 6 to 9: the recursion.
+    .. [2] G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation* (1977), ch. 5: UD
+       factors.
+    .. [3] L. Ljung, *System Identification: Theory for the User*, 2nd ed. (1999), section 11.7: forgetting.
+    .. [4] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65
+       (1978) 297-303, doi:10.1093/biomet/65.2.297: the test of whiteness.
 
     Examples
     --------

@@ -120,6 +120,7 @@ def fit_model(
     Parameters
     ----------
     model : Model
+        Model that simulates a trial from parameter values.
     trials : sequence of Trial
         Trials of the role ``validate`` are held out: they are simulated and scored, not fitted.
     fixed : mapping, optional
@@ -145,10 +146,17 @@ def fit_model(
 
     Raises
     ------
-    UsageError, InputError
-        For an unknown name, without a trial to fit, or if the output cannot be written.
+    UsageError
+        If the model does not have a named parameter, or no trial has the role ``fit``.
+    InputError
+        If the output cannot be written.
     NoTrustworthyResult
         If the search does not converge, or no parameter can be identified.
+
+    References
+    ----------
+    .. [1] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error and coloured residuals.
 
     Examples
     --------

@@ -105,6 +105,13 @@ def fit_propulsion(
     NoTrustworthyResult
         If no parameter can be identified.
 
+    References
+    ----------
+    .. [1] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
+       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
+       Eqs 3 to 6 and 25 to 27: the recoil law; Eq 28: the Strouhal number; Tables 3 and 4: amplitude offset
+       and efficiency.
+
     Examples
     --------
     >>> import swimid

@@ -123,6 +123,14 @@ def fit_drag(
     NoTrustworthyResult
         If no parameter can be identified.
 
+    References
+    ----------
+    .. [1] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
+       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
+       Eqs 7 and 8: the equation of motion; Eqs 9 and 10: its closed form; Eqs 13 to 19: the two-point method.
+    .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error.
+
     Examples
     --------
     A weight over a pulley pulls the boxfish through the tank in seven drops:
