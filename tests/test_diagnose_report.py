@@ -151,15 +151,15 @@ def test_a_cause_without_a_held_out_gap_is_no_good_answer() -> None:
 
 def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
     text = said("ambiguous")
-    assert "failed: these trials cannot distinguish current from tether or linear-drag" in text
+    assert "checks warn: these trials cannot distinguish current from tether or linear-drag" in text
     assert "explains" not in text
     assert "current/north_m_s at a bound" in text
 
 
 def test_the_reason_why_no_cause_is_named_is_stated() -> None:
     why = "refitted parameters of the file close the gap on held-out data as well as servo-backlash"
-    assert f"failed: {why}" in said("imitated")
-    assert "failed: held-out errors fall with servo-backlash in f14a15 only" in said("carried").replace(
+    assert f"checks warn: {why}" in said("imitated")
+    assert "warn: held-out errors fall with servo-backlash in f14a15 only" in said("carried").replace(
         "servo- ", "servo-"
     )
 
@@ -214,7 +214,7 @@ def test_a_reading_is_named_with_its_question_and_its_option() -> None:
 
 def test_an_odd_trial_is_reported() -> None:
     text = said("odd trial")
-    assert "failed: left out f18a30: c_d0 1.40 ± 0.05 in place of 0.7" in text
+    assert "checks warn: left out f18a30: c_d0 1.40 ± 0.05 in place of 0.7" in text
     assert checked(cases.ODD)["trials agree"].verdict == "warn"
     assert "trials agree" not in checked(cases.NONE)
 

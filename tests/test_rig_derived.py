@@ -123,7 +123,7 @@ class TestPossible:
         last = " ".join(ran.out.strip().split("\n\n")[-1].split())
         assert ("SWM072" in ran.err) is (stated > 1.0)
         assert ("the driving force of" in ran.err) is (stated > 1.0)
-        reasons = last.partition(" failed: ")[2]
+        reasons = last.partition(" checks failed")[2]
         assert ("added mass" in reasons) is (level == "BAD")
         if stated > 1.0:
             assert last.startswith(level)
@@ -141,7 +141,7 @@ class TestPossible:
         )
         ran = swimid("fit-drag", trials)
         last = " ".join(ran.out.strip().split("\n\n")[-1].split())
-        reasons = last.partition(" failed: ")[2]
+        reasons = last.partition(" checks failed")[2]
         assert ("drag coefficient" in reasons) is (factor > 1.0)
         assert ("SWM072" in ran.err) is (factor > 1.0)
         assert last.startswith("BAD") is (factor > 1.0)

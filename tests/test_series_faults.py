@@ -70,7 +70,7 @@ def test_without_held_out_data_the_grade_says_what_was_tested(rng: np.random.Gen
     table = pd.DataFrame({"t_s": np.arange(600) / 25, "duty": duty, "speed_rad_s": speed})
     made = swimid.rwls([table], **{**MOTOR, "held_out": ()})
     assert level(made) == "caution"
-    assert "failed: no data were held out" in made.evidence.verdict.text
+    assert "checks warn: no data were held out" in made.evidence.verdict.text
 
 
 @pytest.mark.slow

@@ -63,6 +63,26 @@ def test_a_motionless_track_is_never_good(tmp_path, covered_rule, scale):
     assert proof.verdict.level != "good"
 
 
+@pytest.mark.parametrize("turn_rad, verdict", [(0.0, "warn"), (0.12, "pass")])
+def test_motion_of_less_than_a_radius_must_turn_the_robot(tmp_path, turn_rad, verdict):
+    """A raft that rocks in a wave is no robot; a fish whose body turns with its beat in one place may be."""
+
+    def rock(t):
+        wave = np.sin(2 * np.pi * 1.3 * t)
+        return 160 + 0.5 * wave, 118 + 3.0 * wave, turn_rad * wave
+
+    video = clutter.write(tmp_path / "raft.mp4", Pool(two_discs(rock), duration_s=6.0))
+    (tmp_path / "setup.yaml").write_text(
+        "format: swimid-setup/1\nmarkers:\n"
+        "  - {name: nose, hsv: {hue_deg: [345, 15], saturation: [0.45, 1], value: [0.3, 1]}}\n"
+        "  - {name: rear, hsv: {hue_deg: [40, 70], saturation: [0.4, 1], value: [0.3, 1]}}\n"
+        "head: nose\ntail: rear\nscale: {metres_per_pixel: 0.002}\n"
+    )
+    run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    checks = {check.name: check for check in evidence.read(tmp_path / "run.evidence.json").checks}
+    assert checks["Motion"].verdict == verdict
+
+
 def test_a_track_within_its_noise_is_bad(tmp_path):
     """A motionless disc without ripples is found in all frames; both commands report it."""
     buoy = clutter.disc(clutter.still(200, 60), 6, YELLOW)
@@ -253,5 +273,5 @@ def test_a_buoy_among_equal_markers_is_reported(tmp_path):
         "scale: {metres_per_pixel: 0.002}\n"
     )
     result = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "stay within a radius of one place: red3" in result.output
+    assert "red3: within one radius of one place" in result.output
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "caution"

@@ -269,8 +269,8 @@ def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
 
     The level is bad if a check has the verdict ``fail``, caution if one has ``warn``, and good otherwise.
     """
-    by_grade = {grade: [c for c in checks if c.verdict == grade] for grade in ("fail", "warn")}
-    failed, warned = by_grade.values()
+    failed = [check for check in checks if check.verdict == "fail"]
+    warned = [check for check in checks if check.verdict == "warn"]
     if not failed and not warned:
         return Verdict(level="good", text=answer)
     count = sum(check.verdict != "info" for check in checks)

@@ -501,8 +501,8 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
 def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
     """Check that at least one marker moves, because a motionless object passes all other checks.
 
-    A robot that hardly leaves its place passes if it has a stroke. The stroke of a robot keeps its phase
-    (:func:`swimid.kinematics.frequency.find_beats`). Ripples or passing objects that shift a centre do not.
+    A robot that hardly leaves its place passes if its stroke turns the line between its markers. Waves rock
+    an object that floats too, but they move its markers alike.
     """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
@@ -516,10 +516,10 @@ def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
         reason += ", which is its noise"
     reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
-    strokes = swum is not None and swum.stroke is not None and not swum.doubt
-    if strokes:
-        limit = f">= {noise:.2g} px of noise, with a stroke"
-    passed = (radii >= frames.MIN_RADII or strokes) and not still
+    turns = swum is not None and "turn" in swum.amplitudes and not swum.doubt
+    if turns:
+        limit = f">= {noise:.2g} px of noise, with a stroke that turns the robot"
+    passed = (radii >= frames.MIN_RADII or turns) and not still
     return _judge("SWM067", "Motion", value, limit, passed, reason, fails=still)
 
 
@@ -544,7 +544,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
     yield _grade("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
     still = [n for n in shares if shares[n] > 0 and track.measure_range(n)[1] < frames.MIN_RADII]
-    reason = f"markers stay within a radius of one place: {', '.join(still)}. Are they motionless objects?"
+    reason = f"{', '.join(still)}: within one radius of one place, which may be another object of the same colour"
     value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {frames.MIN_RADII:g} radius"
     yield _judge("SWM067", "Other markers move", value, limit, not still, reason)
 
