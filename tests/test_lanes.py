@@ -183,7 +183,7 @@ def test_different_runs_of_one_batch_agree_with_the_engine(
 
 
 @pytest.mark.kernels
-def test_a_run_that_breaks_down_does_not_change_the_others(
+def test_a_run_that_diverges_does_not_change_the_others(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
     runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:5]

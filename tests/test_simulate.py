@@ -331,10 +331,10 @@ def test_impossible_simulations_are_refused_with_a_reason(
     assert "Traceback" not in ran.err
 
 
-def test_a_simulation_that_breaks_down_reports_the_time(swimid: Run) -> None:
+def test_a_simulation_that_diverges_reports_the_time(swimid: Run) -> None:
     ran = swimid("simulate", "--robot", "tfish", *BEAT, "--set", "c_d4=1e9")
     assert ran.status == 4
-    assert "breaks down at t = " in ran.err
+    assert "diverges at t = " in ran.err
     assert "--dt" in ran.err
 
 

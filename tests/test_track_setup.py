@@ -91,7 +91,7 @@ def test_a_track_within_its_noise_is_bad(tmp_path):
     result = run("setup", video, "-o", tmp_path / "setup.yaml", "--marker", "buoy@200,60")
     assert "SWM067" in result.output
     output = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "which is its noise" in " ".join(output.output.split())
+    assert "which is not above the noise" in " ".join(output.output.split())
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "bad"
 
 
@@ -158,7 +158,7 @@ def test_the_halves_of_a_ball_are_not_a_rigid_pair(tmp_path, nod_rad):
     found = json.loads(result.stdout)["result"]
     assert found["tail"] is None
     assert len(found["markers"]) == 1
-    assert any("on no rigid part" in p["reason"] for p in found["passed_over"])
+    assert any("not on one rigid part" in p["reason"] for p in found["passed_over"])
 
 
 def test_a_rigid_pair_is_recognised_by_an_inclined_camera(tmp_path):

@@ -343,7 +343,7 @@ def test_a_decrease_that_one_part_carries_is_not_clear() -> None:
     found = decide(known)
     assert found.verdict == "ambiguous"
     (row,) = (row for row in list_rows(known) if row.question == "held-out errors fall")
-    assert row.reason == "held-out errors fall with waves in part 3 only"
+    assert row.reason == "the held-out errors fall with waves only in part 3"
 
 
 def test_no_part_carries_a_decrease_that_several_share() -> None:

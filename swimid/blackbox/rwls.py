@@ -646,7 +646,7 @@ def score_records(records: list[ArxRecord], model: ArxEstimate, poles: list[ArxP
     longest = max((len(r) for r in records), default=0)
     if longest <= orders.lag:
         raise NoTrustworthyResult(
-            f"a held-out part has {longest} samples, the model needs {orders.lag} past ones",
+            f"the longest held-out part has {longest} samples; more than {orders.lag} are needed",
             hint="hold out a larger share, or validate on a longer log",
         )
     runs = [simulate(r, orders, theta) for r in records]

@@ -134,9 +134,9 @@ def screen_effects(
             best = _screen_shared(inner, tried, first, plain, left, whole)
         first += len(tried.points)
         if best is None:
-            left_out[tried.effect.name] = "it changes nothing that was measured in these trials"
+            left_out[tried.effect.name] = "the effect changes no channel that was measured in these trials"
             if not tried.points:
-                left_out[tried.effect.name] = "the model broke down with it: the effect could not be judged"
+                left_out[tried.effect.name] = "the simulation diverges with the effect, which was not judged"
         else:
             found.append(best)
             left_out.pop(tried.effect.name, None)

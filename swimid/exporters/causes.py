@@ -134,7 +134,7 @@ def limits_of(
         (
             filtered,
             "the target has no such law of a servo; a Python file beside the output filters the commands, "
-            "and without it the joints follow them exactly",
+            "and without this file the joints follow their commands exactly",
         ),
     ):
         if several:

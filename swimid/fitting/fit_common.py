@@ -550,7 +550,7 @@ def score_checks(
     for name, score in scores.items():
         check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
-            text = "noise alone is left"
+            text = "the residuals are noise alone"
             check = ev.make_check(check.name, check.value, None, text=text)
         found.append(check)
     for name in (name for name in fitted if name in scores):
@@ -558,9 +558,9 @@ def score_checks(
         least = 0.0 if name in set(noise) else MIN_VAF
         if vaf is not None and vaf < least:
             shown = numbers.percent(vaf)
-            reason = f"the simulated {name} accounts for {shown} of the variance of the measurement"
+            reason = f"the simulated {name} accounts for only {shown} of the variance of the measurement"
             if vaf < 0.0:
-                reason = f"the simulated {name} is farther from the measurement than a constant is"
+                reason = f"the error of the simulated {name} is larger than that of a constant"
             needed = f"≥ {100 * least:g} %"
             found.append(ev.make_check(said, shown, False, needed, otherwise="fail", reason=reason))
     return found
@@ -575,7 +575,7 @@ def share_check(
     value = math.nan if share is None else share
     otherwise = VERDICTS[not value <= usable]
     limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
-    reason = f"the {name} is {shown} of the {of}"
+    reason = f"the {name} is {shown} of the {of}, above {100 * good:g} %"
     return ev.make_check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
 
 
@@ -632,7 +632,8 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     for label, status in result.status.items():
         if status == "at-bound":
             bounds = numbers.bounds_text(result.parameter(label).bounds)
-            warn("SWM012", f"{label} lies at its bound ({bounds}): the best value for the data is outside")
+            text = "the best fit lies outside: widen the bound, or search a missing effect (swimid diagnose)"
+            warn("SWM012", f"{label} lies at its bound ({bounds}); {text}")
     if correlation is None:
         return said
     for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):
@@ -819,7 +820,7 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     parts of the data itself.
     """
     found = [*_convergence(result), *_check_identified(result)]
-    found += [_whiteness(result, channel) for channel in result.noise]
+    found += _whiteness(result)
     if result.differences is not None:
         if result.differences.trials > 1:
             found.append(_consistency(result, result.differences))
@@ -848,7 +849,7 @@ def _convergence(result: FitResult) -> list[ev.Check]:
     if result.restarts:
         value += f", after {result.restarts} restarts"
     name, text = "starts near the answer lead back to it", "points and short searches around it"
-    reason = "starts near the answer still lead to better ones"
+    reason = "restarts near the best fit still find better fits"
     return [*found, ev.make_check(name, value, result.settled, "yes", text, reason=reason)]
 
 
@@ -895,7 +896,7 @@ def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) ->
         "largest change of a sample when the step is halved, over the allowed change: "
         f"{STEP_ERROR:g} of the noise, or if that is unknown {STEP_LIMIT:g} of the range"
     )
-    reason = f"halving the integration step changes {name} by {size} times what is allowed"
+    reason = f"halving the integration step changes {name} by {size} times the allowed change"
     return [warn_check("SWM016", "integration step", size, change <= 1.0, "≤ 1", text, reason)]
 
 
@@ -939,7 +940,7 @@ def _visibility(result: FitResult, differ: Differences) -> ev.Check:
     value, named = f"not of {', '.join(hidden)}", hidden[:MAX_LISTED_PARAMETERS]
     if len(hidden) > MAX_LISTED_PARAMETERS:
         named.append(f"{len(hidden) - MAX_LISTED_PARAMETERS} more")
-    reason = f"differences of {numbers.join_names(named)} between these trials would not show"
+    reason = f"these trials would not show whether {numbers.join_names(named)} differ between them"
     if differ.trials == 1:
         value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
     share = numbers.percent(ASSUMED_DIFFERENCE)
@@ -984,13 +985,23 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
     )
 
 
-def _whiteness(result: FitResult, channel: str) -> ev.Check:
-    """Return a check whether the residuals of a channel are white."""
-    test = ljung_box(_join_residuals(result, channel))
-    p = ev.p_text(test.p_value)
-    name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
-    text = "" if test.is_passed else "the model may miss an effect; the standard errors account for it"
-    return warn_check("SWM013", name, p, test.is_passed, f"p ≥ {SIGNIFICANCE:g}", text, reason)
+def _whiteness(result: FitResult) -> list[ev.Check]:
+    """Return a check for each channel whether its residuals are white, and warn once of all that are not."""
+    tests = {channel: ljung_box(_join_residuals(result, channel)) for channel in result.noise}
+    coloured = {channel: test.p_value for channel, test in tests.items() if not test.is_passed}
+    largest = ev.p_text(max(coloured.values(), default=1.0))
+    if len(coloured) > 1:
+        largest = largest.replace("=", "≤")
+    reason = f"residuals are not white in {numbers.join_names(list(coloured))} ({largest})"
+    text = "the model may miss an effect; the standard errors account for it"
+    if coloured:
+        warn("SWM013", f"{reason}; {text}")
+    found = []
+    for channel, test in tests.items():
+        name, shown = f"white residuals, {channel}", ev.p_text(test.p_value)
+        limit, text = f"p ≥ {SIGNIFICANCE:g}", text * (not test.is_passed)
+        found.append(ev.make_check(name, shown, test.is_passed, limit, text, reason=reason))
+    return found
 
 
 def _validation(result: FitResult, channel: Channel) -> ev.Check:
@@ -1053,7 +1064,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
         not wrong,
         f"within {100 * FREQUENCY_RTOL:g} %",
         "found in the heading of each log",
-        reason=f"the beat found in {', '.join(wrong)} is not the stated one",
+        reason=f"the beat frequency measured in {', '.join(wrong)} differs from the stated frequency",
     )
 
 

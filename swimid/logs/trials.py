@@ -289,7 +289,8 @@ def check_apart(one: TrialEntry, other: TrialEntry, file: Path, line: int | None
     ends = [f" {word} {end:g} s" for word, end in (("from", low), ("to", high)) if math.isfinite(end)]
     text = f"the trials '{one.id}' and '{other.id}' are of the same log and share its rows{''.join(ends)}"
     if one.role != other.role:
-        hint = "part them with start_s and end_s, or hold out another log"
-        raise InputError(f"{text}: what is held out must not be fitted", file=file, line=line, hint=hint)
+        hint = "separate the trials with start_s and end_s, or hold out another log"
+        raise InputError(f"{text}: held-out rows must not be fitted", file=file, line=line, hint=hint)
     if one.role == "fit":
-        warn("SWM074", f"{file.name}: {text}, which count twice: standard errors are too small")
+        text += ", which count twice, so that standard errors are too small"
+        warn("SWM074", f"{file.name}: {text}: separate the trials with start_s and end_s")

@@ -190,7 +190,7 @@ def _order_joints(body: planar.MultilinkRobot, where: str) -> list[planar.Planar
     while waiting:
         joint = next((joint for joint in waiting if joint.parent in reached and joint.child in names), None)
         if joint is None:
-            text = "the joints connect no tree of links with the first link"
+            text = f"no joints connect the link '{waiting[0].parent}' with the first link"
             raise InputError(text, file=where, column=f"multilink.joints.{waiting[0].name}")
         waiting.remove(joint)
         reached.add(joint.child)

@@ -36,4 +36,4 @@ def test_comma_in_yaml(case: Case, swimid: Run) -> None:
     ran = swimid("fit-drag", "comma.yaml")
     assert ran.status == 3
     assert "comma.yaml, line 6" in ran.err
-    assert "'0,010' is read as two items; write 0.010" in ran.err
+    assert "'0,010' is read as two values; write 0.010" in ran.err

@@ -71,7 +71,7 @@ def test_repeated_samples_are_named_and_the_poles_are_those_of_the_system(case: 
     largest = result["poles"][0]
     assert abs(largest["magnitude"] - np.sqrt(0.7)) < 3 * largest["stderr_magnitude"] < 0.003
     assert level("d.yaml") == "caution"
-    assert "repeat the measurement before" in evidence("d.yaml")["verdict"]["text"]
+    assert "repeat the sample before" in evidence("d.yaml")["verdict"]["text"]
 
 
 def test_logs_of_two_rates_are_refused(case: Case, swimid: Run) -> None:
