@@ -202,6 +202,7 @@ class TableSource(yamlio.Document):
     #: Track, individual, topic, message type, struct or group to read, if the file holds several.
     select: str | int | None = None
     reader: ReaderOptions = ReaderOptions()
+    #: Source of the sample times, if the file does not state its times.
     time: Time | None = None
     #: Condition for the rows that are read: they have one of the given values in each named column.
     where: dict[str, str | float | int | list[str | float | int]] = {}
@@ -218,6 +219,7 @@ class Joined(TableSource):
     #: Path of another file, relative to the folder of the foreign log, or else of the mapping; by default the
     #: same file. ``{stem}`` is the name of the recording without its ending.
     file: str | None = None
+    #: Columns that are added to the log, each with its source.
     columns: Annotated[list[Column], Field(min_length=1)]
     #: Value between two samples: on the line through them, or that of the first, as of a command.
     between: Literal["line", "hold"] = "line"
@@ -236,6 +238,7 @@ class Mapping(TableSource):
     #: empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
     quaternion: Quaternion = Quaternion()
+    #: Columns of the log, each with its source.
     columns: list[Column] = []
     #: Further topics, structs or files whose columns are added to the log.
     join: list[Joined] = []

@@ -62,6 +62,7 @@ class PointsFile(yamlio.Document):
     points: dict[str, planar.TrackedPoint] = {}
     #: Points from front to rear of a body without a robot file.
     chain: list[str] = []
+    #: Scale; by default that of the lengths of the links.
     scale: PointScale | None = None
     camera: Camera | None = None
     #: Direction in the picture in which a robot in the vertical plane faces. x of the log increases in this
