@@ -623,7 +623,7 @@ class Part:
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
     #: Free-run error of held-out records about the output level of the fitted data. It is None for fitted
-    #: records, and if no means were subtracted. All other errors are about the own level of the records.
+    #: records, and if no means were subtracted. All other errors are about the level of each record.
     strict: SeriesScore | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:

@@ -116,7 +116,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
 
 # ---------------------------------------------------------------- doctor
 
-#: Extras of those who develop swimid.
+#: Extras of the installation that only developers need.
 NOT_FOR_USERS = ("all", "dev", "docs", "bench")
 #: Modules with functions that numba compiles. The function ``warm_up`` of each module compiles them.
 KERNELS = (

@@ -70,7 +70,7 @@ BOX = (
 #: Name of the parameter file with the causes, in the folder of the gap file.
 REPAIRED = "repaired.yaml"
 
-#: Minimum share of the gap that is stated in a sentence.
+#: Minimum share of the gap that a refit closes, at which the answer states this share.
 MIN_REFIT_SHARE = 0.005
 #: Definition of the squared error of a held-out part.
 SQUARED = (
@@ -320,7 +320,7 @@ def _twins(file: GapFile) -> list[list[EffectRow]]:
     groups: list[list[EffectRow]] = []
     for score in file.scores:
         mine = alone.get(score.effect)
-        # An effect that changes nothing leaves the residuals of the model without effects.
+        # An effect without influence leaves the residuals of the model without effects.
         if mine is not None and mine.deviance < plain:
             same = (g for g in groups if g[0].effect in alone and are_twins(mine, alone[g[0].effect]))
             if group := next(same, None):

@@ -17,7 +17,7 @@ from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
 
 #: Sum of squared changes of the trials by an effect, in units of the noise variance, below which the effect
-#: counts as changing nothing.
+#: counts as having no influence.
 MIN_SQUARED_CHANGE = 1e-6
 #: Maximum change of a sample by an effect, in noise standard deviations. A larger change means that the
 #: simulation diverged.

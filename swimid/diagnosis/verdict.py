@@ -113,7 +113,7 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
         verdicts.append("explained")
     weakest = max(verdicts, key=VERDICT_ORDER.index)
     if weakest == "partial" and not causes:
-        # Without a cause, nothing closes a part of the gap.
+        # A partial verdict needs a cause that closes a part of the gap.
         weakest = "unexplained"
     return Decision(weakest, causes)
 
@@ -211,8 +211,8 @@ def _is_supported(facts: Facts) -> bool:
         return True
     left = compute_remaining_share(facts, as_given=_is_change(facts))
     closes = left is not None and left <= 1.0 - MIN_CLOSED_SHARE
-    # An effect with values of its own in each trial also fits those of a held-out trial. An effect at its
-    # bound stands in for a cause outside.
+    # An effect with a separate value for each trial fits every held-out trial, too. An effect at its bound
+    # compensates for a cause outside the catalogue.
     first, *_ = facts.proposed.values()
     if closes and not first.per_trial and not any(one.at_bound for one in facts.proposed.values()):
         return True

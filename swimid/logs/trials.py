@@ -144,7 +144,7 @@ class TrialSet:
 
     @classmethod
     def read(cls, path: str | Path, own: Sequence[type[Trials]] = ()) -> TrialSet:
-        """Read the trials of a trials file, whose experiment may be one of those of the user in ``own``.
+        """Read the trials of a trials file. ``own`` are the experiments of the user.
 
         Raises
         ------
@@ -228,9 +228,9 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
 def _not_allowed(
     data: Any, path: Path, names: list[str], command: str, commands: Sequence[str]
 ) -> InputError:
-    """Return the error for a trials file without an experiment, or with one that is none of ``names``.
+    """Return the error for a trials file whose experiment is missing, or is not in ``names``.
 
-    ``commands`` are the commands that fit the experiment of the file; ``command`` is none of them.
+    ``commands`` are the commands that fit the experiment of the file. ``command`` is another command.
     """
     hint, what = None, "is missing"
     if "experiment" in data:

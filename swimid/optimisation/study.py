@@ -186,7 +186,7 @@ class Performance:
         return swim_input(self.model, self.options, {**self.drive, **varied})
 
     def run(self, point: Point) -> SwimRun:
-        """Return the simulation of a gait from rest, before it is computed."""
+        """Return the request for the simulation of a gait from rest."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
         return SwimRun.simulate_drive(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 

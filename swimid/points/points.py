@@ -411,7 +411,7 @@ def _columns(
     sd = np.sqrt(np.maximum(variance, 0.0))
     limit = np.full(sd.shape[1], MAX_ANGLE_SD)
     limit[:2] *= linkage.scale * linkage.size
-    # An unknown place of a point shifts the zero of an angle in all frames. It leaves none of them empty.
+    # An unknown position of a point shifts the zero of an angle in all frames, but leaves no frame empty.
     sharp = np.sqrt(np.maximum(found.alone, 0.0)) < limit
     known: Flags = np.array(found.known & fit.used.any(axis=1, keepdims=True) & sharp & ~fit.ambiguous)
     for k in np.flatnonzero(known.any(axis=0)).tolist():

@@ -644,7 +644,7 @@ def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[ArrayEnt
 
 
 def base_joints(compiled: Any) -> list[int]:
-    """Return the joints by which the robot moves in the world: free ones, and several of one first body."""
+    """Return the joints by which the robot moves in the world: free joints, or several of one first body."""
     found = []
     for k in range(compiled.njnt):
         body = compiled.jnt_bodyid[k]
