@@ -446,7 +446,7 @@ def _add_plan(project: Project) -> None:
 
 
 def _patterns(project: Project, group: RecordingGroup) -> list[str]:
-    """Return the patterns of the files of a group, with one pattern for each folder that lies in the group."""
+    """Return the patterns of the files of a group, with one pattern for each folder inside the group."""
     members = {one.path for one in group.recordings}
     patterns: dict[str, None] = {}
     for path in sorted(members):

@@ -244,7 +244,7 @@ def _item_differences(entries: Mapping[str, _Found]) -> list[str]:
 
 
 def _answer(file: RunComparison) -> ev.Verdict:
-    """Return the verdict on a comparison, with the numbers of estimates that changed and of equal estimates."""
+    """Return the verdict on a comparison, with the numbers of changed and of equal estimates."""
     changed, tested = _count_changes(file)
     equal = sum(len(set(quantity.values)) == 1 for quantity in file.quantities)
     sentences = []
