@@ -195,7 +195,7 @@ def _refuse_waveforms(waveforms: Mapping[tuple[str, float], str], path: Path) ->
             f"{other[1]:g}), which give different thrusts",
             file=path,
             column="drive.waveform",
-            hint="write a trials file for each",
+            hint="write one trials file for each waveform",
         )
 
 

@@ -263,7 +263,7 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
         effect, _, own = name.partition("/")
         if own and effect not in source.parameters.effects:
             raise InputError(
-                f"'{effect}' is none of the effects of the file",
+                f"'{effect}' is not an effect of the file",
                 file=path,
                 column=f"parameters.{name}",
                 hint=f"write it to the entry effects: [{effect}]",

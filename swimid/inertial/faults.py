@@ -343,7 +343,9 @@ def find_dropped(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         hint = "the motion in between is unknown: cut the log there, one file for each piece"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
     count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
-    text = f"{count} samples missing in {wide.sum()} places, up to {steps[row]:.3f} s; integrals span them"
+    text = (
+        f"{count} samples missing in {wide.sum()} gaps of up to {steps[row]:.3f} s, which the motion bridges"
+    )
     return record, Finding("dropped samples", "handled", text, count)
 
 

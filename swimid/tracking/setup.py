@@ -129,7 +129,7 @@ class Setup(Document):
             if chosen is not None and chosen not in names:
                 raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
         if self.tail is not None and self.head in (None, self.tail):
-            raise ValueError(f"tail '{self.tail}' needs another marker as head")
+            raise ValueError(f"tail '{self.tail}' is given without another marker as head")
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
             raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:

@@ -648,7 +648,7 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
     innovations = [one.innovation for one in (pose.path, pose.angle) if one is not None]
     far = np.nanmax(np.abs(np.concatenate(innovations)), axis=0, initial=0.0) > JUMP_SIGMA
     count, limit = int(far.sum()), f"0 beyond {JUMP_SIGMA:g} sigma"
-    reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: is it the marker?"
+    reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: check the overlay there"
     yield _grade("", "Jumps", f"{count} frames", limit, count / measured, (0.0, 0.02), reason)
 
 
