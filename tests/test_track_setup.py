@@ -45,7 +45,7 @@ def test_a_rule_that_is_covered_at_times_is_not_proposed(tmp_path, covered_rule)
     """It is found in all frames, and the passing fish shifts its centre, but it does not move."""
     result = run("setup", covered_rule, "-o", tmp_path / "setup.yaml", status=4)
     assert "yellow (hue" in result.output
-    assert "does not move" in result.output
+    assert "moves in only" in result.output
     assert not (tmp_path / "setup.yaml").exists()
 
 

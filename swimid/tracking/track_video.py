@@ -487,7 +487,7 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
         place = f"frame {first}, at {track.x[head, first]:.0f}, {track.y[head, first]:.0f} px"
         reasons.append(f"the markers are first detected at {t[first]:.2f} s ({place}; {before})")
     if t[-1] - t[last] > setup.max_gap_s:
-        after = "then cut by the edge of the picture" if leaves else "not detected afterwards"
+        after = "then they left the picture" if leaves else "not detected afterwards"
         place = f"frame {last}, at {track.x[head, last]:.0f}, {track.y[head, last]:.0f} px"
         reasons.append(f"the markers are last detected at {t[last]:.2f} of {t[-1]:.2f} s ({place}; {after})")
     value, limit = f"{t[first]:.2f} s and {t[last]:.2f} s", f"within {setup.max_gap_s:g} s of the ends"
