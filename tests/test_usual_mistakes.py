@@ -63,8 +63,8 @@ def test_good_trials_name_no_mistake(tmp_path: Path, swimid: Callable[..., Ran])
     assert "With " not in ran.out
 
 
-def test_a_model_that_fails_in_all_trials_names_no_mistake(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
-    """The servos of these trials have backlash, and a beat of nearly nothing would describe one trial better."""
+def test_a_model_that_fails_everywhere_names_no_mistake(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
+    """The servos of these trials have backlash; no beat at all would describe one trial better."""
     gap = SAMPLES / "gap"
     ran = swimid("compare", gap / "trials.yaml", "--params", gap / "params.yaml", "-o", tmp_path / "c.yaml")
     assert "BAD:" in ran.out
