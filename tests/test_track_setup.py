@@ -273,5 +273,5 @@ def test_a_buoy_among_equal_markers_is_reported(tmp_path):
         "scale: {metres_per_pixel: 0.002}\n"
     )
     result = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "red3: within one radius of one place" in result.output
+    assert "red3 stayed within one radius of one position" in result.output
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "caution"
