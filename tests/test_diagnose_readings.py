@@ -170,8 +170,8 @@ def test_a_reading_that_changes_no_measured_channel_is_no_hypothesis(tmp_path: P
     found, left_out = readings.list_readings(experiment(path), [swim()])
     assert {r.name for r in found} == set(STAGES)
     assert left_out == {
-        "reading:gravity=moon": "this reading changes no channel that was measured in these trials",
-        "reading:play=none": "this reading has other coefficients or channels than the chosen reading",
+        "reading:gravity=moon": "the reading changes no channel that was measured in these trials",
+        "reading:play=none": "the reading has other coefficients or channels than the model",
     }
 
 

@@ -587,9 +587,7 @@ def _explain_unfinished(search: NoiseSearch, result: FitResult) -> str | None:
     if search.converged and not still:
         return None
     if search.message == KINKED:
-        said = (
-            f"after {search.iterations} iterations no step lowers the cost as its gradient predicts (kinks)"
-        )
+        said = f"after {search.iterations} iterations no step lowers the cost as its slope predicts (kinks)"
     elif lowered <= MIN_DECREASE * result.samples:
         said = f"after {search.iterations} iterations steps hardly lower the cost (a flat valley)"
     else:

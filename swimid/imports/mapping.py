@@ -258,9 +258,7 @@ class Mapping(TableSource):
         if not self.columns:
             raise ValueError("'columns' is missing: it assigns columns of the file to those of the log")
         if (self.time is None) == (TIME not in targets):
-            raise ValueError(
-                f"the time is missing or given twice: give 'time:' or a column with the target {TIME}"
-            )
+            raise ValueError(f"the time is missing or given twice: give 'time:' or the target {TIME}")
         if targets == [TIME]:
             raise ValueError("the mapping has a time only: add a column of a measured quantity")
         return self

@@ -102,9 +102,7 @@ def find_stamps(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         raise InputError(text, file=record.name, column="t_s", hint=hint)
     if not order.summary:
         return record, None
-    text = (
-        f"{gone} samples with a missing or repeated time left out, {late} late samples sorted by their time"
-    )
+    text = f"{gone} samples with a missing or repeated time left out, {late} late samples sorted by time"
     return record.take(order.index), Finding("repeated stamps", "handled", text, gone + late)
 
 
@@ -343,9 +341,7 @@ def find_dropped(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         hint = "the motion in between is unknown: cut the log there, one file for each piece"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
     count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
-    text = (
-        f"{count} samples missing in {wide.sum()} gaps of up to {steps[row]:.3f} s, which the motion bridges"
-    )
+    text = f"{count} samples missing in {wide.sum()} gaps of up to {steps[row]:.3f} s, which are bridged"
     return record, Finding("dropped samples", "handled", text, count)
 
 

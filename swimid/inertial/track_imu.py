@@ -302,9 +302,7 @@ def _drop_impossible(run: ImuRun) -> ImuRun:
     band = BAND * np.sqrt(squares) / np.maximum(speed, 1e-9)
     fast, impossible = (speed - band > top_m_s) | (speed > GATE * 0.5 * top_m_s), run.impossible
     if fast.any():
-        text = (
-            f"the estimated speed of {100 * fast.mean():.0f} % of the samples, up to {speed.max():.1f} m/s,"
-        )
+        text = f"the speed of {100 * fast.mean():.0f} % of the samples, up to {speed.max():.1f} m/s,"
         impossible = [f"{text} exceeds the maximum speed of the robot, {top_m_s:g} m/s"]
         hidden = np.where(fast[:, None], np.nan, 0.0)
         moved = moved | {name: moved[name] + hidden for name in smoother.EMPTIED}

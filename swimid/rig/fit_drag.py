@@ -719,9 +719,7 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
         swings = {n: float(np.nanmax(np.abs(a - np.nanmedian(a)))) for n, a in angles.items()}
         name = max(swings, key=lambda trial: swings[trial])
         size, limit = f"{numbers.format_number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
-        text = (
-            "a body that swings farther in roll or pitch turns over: check whether the column is in degrees"
-        )
+        text = "a body that swings farther in roll or pitch turns over: is the column in degrees?"
         reason = f"the body swings by {size}, which is physically impossible"
         check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
         checks.append(fit_common.warn_check(*check, failed=True))
@@ -752,14 +750,9 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
     areas = [2.0 * t.rig.area_factor / density for t in result.trials]
     inputs = "masses, forces"
     if "added_inertia" in known and box:
-        yield "added_inertia", max_added_inertia(*box, density), "a body of these dimensions", inputs
+        yield "added_inertia", max_added_inertia(*box, density), "a body of this size", inputs
     if "added_mass" in known and box:
-        yield (
-            "added_mass",
-            max_added_mass_in_box(*box, density, along=along),
-            "a body of these dimensions",
-            inputs,
-        )
+        yield "added_mass", max_added_mass_in_box(*box, density, along=along), "a body of this size", inputs
     elif "added_mass" in known:
         displaced, area = max(_max_displaced(experiment, t) for t in result.trials), max(areas) * along
         if displaced > 0:
