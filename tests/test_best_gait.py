@@ -278,7 +278,7 @@ def test_the_command_writes_a_gait_file(swimid: Callable[..., Ran], tmp_path: Pa
         ({"goal": "power"}, "reach_speed"),
         ({"limits": {"torque": 1.0}}, "there is no 'torque'"),
         ({"limits": {"torque_N_m": -1.0}}, "above zero"),
-        ({"frequency_hz": None}, "needs frequency_hz"),
+        ({"frequency_hz": None}, "the beat has no frequency_hz"),
         ({"robot": "boxfish"}, "multilink"),
     ],
 )

@@ -546,13 +546,18 @@ def score_checks(
         Whether the trials were held out of the fit. The names of the checks then say so.
     """
     where = held_out * "held-out "
-    found = []
+    found, large = [], {}
     for name, score in scores.items():
         check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
             text = "the residuals are noise alone"
             check = ev.make_check(check.name, check.value, None, text=text)
+        elif check.verdict != "pass":
+            large[name] = check
         found.append(check)
+    errors = numbers.join_names([f"{check.value} in {name}" for name, check in large.items()])
+    for check in large.values():
+        check.reason = f"the {where}error over the measured range is {errors}, above {100 * GOOD:g} %"
     for name in (name for name in fitted if name in scores):
         vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
         least = 0.0 if name in set(noise) else MIN_VAF
@@ -629,11 +634,11 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     said = sentences(result)
     for sentence in said:
         warn("SWM010", sentence)
-    for label, status in result.status.items():
-        if status == "at-bound":
-            bounds = numbers.bounds_text(result.parameter(label).bounds)
-            text = "the best fit lies outside: widen the bound, or search a missing effect (swimid diagnose)"
-            warn("SWM012", f"{label} lies at its bound ({bounds}); {text}")
+    ends = {label: numbers.bounds_text(result.parameter(label).bounds) for label in result.labels}
+    stuck = [f"{name} ({ends[name]})" for name, status in result.status.items() if status == "at-bound"]
+    if stuck:
+        text = "the best fit lies outside: widen the bounds, or search a missing effect (swimid diagnose)"
+        warn("SWM012", f"estimates at a bound: {', '.join(stuck)}; {text}")
     if correlation is None:
         return said
     for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):
@@ -926,7 +931,7 @@ def _consistency(result: FitResult, differ: Differences) -> ev.Check:
     reason = f"the trials differ: {sizes or 'it is not clear in which parameter'}"
     if differ.are_likely:
         value = f"{sizes or 'differences'} (probability {share})"
-        text = "standard deviations between the trials, which the standard errors include"
+        text = "these are standard deviations between the trials, which the standard errors include"
     limit = f"≤ {numbers.percent(DIFFERENT)}"
     return warn_check("SWM014", "trials agree", value, not differ.are_likely, limit, text, reason)
 
@@ -980,7 +985,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
         f"{count} of {len(values)} samples",
         False,
         f"within {OUTLIER:g} robust standard deviations",
-        f"{named}; they are fitted like all others: blank the cells if the sensor failed there",
+        f"{named}; outliers are fitted like all other samples: blank the cells if the sensor failed there",
         f"{count} of {len(values)} samples of {channel} are outliers",
     )
 

@@ -427,7 +427,7 @@ def _checks(file: ComparisonFile, fitted: Iterable[str], still: Iterable[str]) -
 
 def _speed_check(name: str, share: float, text: str) -> ev.Check:
     limits = (fit_common.GOOD_SPEED, fit_common.USABLE_SPEED)
-    return fit_common.share_check(name, share, *limits, "measured", text)
+    return fit_common.share_check(name, share, *limits, "measured speeds", text)
 
 
 def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
