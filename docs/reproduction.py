@@ -605,8 +605,8 @@ NOT_REPRODUCED = """## What cannot be reproduced, and why
 """
 
 
-INTRODUCTION = """`make reproduction` writes this page and its tables. The models are the robot files `tfish` and
-`dolphin` with the published coefficients."""
+INTRODUCTION = """`make reproduction` writes this page and its tables. The models are the robot files `tfish`
+and `dolphin` with the published coefficients."""
 
 
 def page() -> str:
