@@ -490,7 +490,9 @@ def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
             return kind
         low, high = (limits.get(near, limits.get(open_)) for near, open_ in (("ge", "gt"), ("le", "lt")))
         number_range: Any = click.IntRange if kind is int else click.FloatRange
-        return number_range(low, high, min_open="gt" in limits, max_open="lt" in limits)
+        made = number_range(low, high, min_open="gt" in limits, max_open="lt" in limits)
+        made.name = {int: "integer", float: "number"}[kind]
+        return made
     return str
 
 

@@ -426,7 +426,8 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     except FileNotFoundError as error:
         raise InputError("there is no such file", file=path) from error
     except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"is no table: {error}", file=path) from error
+        hint = "give the .front.csv of an earlier fit"
+        raise InputError(f"is no table: {error}", file=path, hint=hint) from error
     expected = [*profiles.labels, *profiles.columns]
     others = {str(column) for column in table.columns} ^ {"index", "profile", *expected}
     if others or table.empty:
