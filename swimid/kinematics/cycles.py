@@ -9,16 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.sampling import slope
-
-if TYPE_CHECKING:
-    pass
 from swimid.kinematics.attitude import from_angles
+from swimid.logs.sampling import slope
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.kinematics.options import PlotOptions
-from swimid.kinematics.stroke import MAX_RATE_HZ, PUSHED, SIDEWAYS, Rhythm, find_stroke, swing
+from swimid.kinematics.stroke import MAX_RATE_HZ, PUSHED, SIDEWAYS, StrokeEstimate, find_stroke, swing
 from swimid.logs import log
 from swimid.logs.log import Log, LogLike, runs
 from swimid.logs.sampling import longest_even, pauses
@@ -139,14 +139,14 @@ MAX_PANELS = 12
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
 
 
-def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]:
+def figures_of(logs: Sequence[Log], *, found: StrokeEstimate | None = None) -> list[Figure]:
     """Return the figures of one or several logs: channels, path and spectra.
 
     Parameters
     ----------
     logs : sequence of Log
         Logs to draw. Several logs are drawn over each other, each with its own time axis origin.
-    found : Rhythm, optional
+    found : StrokeEstimate, optional
         Stroke of a single log, if it is already known.
     """
     drawn = [channels(logs), track(logs)]
@@ -267,7 +267,7 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
     return Trace(x=sides[0], y=sides[1], label=label, style="arrows")
 
 
-def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
+def _spectra(record: Log, stroke: StrokeEstimate) -> Figure:
     """Return the figure of the spectra of channels that may oscillate with the stroke.
 
     The harmonics of the stroke are marked, if a stroke was found.
@@ -276,7 +276,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
     signals = {n: v for n, v in record.signals.items() if any(names.fullmatch(n) for names in told)}
     caption = "No stroke was found."
     beats: list[tuple[str, float]] = []
-    if stroke is not None:
+    if stroke.beat is not None:
         signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
         track = swing(record.columns)
         if stroke.channel in track:
@@ -299,7 +299,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
     return ev.panels(f"spectra-{path.stem}", f"Spectra of {path.name}", caption, panels)
 
 
-def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
+def _spectrum(time: Array, values: Array, stroke: StrokeEstimate) -> tuple[Array, Array] | None:
     """Return the spectrum of a channel: frequencies, Hz, and amplitudes; None if too short or constant."""
     even_s, even = longest_even(time, values, MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
@@ -312,7 +312,7 @@ def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array,
     frequency = np.fft.rfftfreq(length, 1 / rate)
     amplitude = 2 * np.abs(np.fft.rfft(window * level, length)) / window.sum()
     highest = frequency[-1]
-    if stroke is not None:
+    if stroke.beat is not None:
         highest = min(6.5 * stroke.beat.frequency_hz, highest)
     shown = (frequency > 0) & (frequency <= highest)
     if not np.any(amplitude[shown] > 0):
