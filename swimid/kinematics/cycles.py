@@ -18,7 +18,6 @@ from swimid.kinematics.attitude import from_angles
 from swimid.logs.sampling import slope
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class Kind(NamedTuple):

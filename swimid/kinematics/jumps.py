@@ -70,8 +70,8 @@ class Cleaning:
     @property
     def counts(self) -> dict[str, int]:
         """Number of repeated samples, number of jumps, and number of samples in jumps of a track, by name."""
-        repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
-        return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
+        lost = int(self.jumped.sum())
+        return {"repeats": int(self.repeated.sum()), "jumps": self.jumps, "samples_jumped": lost}
 
 
 def clean_track(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:

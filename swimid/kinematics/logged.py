@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.logs import log
 from swimid.logs.log import Log
@@ -20,9 +19,6 @@ from swimid.results.result import Result
 if TYPE_CHECKING:
     import pandas as pd
     import xarray
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ class Drawn(Result):
         UsageError
             The path has an ending other than ``.svg`` or ``.png``.
         """
-        path = _picture(Path(path))
+        path = _picture(path)
         assert self.evidence is not None
         from swimid.results import drawing
 
@@ -102,7 +102,7 @@ def plot(
         raise UsageError("name at least one log to draw")
     if output is not None:
         paths = [one for one in logs if isinstance(one, str | Path)]
-        output = atomic.check_writable(_picture(Path(output)), inputs=paths)
+        output = atomic.check_writable(_picture(output), inputs=paths)
     records: list[log.Log] = []
     with record_warnings(repeat=True) as notices:
         for number, given in enumerate(logs, start=1):
@@ -124,10 +124,10 @@ def plot(
     return Drawn("plot", told, data, evidence=proof, document=records).write_output(output)
 
 
-def _picture(path: Path) -> Path:
-    if path.suffix.lower() not in PICTURES:
+def _picture(path: str | Path) -> Path:
+    if Path(path).suffix.lower() not in PICTURES:
         raise UsageError(f"{path}: a picture ends in {' or '.join(PICTURES)}")
-    return path
+    return Path(path)
 
 
 # ---------------------------------------------------------------- figures
@@ -149,9 +149,8 @@ def figures_of(logs: Sequence[Log], *, found: StrokeEstimate | None = None) -> l
     found : StrokeEstimate, optional
         Stroke of a single log, if it is already known.
     """
-    drawn = [channels(logs), track(logs)]
-    for record in logs:
-        drawn.append(_spectra(record, found or find_stroke(record.time_s, record.signals)))
+    spectra = [_spectra(record, found or find_stroke(record.time_s, record.signals)) for record in logs]
+    drawn = [channels(logs), track(logs), *spectra]
     return [figure for figure in drawn if figure is not None and figure.panels]
 
 
@@ -238,11 +237,10 @@ def track(logs: Sequence[Log]) -> Figure | None:
             path, arrows = name, f"heading, {name}"
         x, y = record["x_m"], record[up]
         step, after = len(x) // MAX_TRACE_POINTS + 1, pauses(record.time_s)
-        line = (_insert_pauses(record.time_s, values, after)[1][::step] for values in (x, y))
-        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
-        there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+        line = [_insert_pauses(record.time_s, values, after)[1][::step] for values in (x, y)]
+        traces.append(Trace(x=line[0], y=line[1], label=path))
         heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]
-        if heading in record and len(there) > 1:
+        if heading in record and np.isfinite(x + y).sum() > 1:
             traces.append(_arrows(x, y, record[heading], arrows))
     if not traces:
         return None

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from swimid.logs.log import FREQUENCY_RTOL, unwrap_angle
 from swimid.logs.sampling import longest_even, quantum
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 #: Pattern of the channels that oscillate once per stroke, because their signs in the two half strokes are
@@ -173,29 +171,20 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
     return found
 
 
-#: Number of products above which a convolution is computed by FFT. Below it the import of SciPy takes longer.
-LONG_PRODUCT = 100_000_000
-
-
 def _average_path(place: Array, width: int) -> tuple[Array, Array]:
     """Return values and slopes of straight lines fitted to ``width`` samples around each sample of a path.
 
     The slopes are per sample. Within half a window of either end of the path, the line of the first or last
     complete window is used.
     """
-    convolve: Callable[..., Array] = np.convolve
-    if width * len(place) > LONG_PRODUCT:
-        # The window is a share of the log, so that its products grow with the square of the length.
-        convolve = import_module("scipy.signal").convolve
-
-    half = width // 2
+    half, rows = width // 2, np.arange(len(place))
+    middle = np.clip(rows, half, len(place) - 1 - half)
     offsets = np.arange(-half, half + 1)
-    middles = np.column_stack([convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
-    slopes = np.column_stack([convolve(x, -offsets / (offsets @ offsets), "valid") for x in place.T])
-    samples = np.arange(len(place))
-    line = np.clip(samples - half, 0, len(middles) - 1)
-    beyond = samples - half - line
-    return middles[line] + slopes[line] * beyond[:, None], slopes[line]
+    centred = place - place.mean(axis=0)
+    sums = np.pad(np.cumsum([centred, rows[:, None] * centred], axis=1), ((0, 0), (1, 0), (0, 0)))
+    total, moment = sums[:, middle + half + 1] - sums[:, middle - half]
+    slopes = (moment - middle[:, None] * total) / (offsets @ offsets)
+    return place.mean(axis=0) + total / width + slopes * (rows - middle)[:, None], slopes
 
 
 def coordinate_columns(columns: Mapping[str, Array]) -> list[str]:
@@ -278,10 +267,12 @@ def _find_motions(
     seen = _remove_laps(time_s, columns, within, seen)
     found = {}
     for name, beats in seen.items():
-        if name.endswith("_rad") and (turns := _turns(channels[name])) >= 1.0:
-            near_hz = 1.0 / float(np.ptp(time_s))
-            turning = Beat(turns * near_hz, 0.0, 0.0, 0.0, turns)
-            beats = _remove_multiples(beats, turning, MAX_COMPASS_HARMONIC, near_hz)
+        if name.endswith("_rad"):
+            known = channels[name][np.isfinite(channels[name])]
+            turns, near_hz = abs(float(known[-1] - known[0])) / (2 * np.pi), 1.0 / float(np.ptp(time_s))
+            if turns >= 1.0:
+                turning = Beat(turns * near_hz, 0.0, 0.0, 0.0, turns)
+                beats = _remove_multiples(beats, turning, MAX_COMPASS_HARMONIC, near_hz)
         # Leave out beats that are not larger than the rounding error, because they cannot be distinguished
         # from it. A rounding error is at most half of the rounding step, and it is periodic in a steady
         # motion.
@@ -334,12 +325,6 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
     design = np.column_stack((np.vander(t - t.mean(), 3), waves(t, frequency_hz)))
     weights = np.linalg.lstsq(design, x, rcond=None)[0]
     return np.array([weights[3] - 1j * weights[4]])
-
-
-def _turns(angle: Array) -> float:
-    """Return the number of full rotations of an unwrapped angle from its first to its last sample."""
-    known = angle[np.isfinite(angle)]
-    return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
 def _find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
@@ -461,7 +446,4 @@ def _prepare_samples(time_s: Array, values: Array) -> tuple[Array, Array]:
         and np.median(np.diff(time_s[there])) * MAX_RATE_HZ >= 1.0
     ):
         time, even = time_s[there], values[there]
-    known = np.isfinite(even)
-    if known.sum() < 16 or np.ptp(even[known]) == 0:
-        return np.empty(0), np.empty(0)
     return time, even
