@@ -30,10 +30,6 @@ class Logged(Result):
     table : dict of str to array_like, each shape (n,)
         Columns as they are written to the file, with text and integers. Empty if the columns of ``log`` are
         written.
-    log : Log
-        The log, which any function that reads logs accepts.
-    frame : DataFrame
-        Columns of the log, one row per sample, in SI units and radians.
 
     Examples
     --------

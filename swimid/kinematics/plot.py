@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -181,16 +182,15 @@ def channels(logs: Sequence[Log]) -> Figure:
     """Return the figure of log channels over time, with shaded gaps. Several logs share the panels."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
-    by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
-    for number, record in enumerate(logs):
-        for column, values in record.signals.items():
-            by_channel.setdefault(column, []).append((number, record, values))
     # Draw the channels that the largest number of logs have in common first.
-    order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
+    order = [name for name, _ in Counter(n for record in logs for n in record.signals).most_common()]
     panels = []
     for channel in order[:MAX_PANELS]:
         traces, gaps = [], []
-        for number, record, values in by_channel[channel]:
+        for number, record in enumerate(logs):
+            if channel not in record.signals:
+                continue
+            values = record.signals[channel]
             x, y = thin_curve(*_insert_pauses(record.time_s, values, after[number]))
             label, group, lacking = ("", None, "missing")
             if several:

@@ -185,16 +185,15 @@ def measure_swimming(
     blocks = _blocks(track, begin, end, stroke.frequency_hz)
     inside = (track.time_s >= begin) & (track.time_s <= end)
     place = np.where(track.measured, track.raw, np.nan)[:, inside].T
-    speeds = measure_speed(track.time_s[inside], place, stroke.slow_hz)
+    mean = measure_speed(track.time_s[inside], place, stroke.slow_hz)
     path = line = advance = change = acceleration = across = None
     amplitudes = {}
-    if speeds is not None:
-        path, line = speeds.path, speeds.line
+    if mean is not None:
+        path, line = mean.path, mean.line
     # Do not compute speeds if a periodic motion is slower than the blocks, because the block speeds oscillate
     # with it. Laps of the path are no such motion.
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
-        durations = np.full(len(blocks.speed), blocks.duration_s)
-        advance = mean_of_blocks(blocks.speed, durations).cut_at_zero()
+        advance = mean_of_blocks(blocks.speed, np.ones(len(blocks.speed))).cut_at_zero()
         change = _change(blocks.middle, blocks.speed)
         acceleration = _slope(blocks.middle, blocks.speed)
         across = (_slope(blocks.middle, blocks.velocity[0]), _slope(blocks.middle, blocks.velocity[1]))
@@ -202,18 +201,8 @@ def measure_swimming(
         amplitudes = _amplitudes(track, begin, end, stroke.beat.frequency_hz)
     elif not blocks.turn_round:
         advance = line
-    return Swimming(
-        begin_s=begin,
-        end_s=end,
-        window=window,
-        path_speed=path,
-        advance=advance,
-        change=change,
-        acceleration=acceleration,
-        acceleration_xy=across,
-        stroke=stroke,
-        amplitudes=amplitudes,
-    )
+    speeds = path, advance, change, acceleration, across
+    return Swimming(begin, end, window, *speeds, stroke, amplitudes)
 
 
 def _choose_window(

@@ -9,11 +9,9 @@ from collections import Counter
 from collections.abc import Iterable
 from itertools import chain, count
 
-
 from swimid.errors import (
     suggestion,
 )
-
 
 _G = 9.80665  # standard gravity, m/s², ISO 80000-3
 _DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60

@@ -600,7 +600,7 @@ class MultilinkModel(Swimmer):
         return tuple(name.removesuffix("_m") for name in self.pose[:2])
 
     def shift(self, tables: dict[str, Any], by: Array) -> None:
-        """Move the centre of mass of the heaviest link, and its weight, by a vector in the axes of the link."""
+        """Move the centre of mass of the heaviest link, and its weight, by a vector (m) in its axes."""
         body = self.body
         link, mass, centre = body.hull, body.masses_kg[body.hull], body.centre(body.hull)
         body.weigh(tables, link, centre, -mass, -mass)
