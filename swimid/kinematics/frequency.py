@@ -102,11 +102,6 @@ class Beat:
         half = float(special.stdtrit(max(self.cycles - WINDOW_CYCLES - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
 
-    @property
-    def speed(self) -> float:
-        """Product of amplitude and frequency, in the unit of the channel per s."""
-        return self.amplitude * self.frequency_hz
-
     def may_cause(self, frequency_hz: float) -> bool:
         """Return whether a beat at ``frequency_hz`` may be a harmonic of this beat."""
         return frequency_hz < (MAX_HARMONIC + 0.5) * self.frequency_hz
@@ -225,7 +220,9 @@ def find_beats(
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if lowest_hz is None and (slow := find_slow_motion(t, x)) is not None:
-        sure = [beat for beat in sure if not slow.may_cause(beat.frequency_hz) or beat.speed > slow.speed]
+        # Keep a beat that may be a harmonic only if it moves faster than the slow motion.
+        rate = slow.amplitude * slow.frequency_hz
+        sure = [b for b in sure if not slow.may_cause(b.frequency_hz) or b.amplitude * b.frequency_hz > rate]
     return _remove_harmonics(tested, sure, 1.0 / (t[-1] - t[0]))
 
 
