@@ -193,7 +193,8 @@ def measure_swimming(
     # Do not compute speeds if a periodic motion is slower than the blocks, because the block speeds oscillate
     # with it. Laps of the path are no such motion.
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
-        advance = mean_of_blocks(blocks.speed, np.ones(len(blocks.speed))).cut_at_zero()
+        durations = np.full(len(blocks.speed), blocks.duration_s)
+        advance = mean_of_blocks(blocks.speed, durations).cut_at_zero()
         change = _change(blocks.middle, blocks.speed)
         acceleration = _slope(blocks.middle, blocks.speed)
         across = (_slope(blocks.middle, blocks.velocity[0]), _slope(blocks.middle, blocks.velocity[1]))
