@@ -33,6 +33,8 @@ _OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
 
 #: Maximum number of files of a folder that a hint lists.
 MAX_FILES = 5
+#: Maximum number of allowed words that a hint lists besides the most similar one.
+MAX_ALLOWED = 15
 
 
 @contextmanager
@@ -117,8 +119,8 @@ class UsageError(SwimidError, ValueError):
     >>> try:
     ...     swimid.fit_drag("sample_logs/rig/trials.yaml", methods="ml")
     ... except UsageError as error:
-    ...     print(error.hint)
-    did you mean 'method'?
+    ...     print(error.message)
+    fit_drag has no option 'methods'
     """
 
     exit_status = 2
@@ -222,17 +224,18 @@ class Named(dict[str, Value]):
 
 
 def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
-    """Return a hint for a word that is not allowed: the most similar allowed word, or all allowed words.
+    """Return a hint for a word that is not allowed: the most similar allowed word, and all allowed words.
 
-    ``lead`` is the text in front of the list of all allowed words.
+    ``lead`` is the text in front of the list of all allowed words. The list is left out if it is longer than
+    :data:`MAX_ALLOWED` and there is a similar word.
 
     >>> suggestion("gap", ["robot", "trials"])
     'there are: robot, trials'
     """
-    close = nearest(word, allowed)
-    if close:
-        return f"did you mean '{close}'?"
-    return f"{lead}: {', '.join(allowed) or 'none'}"
+    close, listed = nearest(word, allowed), f"{lead}: {', '.join(allowed) or 'none'}"
+    if close is None:
+        return listed
+    return f"did you mean '{close}'?" + f" {listed}" * (len(allowed) <= MAX_ALLOWED)
 
 
 @contextmanager

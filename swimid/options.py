@@ -240,7 +240,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
             mine = {name: given.pop(name) for name in list(given) if name in keywords}
             if isinstance(mine.get("output"), str):
                 mine["output"] = Path(mine["output"])
-            known = [*options.model_fields, *keywords]
+            known = [*options.model_fields, *sorted(keywords)]
             if "progress" in keywords:
                 mine.setdefault("progress", automatic)
             with name_arguments(arguments), explain_types(function, args), reading.record(mine.get("output")):

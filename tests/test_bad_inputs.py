@@ -164,13 +164,13 @@ TRIALS_FAULTS: dict[str, tuple[str, list[str]]] = {
     ),
     "stretch outside the log": (
         HEAD + "  - {log: w10.csv, pulling_mass_kg: 0.01, start_s: 900}\n",
-        ["w10.csv: no samples between start_s 900", "the log runs from"],
+        ["w10.csv: has fewer than 2 samples between start_s 900", "the log runs from"],
     ),
     "area of some trials only": (
         HEAD.replace("boxfish", "light.yaml")
         + "  - {log: w10.csv, pulling_mass_kg: 0.01, inertial_mass_kg: 1.2, frontal_area_m2: 0.007}\n"
         + "  - {log: w15.csv, pulling_mass_kg: 0.01, inertial_mass_kg: 1.2}\n",
-        ["'frontal_area_m2'", "'w15.csv' has none"],
+        ["'frontal_area_m2'", "the trial 'w15.csv' has no frontal area"],
     ),
     "force against the motion": (
         HEAD + "  - {log: w10.csv, driving_force_N: -0.1}\n",

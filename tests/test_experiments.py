@@ -115,7 +115,7 @@ class TestMessages:
             path.write_text(text.replace("coasting-body", name), encoding="utf-8")
             ran = swimid("compare", path, "--params", ROOT / "sample_logs" / "gap" / "params.yaml")
             assert ran.status == 3
-            assert f"line 2, 'experiment': '{name}' is not allowed; here: arma, cruise, " in ran.err
+            assert f"line 2, 'experiment': '{name}' is not allowed; allowed here: arma, cruise, " in ran.err
             assert hint in ran.err
 
     def test_an_experiment_of_another_command(self, swimid, samples):

@@ -91,7 +91,7 @@ def test_errors_of_fits_that_cannot_be_made(
 ) -> None:
     with pytest.raises(UsageError, match="there is no trial to fit"):
         fit_model(model, [])
-    with pytest.raises(UsageError, match="there is no parameter 'rat'"):
+    with pytest.raises(UsageError, match="the model has no parameter 'rat'"):
         fit_model(model, swings, fixed={"rat": 1.0})
     blind = Toy(lambda values, t: {"y": 0.0 * values.sum() + 0.0 * t}, DECAY)
     noise = [Trial("noise", "fit", swings[0].time_s, {"y": rng.normal(0.0, 1.0, len(swings[0].time_s))})]

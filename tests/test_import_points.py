@@ -412,7 +412,7 @@ BAD = [
         "points: {snout: {link: tale1, at_m: [0, 0]}, tip: {link: fin, at_m: [0, 0]}}",
         ("--robot", "tfish"),
         3,
-        "there is no link 'tale1'",
+        "the robot has no link 'tale1'",
     ),
     ("points: {snout: {link: head, at_m: [0]}}", ("--robot", "tfish"), 3, "at_m"),
     ("points: {snout: {link: head, at_mm: [0, 0]}}", ("--robot", "tfish"), 3, "unknown key 'at_mm'"),
@@ -422,7 +422,7 @@ BAD = [
     ("chain: [snout, back]", ("--robot", "tfish"), 3, "a chain describes a body without a robot"),
     ("chain: [snout, back]\npoints: {tip: {link: fin, at_m: [0, 0]}}", (), 3, "not both"),
     ("chain: [snout, back]\nscale: {between: [snout, back]}", (), 3, "between needs distance_m"),
-    ("chain: [snout, back]\nscale: {distance_m: 0.1}", (), 3, "incomplete scales"),
+    ("chain: [snout, back]\nscale: {distance_m: 0.1}", (), 3, "the scale is incomplete"),
     ("chain: [snout, back]\nfacing: left", (), 3, "vertical plane"),
     ("chain: [snout, back]", ("--calibrate-points",), 2, "--robot"),
     ("{}", ("--robot", "tfish"), 3, "places no points"),
@@ -457,7 +457,7 @@ def test_errors_name_the_line(swimid: Run, tmp_path: Path) -> None:
     words = ("--robot", "tfish", "--points", places, "--rate-hz", "60", "-o", tmp_path / "run.csv")
     ran = swimid("import", path, *words)
     assert ran.status == 3
-    assert "points.yaml, line 7, 'points.hip.link': there is no link 'tail9'" in ran.err
+    assert "points.yaml, line 7, 'points.hip.link': the robot has no link 'tail9'" in ran.err
 
 
 @pytest.mark.slow

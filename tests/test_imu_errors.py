@@ -167,7 +167,7 @@ def estimated(
     [
         # six standard deviations, sqrt(2 * 0.01^2 + 2 * 2e-4) each, are 0.147 rad or 8.4 degrees
         ({"tilt_rad": 0.140, "yaw_rad": 2.0}, []),
-        ({"tilt_rad": -0.154}, ["its tilt departs from that of the filter by 9 deg rms, where 8 deg is 6"]),
+        ({"tilt_rad": -0.154}, ["its tilt differs from that of the filter by 9 deg rms, more than 6"]),
         ({"tilt_rad": 0.0, "stray": 0.4}, []),
         ({"tilt_rad": 0.0, "stray": 0.6}, ["60 % of the fixes lie beyond 6 deviations"]),
         ({"tilt_rad": 0.0, "mean": math.nan}, ["the smoothing has no finite result"]),

@@ -122,7 +122,7 @@ WRONG = {
         "'stiff'",
     ),
     "word for a mass": (
-        "mass_kg: 0.8", "mass_kg: heavy", "trunk.mass_kg", "no coefficient 'heavy'", "there are",
+        "mass_kg: 0.8", "mass_kg: heavy", "trunk.mass_kg", "no coefficient 'heavy'", "it has",
     ),
     "sum of quantities": ("1.2 * c_m", "1.2 + c_m", "sway_kg", "neither a number nor a product", ""),
     "power of quantities": ("1.2 * c_m", "1.2 ** c_m", "sway_kg", "neither a number nor a product", ""),
@@ -164,7 +164,7 @@ WRONG = {
     ),
     "missing key": (", com_m: 0.04", "", "com_m", "missing", ""),
     "unknown plane": ("plane: vertical", "plane: upright", "plane", "'upright'", ""),
-    "reading not there": ("chosen: some", "chosen: sum", "readings.lift", "none of its options", ""),
+    "reading not there": ("chosen: some", "chosen: sum", "readings.lift", "the options are", ""),
     "reading of a key not there": (
         "chosen: some", "chosen: none", "readings.lift.options.none", "there is no 'plate'", "",
     ),

@@ -101,7 +101,7 @@ def test_a_friction_that_differs_between_trials_is_named(swimid: Run, tmp_path: 
         t = generator.click_times(float(w), friction_mN=30.8 * (1 + 0.05 * rng.normal()))
         logs[w] = (np.sort(t + np.r_[0, rng.normal(0, 2e-3, len(t) - 1)]), STEP * np.arange(len(t)))
     ran = swimid("fit-drag", _write(tmp_path, logs))
-    assert "SWM014: the trials differ: pulley_friction by" in ran.err
+    assert "SWM014: parameters differ between the trials: pulley_friction by" in ran.err
     assert "GOOD" not in ran.out
 
 
@@ -138,7 +138,7 @@ def test_a_linear_drag_is_suggested_and_no_moving_start(swimid: Run, tmp_path: P
 def test_a_value_outside_the_bounds_is_wrong_usage(swimid: Run, samples: Path) -> None:
     ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "--fix", "drag_coefficient=-1")
     assert ran.status == 2
-    assert "lies between 0 and 5" in ran.err
+    assert "must lie between 0 and 5" in ran.err
 
 
 @pytest.mark.slow

@@ -76,7 +76,7 @@ def test_repeated_samples_of_a_log_are_left_out(swimid: Run, tmp_path: Path) -> 
         path.write_text("\n".join([*lines[:first], *twice]) + "\n")
     ran = swimid("fit-drag", trials, "--json")
     assert ran.status == 0, ran.err
-    assert "repeat the position before" in ran.err
+    assert "repeat the previous position" in ran.err
     _inside(ran, ("drag_coefficient", "added_mass", "pulley_friction"))
 
 

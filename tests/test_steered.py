@@ -159,7 +159,7 @@ def test_thrust_of_a_propeller(n, u, tmp_path):
         ("Y_Uv:", "Y_vvvrrrr:", "'Y_vvvrrrr' has 7 velocities; at most 6"),
         ("propeller: screw,", "propeller: scew,", "did you mean 'screw'"),
         ("input: helm,", "input: hlem,", "did you mean 'helm'"),
-        ("1610 * y_v\n", "1610 * y_w\n", "there is no coefficient 'y_w'"),
+        ("1610 * y_v\n", "1610 * y_w\n", "the robot has no coefficient 'y_w'"),
     ],
 )
 def test_faults_of_steered_robots(old, new, said, tmp_path):

@@ -38,7 +38,7 @@ def test_the_camera_comes_back(board: Path, swimid: Run, tmp_path: Path) -> None
     for name, reason in (
         ("20.png", "shows the board in the same place as"),
         ("21.png", "does not show the whole board of 8 x 5 inner corners"),
-        ("22.png", "has 640 x 480 pixels, the first 320 x 240"),
+        ("22.png", "has 640 x 480 pixels, but the first picture with the board has 320 x 240"),
         ("23.png", "cannot be decoded"),
     ):
         assert f"{name} {reason}" in ran.err

@@ -353,7 +353,7 @@ def test_torque_between_links_does_not_turn_the_whole(tmp_path):
             "",
             "has a torque but is not passive",
         ),
-        ("gain_N_m: g", "gain_N_m: h", "there is no coefficient 'h'"),
+        ("gain_N_m: g", "gain_N_m: h", "the robot has no coefficient 'h'"),
     ],
 )
 def test_faults_of_a_robot_with_inputs(old, new, said, tmp_path):

@@ -456,7 +456,7 @@ def load_published(name: str) -> ParameterFile:
     The models have no standard errors. The model of the rotating motion is unstable.
     """
     if name not in list_published():
-        raise KeyError(f"no published model {name!r}; there are {', '.join(list_published())}")
+        raise KeyError(f"there is no published model {name!r}; there are {', '.join(list_published())}")
     return parameters_format.read(PUBLISHED / f"{name}.yaml")
 
 
@@ -502,7 +502,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         own = _even_times(log.time_s, values, held)
         if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
             continue
-        what = ("are empty", "repeat the sample before")[bool(held.repeated.any())]
+        what = ("are empty", "repeat the previous sample")[bool(held.repeated.any())]
         text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
         if own is None:
             columns[column] = np.where(held.repeated, np.nan, values)

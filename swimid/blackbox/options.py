@@ -75,5 +75,5 @@ class RwlsOptions(Options, argument="LOG...", output_flags=("-o", "--result"), m
             amplitude, frequency_hz, _ = self.input_sine
             if amplitude == 0 or frequency_hz <= 0 or not all(map(math.isfinite, self.input_sine)):
                 text = f"--input-sine {' '.join(f'{value:g}' for value in self.input_sine)}: "
-                raise UsageError(f"{text}the amplitude must not be 0, the frequency must be above 0 Hz")
+                raise UsageError(f"{text}the amplitude must not be 0, and the frequency must be above 0 Hz")
         return self

@@ -247,14 +247,13 @@ def _checks(m: Identified) -> list[Check]:
         checks.append(
             ev.make_check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason)
         )
-    for name, test, reason in (
-        ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
-        ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
+    for name, test, fault, effect in (
+        ("white", fitted.whiteness, "are not white", "the coefficients are biased"),
+        ("independent of the input", m.independent, "depend on past inputs", "orders or delay are wrong"),
     ):
         p, passed = ev.p_text(test.p_value), test.is_passed or fitted.exact
-        checks.append(
-            ev.make_check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
-        )
+        reason = f"the residuals {fault} ({p}), so that {effect}"
+        checks.append(ev.make_check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=reason))
     lost = m.indeterminate
     value, reason = f"{count - len(lost)} of {count}", f"the data do not determine {', '.join(lost)}"
     excited = f"the input excites {fitted.known.input_rank} of the {fitted.orders.nb} coefficients of B"

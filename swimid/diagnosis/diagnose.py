@@ -100,9 +100,9 @@ def _check_outputs(
         If an output cannot be written, is an input or another output, or is given beside ``--power``.
     """
     if options.next is not None and options.power:
-        raise UsageError("--next cannot be combined with --power, which compares no rival causes: omit one")
+        raise UsageError("--next and --power cannot be combined: --power compares no causes; omit --next")
     if options.repaired is not None and options.power:
-        raise UsageError("--repaired cannot be combined with --power, which names no causes: omit one")
+        raise UsageError("--repaired and --power cannot be combined: --power finds no cause; omit --repaired")
     repaired_path = options.repaired
     if repaired_path is None and output is not None and not (options.power or atomic.is_device(output)):
         repaired_path = output.with_name(evidence.REPAIRED)

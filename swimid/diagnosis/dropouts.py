@@ -212,7 +212,7 @@ def compute_misfit(search: SearchResult, raw: Sequence[Trial], floor: Mapping[st
 
 
 def _sum_squares(search: SearchResult, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
-    """Return, by channel, the sum of squared model errors at failed samples and the number of samples."""
+    """Return the sum of squared model errors at the failed samples of each channel, and their number."""
     found: dict[str, tuple[float, int]] = {}
     simulated = search.null.problem.simulations(search.null.theta)
     for trial, run in zip(raw, simulated, strict=True):

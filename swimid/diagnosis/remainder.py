@@ -291,7 +291,7 @@ class SensorTerm(Description):
         self.place = f"sensor of {channel}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the smooth error to the simulated channel of one trial."""
+        """Return the hook that adds the weighted sum of the terms to the simulated channel of one trial."""
         begin, length = _window(trial)
         turn = 2.0 * math.pi * beat_hz(trial)
 
@@ -340,7 +340,7 @@ class StrokeTable(Description):
         self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that multiplies the thrust of one trial by the smooth factor."""
+        """Return the hook that multiplies the thrust of a trial by the exponential of the weighted terms."""
 
         def change(stroke):  # type: ignore[no-untyped-def]
             f = np.log(stroke.frequency_hz / self.frequency_hz)

@@ -638,7 +638,7 @@ class Stribeck(Friction):
         return [np.array([size, share * speed.start]) for size, share in sizes]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add friction at rest and reduce it in motion, or let joints stick."""
+        """Return hooks that add a friction that falls with speed on a rig, or that let servos stick."""
         rise, slow = (float(v) for v in values)
         if model.rig is not None:
             if not (trial.rig.pulley or self.everywhere):

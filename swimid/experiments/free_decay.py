@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from swimid.errors import InputError
+from swimid.files.tabular import column_error
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, RigInput, Trial
 from swimid.logs.experiments import EVERYWHERE, Params, Trials
@@ -79,7 +80,7 @@ class FreeDecay(Trials):
         trials, periods, amplitudes = [], [], []
         for entry, log in zip(self.trials, logs, strict=True):
             if name not in log:
-                raise InputError("this column is missing", file=log.path, column=name)
+                raise column_error(name, list(log.columns), log.path, None)
             time, values, period, amplitude = _decay(log, name)
             periods.append(period)
             amplitudes.append(amplitude)
@@ -270,7 +271,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
         warn(
             "SWM018",
             f"{log.path.name}: {time[begin] - time[0]:.3g} s before the release from the largest excursion "
-            "left out",
+            "are left out",
         )
     start = int(np.flatnonzero(there)[begin])
     return log.time_s[start:], column[start:], period, amplitude

@@ -189,8 +189,8 @@ def _refuse_waveforms(waveforms: Mapping[tuple[str, float], str], path: Path) ->
     if len(waveforms) > 1:
         (one, first), (other, second) = list(waveforms.items())[:2]
         raise InputError(
-            f"'{first}' has the waveform {one[0]} (asymmetry {one[1]:g}), '{second}' {other[0]} (asymmetry "
-            f"{other[1]:g}), which give different thrusts",
+            f"the waveforms of '{first}', {one[0]} (asymmetry {one[1]:g}), and of '{second}', {other[0]} "
+            f"(asymmetry {other[1]:g}), give different thrusts",
             file=path,
             column="drive.waveform",
             hint="write one trials file for each waveform",

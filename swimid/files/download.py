@@ -164,7 +164,7 @@ def _get(dataset: RemoteFiles, path: str, source: str, file: Path) -> bool:
         origin = str(there)
     if (actual := sha256(file)) != dataset.files[path]:
         raise InputError(
-            f"has SHA-256 {actual}, and {dataset.files[path]} is expected",
+            f"has SHA-256 {actual} instead of {dataset.files[path]}",
             file=origin,
             hint=f"get the file {path} of {dataset.repository} at {dataset.commit} again",
         )

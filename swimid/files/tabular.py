@@ -34,7 +34,8 @@ def head(path: Path) -> tuple[list[str], str, int]:
     with path.open("rb") as stream:
         for number, raw in enumerate(stream, start=1):
             if len(raw) > 1_000_000 or b"\x00" in raw or b"\r" in raw.rstrip():
-                raise InputError("is not a text file with line feeds", file=path, line=number)
+                text = "is not text: a line has a NUL, a carriage return before its end, or more than 1 MB"
+                raise InputError(text, file=path, line=number, hint="save the file as CSV with line feeds")
             try:
                 line = raw.decode("utf-8-sig").strip()
             except UnicodeDecodeError as error:

@@ -182,8 +182,8 @@ def check_length(path: Path, count: int, width: int, height: int) -> None:
     most = MAX_GIF_BYTES // (3 * width * height)
     if path.suffix.lower() == ".gif" and count > most:
         raise UsageError(
-            f"{path}: an animated GIF holds at most {most} frames of {width} x {height} px, and this is one "
-            f"of {count} frames",
+            f"{path}: an animated GIF holds at most {most} frames of {width} x {height} px, not the "
+            f"{count} frames of this animation",
             hint=f"name a film: {path.with_suffix('.mp4')}",
         )
 

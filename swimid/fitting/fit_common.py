@@ -216,8 +216,8 @@ def _cut(log: Log, entry: TrialEntry) -> Log:
     keep = (log.time_s >= low) & (log.time_s <= high)
     if keep.sum() < 2:
         raise InputError(
-            f"no samples between start_s {low:g} and end_s {high:g}; the log runs from {log.time_s[0]:g} to "
-            f"{log.time_s[-1]:g} s",
+            f"has fewer than 2 samples between start_s {low:g} and end_s {high:g}; the log runs from "
+            f"{log.time_s[0]:g} to {log.time_s[-1]:g} s",
             file=log.path,
         )
     return replace(log, columns={k: v[keep] for k, v in log.columns.items()})
@@ -240,8 +240,8 @@ def _blank_repeats(log: Log) -> Log:
         return log
     warn(
         "SWM058",
-        f"{log.path.name}: {len(at)} of {len(log)} samples repeat the position before and are left out: the "
-        "log is written faster than it is measured",
+        f"{log.path.name}: {len(at)} of {len(log)} samples repeat the previous position and are left out: "
+        "the log is written faster than the position is measured",
     )
     # An angle counts as repeated if all its values at the repeated positions equal the value before.
     angles = [n for n in ANGLE_CHANNELS if n in log and (log[n][at] == log[n][at - 1]).all()]
@@ -928,7 +928,7 @@ def _consistency(result: FitResult, differ: Differences) -> ev.Check:
     value, text = f"probability of differences {share}", ""
     different = [name for name, chance in differ.chance.items() if chance > 0.5]
     sizes = ", ".join(f"{name} by {_relative(result, name, differ.sd[name])}" for name in different)
-    reason = f"the trials differ: {sizes or 'it is not clear in which parameter'}"
+    reason = f"parameters differ between the trials: {sizes or 'it is not clear which'}"
     if differ.are_likely:
         value = f"{sizes or 'differences'} (probability {share})"
         text = "these are standard deviations between the trials, which the standard errors include"

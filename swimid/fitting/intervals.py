@@ -1,4 +1,4 @@
-"""Intervals of the estimates of a fit that hold where noise is slow and where trials differ.
+"""Confidence intervals of the estimates of a fit, for autocorrelated noise and trials that differ.
 
 The estimates are those of least squares. Their error is a mixture of Student distributions: one for each form
 of the noise (:mod:`swimid.fitting.noise`), each set of shared parameters that may differ between the trials,

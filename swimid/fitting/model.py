@@ -941,7 +941,7 @@ def choose_parameters(
     fixed, bounds, names = dict(fixed or {}), dict(bounds or {}), [p.name for p in parameters]
     for name in (*fixed, *freed, *bounds):
         if name not in names:
-            raise UsageError(f"there is no parameter '{name}'", hint=suggestion(name, names))
+            raise UsageError(f"the model has no parameter '{name}'", hint=suggestion(name, names, "it has"))
     result = []
     for parameter in parameters:
         if parameter.name in bounds:
@@ -953,7 +953,7 @@ def choose_parameters(
         if parameter.name in fixed:
             value = float(fixed[parameter.name])
             if not parameter.lower <= value <= parameter.upper:
-                limits = f"it lies between {parameter.lower:g} and {parameter.upper:g}"
+                limits = f"it must lie between {parameter.lower:g} and {parameter.upper:g}"
                 raise UsageError(f"{parameter.name} cannot be {value:g}: {limits}")
             parameter = replace(parameter, start=value, free=False)
         elif parameter.name in freed:
@@ -985,7 +985,8 @@ def share(parameters: Sequence[Parameter], groups: Mapping[str, Sequence[str]]) 
     for name, members in groups.items():
         for member in members:
             if member not in known:
-                raise UsageError(f"there is no parameter '{member}'", hint=suggestion(member, list(known)))
+                hint = suggestion(member, list(known), "it has")
+                raise UsageError(f"the model has no parameter '{member}'", hint=hint)
             if member in owner:
                 raise UsageError(f"{member} is shared twice: as {owner[member]} and as {name}")
             owner[member] = name

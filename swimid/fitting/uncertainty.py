@@ -459,7 +459,7 @@ def fit_autoregression(x: np.ndarray, *, max_order: int | None = None) -> np.nda
     values, there = _centre(x)
     n = int(np.count_nonzero(there))
     if n < 3:
-        raise ValueError(f"an autoregression needs at least three samples, here are {n}")
+        raise ValueError(f"an autoregression needs at least three finite samples, not {n}")
     top = min(max_order or default_lags(n), n - 2)
     stretches = np.ma.clump_unmasked(np.ma.masked_array(values, ~there))
     pairs = [(values[part], values[part]) for part in stretches]

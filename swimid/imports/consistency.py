@@ -279,7 +279,7 @@ class Jumped:
 
 
 def find_jumped(columns: Mapping[str, Array]) -> list[Jumped]:
-    """Find the jumps of attitudes, angles and single positions, and the spikes of all other channels.
+    """Find jumps of attitudes, angles and tracks with one coordinate, and spikes of all other channels.
 
     Angles and attitudes are compared as directions, so that neither a full turn nor the sign of a quaternion
     is a jump. The rules are those of :func:`swimid.kinematics.jumps.find_jumps`. Tracks of several

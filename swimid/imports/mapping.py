@@ -837,7 +837,7 @@ def _check_frame_numbers(table: ForeignTable, time: Time | None, path: Path) -> 
     return [f"{text}: write time: {{frame: {name}, rate_hz: ...}}"]
 
 
-# ---------------------------------------------------------------- samples that are not taken
+# ---------------------------------------------------------------- selection of rows
 
 
 def _select_rows(table: ForeignTable, where: dict[str, Any], rows: int, path: Path) -> NDArray[np.bool_]:

@@ -450,8 +450,8 @@ def find_contradictions(found: MotionEstimate) -> list[str]:
     limit = GATE * float(np.sqrt(2 * setup.attitude_sd**2 + own))
     if off > limit:
         sentences.append(
-            f"its tilt departs from that of the {setup.source.kind} by {off / DEG:.0f} deg rms, "
-            f"where {limit / DEG:.0f} deg is {GATE:g} deviations"
+            f"its tilt differs from that of the {setup.source.kind} by {off / DEG:.0f} deg rms, "
+            f"more than {GATE:g} deviations ({limit / DEG:.0f} deg)"
         )
     if fixes is not None:
         stray = fixes.stray[np.isfinite(fixes.position).any(axis=1), 0]
@@ -739,9 +739,9 @@ def _residuals(fixes: Fixes, smoothed: SmoothedMotion) -> tuple[Array, Array]:
 
 
 def _is_measured(fixes: Fixes, residual: Array) -> Flags:
-    """Return flags of the residuals that compare a measured value with the motion, shape (m, 6).
+    """Return whether each residual compares a measured value with the motion, shape (m, 6).
 
-    In a planar log, the coordinates across the plane are assumed and not measured. Their flags are False.
+    In a planar log, the coordinates across the plane are assumed and not measured.
     """
     plane = np.append(fixes.noise[:3] == PLANE_SD, np.zeros(3, dtype=bool))
     return np.asarray(np.isfinite(residual) & ~plane)

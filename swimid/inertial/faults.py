@@ -568,9 +568,9 @@ def find_wrong_quaternions(record: ImuRecord) -> tuple[ImuRecord, Finding | None
     keys = zip(("order", "direction"), best, stated, strict=True)
     line = ", ".join(f"{key}: {value}" for key, value, usual in keys if value != usual)
     text = (
-        f"the quaternions contradict the gyroscope: as wxyz from body to world they differ by "
-        f"{100 * off[stated]:.0f} % of its turning, as {best[0]} from {best[1].replace('-', ' ')} by "
-        f"{100 * off[best]:.0f} %; they are not used. State their convention in a mapping (--map) with the "
+        f"the quaternions are not used, because as wxyz from body to world they differ from the gyroscope by "
+        f"{100 * off[stated]:.0f} % of its turning, but as {best[0]} from {best[1].replace('-', ' ')} only "
+        f"by {100 * off[best]:.0f} %. State their convention in a mapping (--map) with the "
         f"line 'quaternion: {{{line}}}'"
     )
     return replace(record, quaternion=None), Finding("quaternions", "refuted", text)

@@ -1,4 +1,4 @@
-"""Command ``swimid track imu``, which converts an inertial recording to a log of motion with evidence."""
+"""Command ``swimid track imu``, which estimates a log of the motion from an inertial recording."""
 
 from __future__ import annotations
 
@@ -291,7 +291,7 @@ def estimate_by_method(setup: ImuSetup, findings: list[Finding], poses: recordin
 
 
 def _drop_impossible(run: ImuRun) -> ImuRun:
-    """Return the result without impossibly fast samples, and with the time until which it can be used.
+    """Return the result with NaN at impossible speeds, and with the time until which the path can be trusted.
 
     A sample is too fast if its speed exceeds the top speed by more than the 95 % band. It is also too fast if
     its speed exceeds GATE times the standard deviation that the smoother assumes for the speed.
@@ -543,7 +543,7 @@ def _checks(run: ImuRun) -> list[Check]:
 def _motion_tests(run: ImuRun) -> Iterator[Test]:
     setup = run.setup
     count = len(setup.still)
-    reason = "no still period found; the biases are known to data-sheet accuracy only"
+    reason = "no still period was found, so the biases are known only to the accuracy of the data sheet"
     yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
     size = float(np.mean(np.linalg.norm(recording.mean_accelerations(setup.record, setup.still), axis=1)))
     # Compute the half-width of the 95 % band of gravity, relative to g, from bias and scale error of the
@@ -600,7 +600,7 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
     axis, factor, sd = _gyroscope_scale(fused)
     value, prior = f"{factor:.4f} ± {BAND * sd:.4f} (w{axis})", fused.smoothed.sensor.scale_sd
     reason = (
-        f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} of the turn rate w{axis} in the other log: "
+        f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} times the turn rate w{axis} of the other log: "
         f"give its unit or the factor {1 / factor:.4f} in a mapping (--map); the motion is corrected for it"
     )
     limit = MAX_SCALE * np.hypot(prior, sd)
@@ -609,8 +609,8 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
     limit = f"below {MAX_HELD_OUT:g}"
     value = f"{1e3 * offset.value_s:.2f} ms"
     reason = (
-        f"the clocks differ: {value} to add to the other log (95 %: {1e3 * offset.low_s:.1f} ... "
-        f"{1e3 * offset.high_s:.1f} ms); the output is on the inertial clock"
+        f"the clocks of the two logs differ: {value} (95 %: {1e3 * offset.low_s:.1f} ... "
+        f"{1e3 * offset.high_s:.1f} ms) is added to the times of the other log"
     )
     agreed = offset.low_s <= 0.0 <= offset.high_s or options.clock_offset_s is not None
     yield "SWM083", "Clock offset", value, "0 within the 95 % interval", agreed, reason
@@ -624,7 +624,7 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
     yield "SWM087", "Stray fixes", f"{stray}", most, stray <= MAX_STRAY * count, reason
     reason = (
         "many successive fixes of the other log have the same error: the logs contradict each other, or the "
-        f"scale or marker of the other log is wrong; every band is widened by {fused.lasting:.1f}"
+        f"scale or marker of the other log is wrong; every band is widened {fused.lasting:.1f} times"
     )
     value, passed = f"band widened by {fused.lasting:.2f}", fused.lasting <= MAX_LASTING
     yield "SWM087", "Lasting errors of fixes", value, f"below {MAX_LASTING:g}", passed, reason

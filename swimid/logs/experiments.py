@@ -328,7 +328,7 @@ def make_schema() -> Any:
     return Annotated[Union[kinds], Field(discriminator="experiment")]  # noqa: UP007 - made of a tuple
 
 
-# ---------------------------------------------------------------- keys that have an effect
+# ---------------------------------------------------------------- check for keys without effect
 
 #: Keys of a trials file, as dotted paths, that every function that computes with trials uses.
 EVERYWHERE = frozenset(

@@ -518,8 +518,9 @@ SET = re.compile(
     r"(cmd|desired|command|thrust|throttle|pwm|duty|set_?point|target|goal|servo|motor|rudder|esc|status|mode|"
     r"frame|count)(?!\w*measured).*|.*_(cmd|command|setpoint|sd(_.*)?)|.*(likelihood|confidence|score|prob\w*)"
 )
-#: Pattern of the columns that show the motion of the body, which a frozen sensor may hold at any value.
-#: Another quantity may return to one value, such as a force in the dead band of a thruster.
+#: Pattern of the columns that show the motion of the body. A long constant value of such a column may be
+#: that of a frozen sensor even if the value recurs. In another column a value that recurs is a rest, such as
+#: the force in the dead band of a thruster.
 OF_MOTION = re.compile(r"([xyz]|roll|pitch|yaw|[uvw]|v[xyz]|[aw][xyz]|joint\w*|\w*rate)_\w+|q[wxyz]")
 #: Maximum rounding step of a channel that is searched for a sudden stop, as a fraction of its mean change per
 #: sample. A channel with coarser rounding repeats values even while it moves.

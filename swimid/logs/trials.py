@@ -243,7 +243,7 @@ def _not_allowed(
         elif not command or command == "fit":
             hint = "give the Python file of an experiment of your own with --experiment"
     line = yamlio.line_of(data, ["experiment"])
-    text = f"{what}; here: {', '.join(names) or 'those of --experiment'}"
+    text = f"{what}; allowed here: {', '.join(names) or 'those of --experiment'}"
     return InputError(text, file=path, line=line, column="experiment", hint=hint)
 
 

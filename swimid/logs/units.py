@@ -144,7 +144,7 @@ def unit_factor(unit: str, column: str) -> float:
     table = UNITS[quantity]
     others = [known for known, units in UNITS.items() if name in units]
     if name not in table and others:
-        raise ValueError(f"'{unit}' is a unit of {others[0]}, '{column}' is a {quantity}: {', '.join(table)}")
+        raise ValueError(f"'{unit}' is a unit of {others[0]}; '{column}' needs one of {', '.join(table)}")
     if name not in table:
         raise ValueError(f"unknown unit '{unit}' of {quantity}; {suggestion(name, list(table))}")
     return float(table[name])

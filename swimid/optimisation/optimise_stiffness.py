@@ -109,7 +109,7 @@ class RuleFile(StudyFile):
     def _check_amplitudes(self) -> RuleFile:
         amplitudes = [curve.amplitude_deg for curve in self.curves]
         if not amplitudes or amplitudes != sorted(set(amplitudes)):
-            raise ValueError("'curves' need rising amplitudes, and at least one")
+            raise ValueError("'curves' must have at least one amplitude, and increasing amplitudes")
         return self
 
     def stiffness_for(

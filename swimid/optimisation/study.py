@@ -148,10 +148,9 @@ class Performance:
         parameters = {p.name: p for p in self.model.parameters}
         for name, (low, high) in varied.items():
             if name not in self.axes:
-                hint = suggestion(name, list(self.axes), "there are")
-                raise UsageError(f"{option}: there is no '{name}'", hint=hint)
+                raise UsageError(f"{option}: there is no '{name}'", hint=suggestion(name, list(self.axes)))
             if name in self.applied.chosen:
-                raise UsageError(f"{option}: {name} is fixed by --set, so it cannot be varied: omit one")
+                raise UsageError(f"{option}: {name} is fixed by --set and cannot be varied: omit either")
             if not low < high:
                 raise UsageError(f"{option} {name}: {low:g} is not below {high:g}")
             least, most = LIMITS.get(name, (-math.inf, math.inf))

@@ -20,17 +20,17 @@ from swimid.points.linkage import Array, Flags, Linkage, Residuals, State
 
 #: Maximum number of times that the faults are searched again with the new noise.
 MAX_SEARCHES = 5
-#: Exchange of two labels in the whole film: minimum ratio of the largest to the smallest noise of a point
-#: from which it is tried, number of points with the largest noise whose labels are exchanged, and minimum
-#: ratio by which it must reduce the noise.
+#: Limits for the exchange of two labels in the whole film. Exchanges are tried if the ratio of the largest to
+#: the smallest noise of a point is at least SUSPICIOUS. The SUSPECTS points with the largest noise exchange
+#: their labels. An exchange is kept if it divides the noise by MIN_GAIN or more.
 SUSPICIOUS, SUSPECTS, MIN_GAIN = 5.0, 4, 1.25
 #: Maximum redundancy of a frame in which a third point may be left out in place of two exchanged labels. An
 #: exchange contradicts the linkage along four axes, and a point that is left out explains two of them.
 FEW = 4
 #: Thresholds of the Geman-McClure weights in the search for the state of a frame with faults, in noise
-#: standard deviations (graduated non-convexity, Yang et al. 2020, doi:10.1109/LRA.2020.2965893); number of
-#: steps with each of them; and number of the last thresholds that are used if neighbouring frames give the
-#: start values.
+#: standard deviations (graduated non-convexity, Yang et al. 2020, doi:10.1109/LRA.2020.2965893). STEPS is the
+#: number of steps with each threshold. If neighbouring frames give the start values, only the last NEAR
+#: thresholds are used.
 THRESHOLDS, STEPS, NEAR = (200.0, 80.0, 40.0, 20.0, 10.0, 6.0), 3, 2
 #: Difference of the weighted sums of squares of two solutions for a frame, up to which the solution nearer to
 #: neighbouring frames is taken: the quantile of the chi-square distribution with one degree of freedom at

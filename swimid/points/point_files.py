@@ -178,7 +178,7 @@ def _check_links(body: planar.MultilinkRobot, points: Mapping[str, planar.Tracke
     for name, place in points.items():
         if place.link not in links:
             hint = suggestion(place.link, links, "the links are")
-            text, key = f"there is no link '{place.link}'", f"points.{name}.link"
+            text, key = f"the robot has no link '{place.link}'", f"points.{name}.link"
             if points is body.points:
                 key = f"multilink.{key}"
             raise InputError(text, file=where, column=key, hint=hint)
@@ -375,7 +375,7 @@ def in_metres(
     apart = apart[np.isfinite(apart)]
     if len(apart) < 2:
         names = " and ".join(chosen)
-        raise InputError(f"{names} are never tracked together", file=where, column="scale.between")
+        raise InputError(f"fewer than 2 frames show both {names}", file=where, column="scale.between")
     middle = float(np.median(apart))
     spread = 1.4826 * float(np.median(np.abs(apart - middle)))
     good = apart[np.abs(apart - middle) <= 5 * spread]

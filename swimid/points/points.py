@@ -307,7 +307,7 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
         seen = -seen.conj()
     there = np.isfinite(seen)
     if not (there.sum(axis=1) >= 2).any():
-        raise InputError("no frame has two of the points", file=path, hint="--min-likelihood may be too high")
+        raise InputError("no frame shows two points", file=path, hint="--min-likelihood may be too high")
     likelihood = np.column_stack([files.likelihood(columns, name) for name in names])
     film = Film(columns[TIME], np.where(there, seen, 0.0), there, likelihood)
     linkage, estimated = _linkage(film, body, names, placed, where, unit, request.calibrate)
@@ -350,7 +350,7 @@ def _invert_scale(linkage: Linkage, where: str) -> tuple[float, float]:
 
 
 def _remove_faults(columns: dict[str, Array], tracked: list[tuple[str, str, str]], fit: FilmFit) -> None:
-    """Exchange labels back, and replace points that were left out by NaN, in the columns of a log."""
+    """Put exchanged labels right in the columns of a log, and set points that were left out to NaN."""
     for axis in range(2):
         pair = [names[axis] for names in tracked]
         values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
@@ -372,7 +372,7 @@ def _linkage(
         both = film.there[:, 1:] & film.there[:, :-1]
         for k, name in enumerate(names[1:]):
             if not both[:, k].any():
-                text = f"'{names[k]}' and '{name}' are never tracked together"
+                text = f"no frame shows both '{names[k]}' and '{name}'"
                 raise InputError(text, file=where, column="chain")
         lengths = np.array([np.median(pair[both[:, k]]) for k, pair in enumerate(pairs)])
         return links.chain(tuple(safe(name) for name in names), lengths), False
@@ -564,7 +564,7 @@ def _warn(posed: Posed, path: Path) -> None:
             if posed.robot:
                 warn("SWM121", f"{path.name}: {text}; the robot file states {given} on {one.link}")
             else:
-                text += f" in the second half of the film and {given} in the first: they are on no rigid link"
+                text += f" in its second half and {given} in its first half: they are on no rigid link"
                 warn("SWM121", f"{path.name}: {text}")
     for name in posed.misplaced * (not posed.fit.mirrored):
         at = 1e3 * posed.offsets[posed.fit.linkage.names.index(name)]

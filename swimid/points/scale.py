@@ -44,8 +44,8 @@ class Scale(Document):
         given = {key for key, value in self if value is not None and key != "heights"}
         if given not in ({"metres_per_pixel"}, {"points_px", "distance_m"}, {"points_px", "points_m"}):
             raise ValueError(
-                "contradicting or incomplete scales: give metres_per_pixel, or points_px with distance_m, or "
-                "points_px with points_m"
+                "the scale is incomplete or contradicts itself: give metres_per_pixel, or points_px with "
+                "distance_m, or points_px with points_m"
             )
         points = self.points_px or ()
         count = len(points)

@@ -461,7 +461,8 @@ def _patterns(project: Project, group: RecordingGroup) -> list[str]:
 def _logs_of(project: Project) -> dict[Path, str]:
     """Return the path of the log of each recording, relative to the project."""
     own = {one.path: project.relative(one.path) for group in project.groups for one in group.recordings}
-    # Names of outputs do not depend on the command that makes a log, and no drafted file exists yet.
+    # Plan imports with the names of the logs only, because other options name drafted files, which do not
+    # exist yet.
     items: list[dict[str, Any]] = []
     for group in (one for one in project.groups if one.steps):
         options = [next(iter(step.values())) for step in group.steps]

@@ -115,8 +115,7 @@ def _start_project(folder: Path, options: InitOptions) -> Project:
     if own:
         experiment = own[0].title
     if experiment not in (None, *kinds):
-        hint = suggestion(str(experiment), [*kinds])
-        raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
+        raise UsageError(f"there is no experiment '{experiment}'", hint=suggestion(str(experiment), [*kinds]))
     file = Path(str(options.experiment)) if own else None
     return Project(folder, robot, experiment, kinds, experiment_file=file)
 

@@ -436,7 +436,7 @@ class _Draft:
         return [(int(compiled.wrap_objid[w]), gear * float(compiled.wrap_prm[w])) for w in wraps]
 
     def _markers(self) -> dict[str, Any]:
-        """Return reference point and places of the sites as points of the draft."""
+        """Return the entry ``points`` of the draft: link and place of each site."""
         points = {}
         for site in range(self.compiled.nsite):
             body = next((b for b in self.bodies if b.number == self.compiled.site_bodyid[site]), None)

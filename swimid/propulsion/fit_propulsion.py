@@ -309,7 +309,7 @@ def _predict_fins(
     fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
     error, usual = (100 * ev.compute_rms(*parts) if parts else math.nan for parts in (errors, fitted))
     limit = fit_common.VALIDATION_RATIO * usual
-    reason = f"the error on fins that were not fitted is {error:.2g} %, and at most {limit:.2g} % is allowed"
+    reason = f"the error on fins that were not fitted is {error:.2g} %, above {limit:.2g} %"
     if not errors:
         reason = "no fin can be held out: two fins with known inertia are needed"
     text = "root-mean-square error of the speeds of each fin, predicted by a fit to the others"

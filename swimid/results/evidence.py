@@ -419,8 +419,7 @@ def thin_curve(x: Any, y: Any, points: int = MAX_TRACE_POINTS) -> tuple[np.ndarr
 
 #: Maximum number of points that one trial has in a figure of several trials.
 MAX_TRIAL_POINTS = 400
-#: Number of measured points that are drawn along a straight line over the whole width of a panel. A curve
-#: with more rise and fall has more points.
+#: Number of measured points that are drawn over a length of one panel width along a curve.
 MAX_MARKS = 50
 #: Maximum number of trials in a figure of residuals, and largest residual that it shows, in standard
 #: deviations of the noise. Each trial is a row of the figure. Larger residuals are drawn at the edge of the

@@ -186,9 +186,7 @@ class ParameterFile(yamlio.ResultFile):
             known |= set(shared)
         for name in () if found is None or not known else found.names:
             if name not in known:
-                raise ValueError(
-                    f"the correlation names '{name}', no parameter; {suggestion(name, [*known])}"
-                )
+                raise ValueError(f"the correlation names no parameter '{name}'; {suggestion(name, [*known])}")
         return found
 
     def write(self, path: str | Path) -> None:
@@ -303,7 +301,8 @@ def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path)
     for name in names:
         column = f"parameters.{name}"
         if name not in parameters.parameters:
-            raise InputError("this parameter is missing", file=path, column=column)
+            hint = suggestion(name, list(parameters.parameters), "the file has")
+            raise InputError("this parameter is missing", file=path, column=column, hint=hint)
         if parameters.parameters[name].status == "unidentifiable":
             text = "this parameter was not identifiable from its trials and cannot be used further"
             hint = "add trials that determine it, or fix it at a value from another source"

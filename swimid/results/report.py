@@ -161,9 +161,10 @@ def _read(path: Path | Result) -> Result:
 
 
 def _make_titles(results: Sequence[Result]) -> list[ev.Evidence]:
-    """Return the content of each result. On a page of several results the titles differ.
+    """Return the content of each result, with a title that no other result of the page has.
 
-    They name the parameter file that the result is about, and the result file if that is not enough.
+    On a page of several results a title also names the parameter file that the result is about. If titles
+    are still equal, they name the result file.
     """
     contents = [result.content() for result in results]
     titles = [content.title for content in contents]

@@ -720,7 +720,7 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
         name = max(swings, key=lambda trial: swings[trial])
         size, limit = f"{numbers.format_number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
         text = "a body that swings farther in roll or pitch turns over: is the column in degrees?"
-        reason = f"the body swings by {size}, which is physically impossible"
+        reason = f"the body swings by {size} in {coordinate}, but a swing is at most {math.pi:.3g} rad"
         check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
         checks.append(fit_common.warn_check(*check, failed=True))
     forces = _force_ratios(experiment)

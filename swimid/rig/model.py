@@ -265,7 +265,7 @@ class RigModel(Model):
         if not np.isfinite(values).all():
             return self.make_broken(trial)
         if len(hooks.force) > MOST_FORCES:
-            raise ValueError(f"{len(hooks.force)} forces act at once, at most {MOST_FORCES} may")
+            raise ValueError(f"{len(hooks.force)} forces act at once; at most {MOST_FORCES} are possible")
         release = trial.rig.begin_s + self._value(values, "clock_offset")
         equation = hooks.change_values(self.equation(values, trial), "coefficients")
         moved = self._simulate_motion(equation, late, release, hooks)
@@ -789,9 +789,9 @@ def area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[
             )
     if any(factors) and not all(factors):
         missing = entries[factors.index(0.0)].id
-        raise InputError(
-            f"some trials have a frontal area and '{missing}' has none", file=path, column="frontal_area_m2"
-        )
+        text = f"the trial '{missing}' has no frontal area, but other trials have one"
+        hint = "give frontal_area_m2 in every trial, or in the robot file"
+        raise InputError(text, file=path, column="frontal_area_m2", hint=hint)
     return factors
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, create_model, model_validator
 
-from swimid.errors import InputError, UsageError, nearest
+from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import yamlio
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ class Reading(yamlio.Document):
     @model_validator(mode="after")
     def _check_choice(self) -> Reading:
         if self.chosen not in self.options:
-            raise ValueError(f"'{self.chosen}' is none of its options: {', '.join(self.options)}")
+            raise ValueError(f"'{self.chosen}' is not an option; the options are: {', '.join(self.options)}")
         return self
 
 
@@ -237,12 +237,11 @@ def locate(name: str, relative_to: Path | None = None, said: Mapping[str, Any] |
     path = Path(name) if relative_to is None or Path(name).is_absolute() else relative_to / name
     if path.is_file() or path.is_dir():
         return path
-    close = nearest(name, list_built_in_robots())
-    hint = f"did you mean '{close}'? " if close else ""
+    hint = suggestion(name, list_built_in_robots(), "built-in robots")
     raise InputError(
         f"there is no robot '{name}'",
         **(said or {"file": path if path.suffix in (".yaml", ".yml") else None}),
-        hint=f"{hint}built-in robots: {', '.join(list_built_in_robots())}; or give the path of a robot file",
+        hint=f"{hint}; or give the path of a robot file",
     )
 
 
@@ -288,10 +287,8 @@ class RobotFile:
             if key in chosen:
                 unknown, known = f"option '{option}' of the {unknown}", list(written[key].options)
             if (option if key in chosen else key) not in known:
-                raise UsageError(
-                    f"the robot '{self._written.name}' has no {unknown}",
-                    hint=f"there are: {', '.join(known) or 'none'}",
-                )
+                hint = suggestion(option if key in chosen else key, known)
+                raise UsageError(f"the robot '{self._written.name}' has no {unknown}", hint=hint)
             chosen[key] = option
         changes = any(written[key].options[option].set for key, option in chosen.items())
         if not changes and all(written[key].chosen == option for key, option in chosen.items()):

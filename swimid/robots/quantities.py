@@ -167,7 +167,8 @@ class Polynomial:
         return float(sum(n * np.prod([values[name] for name in names]) for names, n in self.terms.items()))
 
 
-#: Type of an entry of an input array before it is evaluated. A string is a quantity of a robot file.
+#: Type of an entry of an input array before the coefficients have values. A string is a physical quantity as
+#: a robot file states it: a number times names of coefficients.
 Entry = Polynomial | float | str
 #: Type of a vector with three physical quantities as components.
 Vector = tuple[Quantity, Quantity, Quantity]

@@ -165,7 +165,7 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
 
 
 def metrics_of(answer: Mapping[str, Any], patterns: list[str]) -> dict[str, Metric]:
-    """Return the estimates in the ``--json`` answer of a command, and the numbers that patterns name.
+    """Return the estimates in the ``--json`` answer of a command, and the numbers that match patterns.
 
     An estimate is a mapping with ``value`` and ``unit``, and ``stderr`` or ``low`` and ``high``. Estimates of
     one trial and parameters that the data do not determine are left out. A pattern has dotted names, ``*``

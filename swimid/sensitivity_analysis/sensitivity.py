@@ -395,7 +395,7 @@ def _make_evidence(
     source: str,
     notices: Sequence[Notice],
 ) -> ev.Evidence:
-    """Return the evidence of a sensitivity analysis.
+    """Return the verdict, the checks, the tables and the figure of a sensitivity analysis.
 
     Parameters
     ----------
@@ -463,7 +463,8 @@ def _refuse_names(names: Sequence[str], shared: Collection[str], held: Collectio
     """Refuse coefficients that the model does not have, or that ``--set`` holds."""
     for name in names:
         if name not in shared:
-            raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
+            hint = suggestion(name, list(shared), "it has")
+            raise UsageError(f"the model has no coefficient '{name}'", hint=hint)
         if name in held:
             raise UsageError(f"{name} is held by --set and cannot be varied")
 
@@ -882,8 +883,10 @@ def _evaluate_design(
 
 
 def _jackknife_error(outputs: Array, part: NDArray[np.int64], groups: Sequence[Sequence[int]]) -> Array:
-    """Return the standard errors of the indices, shape (2, s + g, d), from estimates without one part each.
+    """Return the jackknife standard errors of the indices, shape (2, s + g, d).
 
+    They follow from estimates that leave out one part of the design in turn. The first axis holds first-order
+    and total indices, the second one s outputs and g groups of outputs, the third one d parameters.
     A bootstrap over the rows would give too wide intervals, because the rows of one Sobol sequence are not
     independent. The parts are.
     """

@@ -178,7 +178,7 @@ def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Inpu
     experiment, applied = catalogue.load(options.trials, options)
     only, names = options.trial, [t.id for t in experiment.trials]
     if only is not None and only not in names:
-        raise UsageError(f"there is no trial '{only}'", hint=suggestion(only, names))
+        raise UsageError(f"the trials file has no trial '{only}'", hint=suggestion(only, names, "it has"))
     cases = []
     for trial in experiment.trials:
         if only not in (None, trial.id):

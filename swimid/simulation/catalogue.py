@@ -91,8 +91,9 @@ class Applied:
         self.known = {} if self.file is None else self.file.parameters
         for name, value in self.chosen.items():
             if name not in names:
-                hint = suggestion(name, names)
-                raise UsageError(f"there is no parameter '{name}'", hint=hint)
+                raise UsageError(
+                    f"the model has no parameter '{name}'", hint=suggestion(name, names, "it has")
+                )
             p = self.model.parameters[names.index(name)]
             if not p.lower <= value <= p.upper:
                 warn("SWM053", f"{name} = {value:g} lies outside its bounds, {p.lower:g} to {p.upper:g}")

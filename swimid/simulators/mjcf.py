@@ -475,7 +475,7 @@ class MjcfModel(SimulatorModel):
 
 
 class _StartPose:
-    """Outputs of a model at rest as functions of the start offsets of its degrees of freedom."""
+    """Outputs of a model without motion as functions of the offsets of its joints from the rest pose."""
 
     def __init__(self, model: MjcfModel, outputs: Sequence[SensorOutput]) -> None:
         self._compiled, self._rest, self._outputs = model.compiled, model._rest[0], outputs

@@ -188,8 +188,8 @@ class SimulatorTrials(Trials):
             sources.append(log.source)
             measured = {name: log[name] for name in outputs if name in log}
             if not measured:
-                hint = f"the model simulates: {', '.join(outputs)}"
-                raise InputError("has no column that the model simulates", file=log.path, hint=hint)
+                hint = f"outputs: {', '.join(outputs)}; the log has: {', '.join(log.columns)}"
+                raise InputError("has no column of an output of the model", file=log.path, hint=hint)
             given = {name: _fill_gaps(log, name) for name in inputs}
             trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
         return trials, sources

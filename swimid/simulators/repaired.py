@@ -65,7 +65,7 @@ TAGS = {
     "site": ("site",),
     "option": ("option",),
 }
-#: Element around the elements of a kind.
+#: Tag of the section of an MJCF file in which the elements of a kind are, by kind.
 AROUND = dict.fromkeys(("joint", "body", "geom", "site"), "worldbody") | {
     "actuator": "actuator",
     "tendon": "tendon",

@@ -352,7 +352,7 @@ def _require_result(
 ) -> None:
     """Raise an error if a search was interrupted, did not converge, or identified no coefficient."""
     if result.interrupted or 0 < len(search.ends) < search.starts:
-        reason = f"interrupted after {len(search.ends)} of {search.starts} starts"
+        reason = f"the search was interrupted after {len(search.ends)} of {search.starts} starts"
         if result.interrupted:
             reason = result.message
         if output is None:

@@ -163,7 +163,8 @@ class Swimmer(Model, ABC):
     velocity: tuple[str, ...]
     #: Channels of force and torque on the holder of a fixed base. They are about the reference point.
     reactions: tuple[str, ...]
-    #: Names of the pose coordinates and of the velocities, as used in the names of the start parameters.
+    #: Names of the pose coordinates and of the velocities in the names of the start parameters, such as x in
+    #: ``start_x`` and surge in ``initial_surge``.
     places: tuple[str, ...]
     rates: tuple[str, ...]
     #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.

@@ -162,13 +162,13 @@ def check_names(body: Any, part: str) -> None:
             if kind == "propeller":
                 owners = "the elements of the kind 'propeller' have the names"
             hint = suggestion(name, known[kind], owners)
-            raise InputError(f"there is no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
+            raise InputError(f"the robot has no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
     coefficients = list(body.coefficients)
     for path, quantity in list_quantities(body, part):
         unknown = sorted(Polynomial.of(quantity).names - set(coefficients))
         if unknown:
-            hint = suggestion(unknown[0], coefficients)
-            raise InputError(f"there is no coefficient '{unknown[0]}'", column=path, hint=hint)
+            hint = suggestion(unknown[0], coefficients, "it has")
+            raise InputError(f"the robot has no coefficient '{unknown[0]}'", column=path, hint=hint)
 
 
 def _list_references(body: Any) -> Iterator[tuple[str, str, str]]:

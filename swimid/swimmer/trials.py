@@ -163,7 +163,7 @@ def load(
     known = [c.name for c in model.channels]
     for name in channels:
         if name not in known:
-            raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known))
+            raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known, "it has"))
     recordings = [_recording(entry, path, model, channels, start_state) for entry in entries.trials]
     facts = {
         "beats": {r.trial.id: _beat(r.entry, r.log, model) for r in recordings},
@@ -355,7 +355,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
     chosen += select_logged([a.column for a in model.driven if a.law and a.law.is_computed])
     if not chosen:
         names = ", ".join(c.name for c in model.channels)
-        raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")
+        raise InputError("holds none of the robot's channels", file=log.path, hint=f"channels: {names}")
     return chosen
 
 

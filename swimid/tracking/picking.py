@@ -226,7 +226,7 @@ class Session:
         except ValueError:
             index, time_s = -1, math.nan
         if index < 0:
-            raise InputError("has no such frame", file=self.video)
+            raise InputError(f"has no frame '{query.get('n')}'; frames are counted from 0", file=self.video)
         with self._show_progress("reading") as step:
             if math.isfinite(time_s):
                 index = self.reader.index_of(time_s, step)

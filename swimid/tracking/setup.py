@@ -127,7 +127,7 @@ class Setup(Document):
             raise ValueError(f"two markers are named '{twice}'")
         for role, chosen in (("head", self.head), ("tail", self.tail)):
             if chosen is not None and chosen not in names:
-                raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
+                raise ValueError(f"{role} '{chosen}' is no marker; the markers are: {', '.join(names)}")
         if self.tail is not None and self.head in (None, self.tail):
             raise ValueError(f"tail '{self.tail}' is given without another marker as head")
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
@@ -137,7 +137,7 @@ class Setup(Document):
             raise ValueError(f"{text}: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(
-                f"'facing: {self.facing}' is valid only with 'plane: vertical', and the plane is {self.plane}"
+                f"'facing: {self.facing}' is valid only with 'plane: vertical', not with '{self.plane}'"
             )
         return self
 

@@ -214,7 +214,8 @@ def _corners(
         if picture is None:
             reason = "cannot be decoded"
         elif seen and picture.shape[::-1] != size:
-            reason = f"has {picture.shape[1]} x {picture.shape[0]} pixels, the first {size[0]} x {size[1]}"
+            first = f"but the first picture with the board has {size[0]} x {size[1]}"
+            reason = f"has {picture.shape[1]} x {picture.shape[0]} pixels, {first}"
         else:
             found, corners = cv2.findChessboardCornersSB(picture, board, flags=FIND)
             reason = f"does not show the whole board of {board[0]} x {board[1]} inner corners"

@@ -295,7 +295,8 @@ def _demand_markers(run: FilmTrack) -> None:
     track, total = run.track, len(run.track.times)
     if total < 2:
         hint = "for a series of pictures name the folder, or a pattern such as %05d.png"
-        raise InputError(f"has {total} frame; at least 2 are needed", hint=hint)
+        text = f"has too few frames: {total}; at least 2 are needed"
+        raise InputError(text, file=run.video.path, hint=hint)
     for name in run.setup.roles:
         row = track.row(name)
         count, cut = int(track.is_whole[row].sum()), int(track.at_edge[row].sum())
@@ -540,7 +541,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
         return
     worst = min(shares, key=lambda n: shares[n])
     value = f"{worst} in {100 * shares[worst]:.1f} %"
-    reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
+    reason = f"marker '{worst}' is found in only {100 * shares[worst]:.1f} % of the frames"
     yield _grade("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
     still = [n for n in shares if shares[n] > 0 and track.measure_range(n)[1] < frames.MIN_RADII]
     reason = f"{', '.join(still)} stayed within one radius of one position: another object of this colour?"
@@ -574,8 +575,8 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     known_m = math.dist(*setup.places)
     off = middle / known_m - 1
     reason = (
-        f"the distance of head and tail marker is {100 * off:+.1f} % off the {known_m:g} m on the robot, and "
-        "so is every length in the log, or their places on the robot are wrong"
+        f"the distance of head and tail marker differs by {100 * off:+.1f} % from the {known_m:g} m on the "
+        "robot: the scale, and with it every length in the log, or their places on the robot are wrong"
     )
     name, value = "Marker distance against the robot", f"{100 * off:+.2f} % of {known_m:g} m"
     yield _grade("SWM042", name, value, "within 2 %", abs(off), MAX_LENGTH_ERROR, reason)
@@ -603,7 +604,7 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[ev.Check]:
     least = min(float(np.nanmedian(pose.separation)), max(radius, longest))
     share, way = ahead / max(ahead + astern, 1e-300), setup.swims.replace("-", " ")
     reason = (
-        f"the robot swims {way} over {100 * share:.0f} % of its way only: exchange head '{setup.head}' and "
+        f"the robot swims {way} over only {100 * share:.0f} % of its way: exchange head '{setup.head}' and "
         f"tail '{setup.tail}' in the setup, or say there how it swims (swims: head-first or tail-first)"
     )
     value, passed = f"{100 * share:.0f} % of the way", not astern - ahead > least
@@ -613,14 +614,14 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[ev.Check]:
 def _timing(pose: Pose) -> Iterator[ev.Check]:
     steps = np.diff(pose.times) / np.median(np.diff(pose.times))
     share, largest = float(np.mean(np.abs(steps - 1) > JITTER)), float(steps.max())
-    reason = f"{100 * share:.1f} % of the frames come at uneven steps (up to {largest:.1f} times the usual)"
+    reason = f"{100 * share:.1f} % of the time steps are uneven (up to {largest:.1f} times the usual step)"
     value = f"{100 * share:.1f} % uneven"
     yield _judge("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
     count, total = int(pose.held.repeated.sum()), len(pose.times)
     if count:
         reason = (
-            f"{count} of {total} pictures repeat the one before and are left out: the camera took "
-            f"{1 / pose.held.period_s:.4g} pictures/s, up to {1e3 * pose.held.lateness_s:.3g} ms early"
+            f"{count} of {total} frames repeat the previous picture and are left out: pictures were taken at "
+            f"{1 / pose.held.period_s:.4g} Hz, up to {1e3 * pose.held.lateness_s:.3g} ms before the frames"
         )
         yield _judge("SWM058", "Repeated pictures", f"{count} of {total}", "none", False, reason)
 
@@ -637,15 +638,15 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
     off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
     count = int(np.sum(off > 0))
     reason = (
-        f"in {count} frames a marker is hidden in part or seen aslant; its centre may be {off.max():.1f} "
-        f"px off in frame {int(np.argmax(off))}"
+        f"in {count} frames a marker is hidden in part or seen aslant; its centre may be wrong by "
+        f"{off.max():.1f} px in frame {int(np.argmax(off))}"
     )
     passed = count / measured <= MAX_HIDDEN_SHARE
     yield _judge("SWM066", "Hidden in part", f"{count} frames", "<= 1 %", passed, reason)
     innovations = [one.innovation for one in (pose.path, pose.angle) if one is not None]
     far = np.nanmax(np.abs(np.concatenate(innovations)), axis=0, initial=0.0) > JUMP_SIGMA
     count, limit = int(far.sum()), f"0 beyond {JUMP_SIGMA:g} sigma"
-    reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: check the overlay there"
+    reason = f"{count} measurements jump: check the overlay, for example at frame {int(np.argmax(far))}"
     yield _grade("", "Jumps", f"{count} frames", limit, count / measured, (0.0, 0.02), reason)
 
 
@@ -666,7 +667,7 @@ def _looks(track: RawTrack) -> Iterator[ev.Check]:
         yield _judge("SWM172", f"Objects like {name}", "more than markers", "one each", False, text)
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
-        value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
+        value = f"an object of {area:.0f} px in {count} frames, then an object of {now:.0f} px"
         reason = f"marker '{name}' was first confused with another object: {value}, which stayed longer"
         yield _judge("SWM064", f"Object followed as {name}", value, "one object", False, reason)
 

@@ -284,10 +284,10 @@ class MarkerGroup:
         name, total = self.marker.name, count + len(new)
         listed = " and ".join(f"{x:.0f}, {y:.0f}" for x, y in new)
         return (
-            f"{total} objects of the colour of '{name}' move, and {count} is followed: in frame {frame} that "
-            f"at {x:.0f}, {y:.0f} px, not that at {listed} px. To follow the other, give start_px of "
-            f"'{name}' in the setup, or number: {total} and choose head and tail by number. To leave it "
-            "out, give ignore_px: [[left, top, right, bottom]]"
+            f"{total} objects of the colour of '{name}' move, and {count} of them is followed: in frame "
+            f"{frame} that at {x:.0f}, {y:.0f} px, not that at {listed} px. To follow another "
+            f"object, give start_px of '{name}' in the setup, or number: {total} and choose head and tail by "
+            "number. To leave it out, give ignore_px: [[left, top, right, bottom]]"
         )
 
 

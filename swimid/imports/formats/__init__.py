@@ -47,8 +47,7 @@ def find_format(path: Path, name: str | None) -> Format:
         raise InputError("is empty", file=path)
     if name:
         if name not in known:
-            hint = suggestion(name, list(known))
-            raise InputError(f"there is no format '{name}'", file=path, hint=hint)
+            raise InputError(f"there is no format '{name}'", file=path, hint=suggestion(name, list(known)))
         return known[name]
     # Try the profile of swimid's own log format last, because a log of another program may have a column
     # named like its time.

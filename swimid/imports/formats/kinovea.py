@@ -137,7 +137,8 @@ def _of_kva(path: Path, select: str | None) -> ForeignTable:
     period = float(root.findtext("AverageTimeStampsPerFrame") or "nan")
     rate = float(root.findtext("CaptureFramerate") or "nan")
     if not period > 0:
-        raise InputError("states no AverageTimeStampsPerFrame", file=path)
+        text = "has no AverageTimeStampsPerFrame, without which the times of the frames are unknown"
+        raise InputError(text, file=path, hint="export the tracks from Kinovea as CSV")
     frames = np.round((stamps - stamps[0]) / period)
     clock = {"frame": frames}
     if rate > 0:

@@ -59,7 +59,7 @@ def _markers(lines: list[str], length_unit: str | None, path: Path) -> ForeignTa
     rate, notes = float(head.get("DataRate", "nan")), []
     step = usual_step(time_s)
     if abs(step * rate - 1.0) > 0.01:
-        notes.append(f"its header states {rate:g} Hz, its times are {1 / step:g} Hz apart")
+        notes.append(f"its header states {rate:g} Hz, but its times have a rate of {1 / step:g} Hz")
     return ForeignTable(columns, notes=notes, lines=at)
 
 
@@ -74,7 +74,7 @@ def _motion(lines: list[str], path: Path) -> ForeignTable:
     in_degrees = "indegrees=yes" in head[:end]
     if not in_degrees and "indegrees=no" not in head[:end]:
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
-        raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
+        raise InputError("does not state the unit of its angles", file=path, line=end + 1, hint=hint)
     # Determine the delimiter: the cells of a storage file are separated by tabs, or aligned with blanks.
     delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
     values, at = numbers(path, end + 2, delimiter, len(names))

@@ -463,7 +463,10 @@ class PlanarBody:
         tables["drag"] = np.vstack([tables["drag"], [*at, 0.0, 0.0, linear, linear, 0.0, 0.0]])
 
     def room(self) -> dict[str, list[int]]:
-        """Return the links to which ``drag_more``, ``lift`` and ``shed`` may add rows, by input array."""
+        """Return the links of the rows that effects may add to an input array, by the name of the array.
+
+        The method ``drag_more`` adds rows to ``drag``, ``lift`` to ``foil``, and ``shed`` to ``wake``.
+        """
         links, _ = self.normal_drag(self.tables())
         return {"drag": [self.hull], "foil": [int(link) for link in links], "wake": [self.last]}
 

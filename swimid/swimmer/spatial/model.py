@@ -287,7 +287,7 @@ class MultibodyModel(Swimmer):
         return np.hstack([force, moment - np.cross(self.tree.reference, force)])
 
     def _first_pose(self, values: Array, trial: Trial) -> Array:
-        """Return the pose of the reference point at the first sample, with estimated offsets, shape (6,)."""
+        """Return the logged pose at the first sample plus the start parameters of the trial, shape (6,)."""
         pose = np.array(trial.swim.get_pose(6), dtype=float)
         return pose + values[self._offset]
 
