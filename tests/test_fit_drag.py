@@ -359,30 +359,6 @@ class TestCommand:
         # linear interpolation between clicks is good to a tenth of a step
         assert result["parameters"]["added_mass"]["value"] == pytest.approx(0.685, abs=0.005)
 
-    def test_a_late_release_is_estimated(
-        self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
-    ) -> None:
-        lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
-        for w, idle in zip(WEIGHTS, rng.uniform(0.3, 1.0, 7), strict=True):
-            t = np.arange(0, 5, 0.02)
-            x, _ = equation.falling_weight_closed_form(
-                t, idle, 1.901 + w / 1000, AREA_FACTOR * 0.705, w / 1000 * 9.8 - 0.0308
-            )
-            np.savetxt(
-                tmp_path / f"w{w}.csv",
-                np.c_[t, x + rng.normal(0, 5e-4, len(t))],
-                delimiter=",",
-                header="t_s,x_m",
-                comments="",
-            )
-            lines.append(f"  - {{log: w{w}.csv, pulling_mass_kg: {w / 1000}}}")
-        (tmp_path / "trials.yaml").write_text("\n".join(lines))
-        ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
-        assert "SWM017" in ran.err
-        p = ran.json["result"]["parameters"]
-        for name, true in TRUTH.items():
-            assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"]
-
     def test_free_decay_and_towing(
         self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
     ) -> None:

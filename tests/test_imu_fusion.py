@@ -100,17 +100,6 @@ def test_an_offset_of_37_ms_is_found(
     assert inside.mean() >= 0.85
 
 
-@pytest.mark.slow
-def test_equal_clocks_raise_no_warning(swimid: Callable[..., Ran], tmp_path: Path) -> None:
-    rng = np.random.default_rng(11)
-    run = imu.marching(rng)
-    log = save(tmp_path / "imu.csv", run.columns())
-    seen = save(tmp_path / "camera.csv", imu.camera(run, rng))
-    ran = swimid("track", "imu", log, "--with", seen, "-o", tmp_path / "run.csv", "--json")
-    assert abs(ran.json["result"]["fusion"]["clock_offset_s"]) < 0.002
-    assert "SWM083" not in [w["code"] for w in ran.json["warnings"]]
-
-
 # ---------------------------------------------------------------- fusing
 
 

@@ -12,7 +12,6 @@ import pytest
 import yaml
 from scipy.integrate import solve_ivp
 
-from swimid.fitting.rivals import STRONG, compute_trend_score
 from tests.conftest import Ran
 from tests.generators import rig as generator
 
@@ -30,21 +29,6 @@ def _inside(ran: Ran, names: tuple[str, ...], sigmas: float = 3.0) -> None:
     for name in names:
         e = ran.json["result"]["parameters"][name]
         assert abs(e["value"] - TRUTH[name]) < sigmas * e["stderr"], (name, e)
-
-
-class TestTrend:
-    def test_an_unknown_direction_does_not_count(self) -> None:
-        """Values that differ only along a direction with a large error have no trend."""
-        along = np.arange(7.0) - 3.0
-        assert compute_trend_score(50 * along, np.eye(7) + 1e6 * np.outer(along, along), along) < 0.0
-
-    def test_a_trend_is_not_one_odd_value(self) -> None:
-        rng = np.random.default_rng(1)
-        mass = np.arange(7.0)
-        grows = 0.5 * mass + rng.normal(0, 0.2, 7)
-        assert compute_trend_score(grows, 1e-4 * np.eye(7), mass) > STRONG
-        odd = np.array([0.0, 0, 0, 0, 0, 0, 3])
-        assert compute_trend_score(odd, 1e-4 * np.eye(7), mass) < STRONG
 
 
 @pytest.mark.slow
