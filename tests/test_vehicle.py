@@ -186,21 +186,6 @@ def test_fit_of_a_vehicle(swimid, tmp_path):
 
 
 @pytest.mark.slow
-def test_fit_of_a_blimp(swimid, tmp_path):
-    trials = vehicle.write_trials(tmp_path, vehicle.BLIMP, seed=7, trials=2, held_out=0, duration_s=20.0)
-
-    ran = swimid("fit-graybox", trials, "-o", tmp_path / "blimp.yaml")
-
-    assert ran.status == 0, ran.err
-    found = parameters.read(tmp_path / "blimp.yaml").parameters
-    truth = {"m_x": 0.0466, "m_y": 0.0466, "m_z": 0.0545, "z_g": 0.09705, "volume": 0.10758}
-    truth |= {"d_x": 0.0125, "d_y": 0.0125, "d_z": 0.048, "d_p": 0.000862, "d_q": 0.000862, "d_r": 0.000862}
-    for name, value in truth.items():
-        assert found[name].status == "estimated", name
-        assert found[name].value == pytest.approx(value, abs=4.0 * found[name].stderr), name
-
-
-@pytest.mark.slow
 def test_all_thrusts_and_masses_together_are_not_identifiable(swimid, tmp_path):
     trials = vehicle.write_trials(tmp_path, UPRIGHT, seed=4, trials=2, held_out=0, duration_s=15.0)
     free = [word for k in range(1, 9) for word in ("--free", f"k_{k}")]
@@ -599,26 +584,6 @@ def test_bag_becomes_a_log_with_the_thrusts(swimid, tmp_path):
     for k in range(8):
         # the thrusts are interpolated over 0.02 s
         assert found[f"thrust{k + 1}_N"][inside] == pytest.approx(expected[inside, k], abs=5e-3)
-
-
-@pytest.mark.slow
-def test_bags_become_coefficients(swimid, tmp_path):
-    lines = "".join(f'      - {{source: "data[{k}]", target: thrust{k}_N, unit: N}}\n' for k in range(1, 9))
-    (tmp_path / "map.yaml").write_text(BAG_MAPPING + lines)
-    rows = ["format: swimid-trials/1", "experiment: multibody", "robot: bluerov2", "trials:"]
-    for k in range(2):
-        (tmp_path / f"day{k}").mkdir()
-        path = _bag(tmp_path / f"day{k}", np.random.default_rng(30 + k), 15.0)
-        swimid("import", path, "--map", tmp_path / "map.yaml", "--raw", "-o", tmp_path / f"run{k}.csv")
-        rows.append(f"  - {{log: run{k}.csv, end_s: 14.9}}")
-    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
-
-    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "vehicle.yaml")
-
-    assert ran.status == 0, ran.err
-    found = parameters.read(tmp_path / "vehicle.yaml").parameters
-    for name, value in {"q_x": 141.0, "q_y": 217.0, "q_z": 190.0, "m_z": 18.68, "z_b": 0.05}.items():
-        assert found[name].value == pytest.approx(value, rel=0.03), name
 
 
 def test_joined_table_of_another_time_is_refused(swimid, tmp_path):
