@@ -79,15 +79,6 @@ def test_a_map_has_the_effects() -> None:
 
 
 @pytest.mark.slow
-def test_the_best_gait_has_the_effects() -> None:
-    vary = {"frequency_hz": (0.8, 1.4)}
-    about: dict[str, Any] = {"amplitude_deg": 20.0, "vary": vary, "duration_s": 3.0, "starts": 1, "draws": 20}
-    lossy = package.optimise_gait(params=fish("amplitude-loss", amplitude_loss__loss=0.2), **about)
-    small = package.optimise_gait(params=fish(), **{**about, "amplitude_deg": 16.0})
-    assert lossy.file.best == pytest.approx(small.file.best, rel=5e-3)
-
-
-@pytest.mark.slow
 def test_sensitivity_varies_the_size_of_an_effect() -> None:
     file = fish("amplitude-loss", amplitude_loss__loss=(0.2, 0.05))
     found = package.sensitivity(
@@ -449,27 +440,3 @@ def test_a_changed_parameter_has_its_new_value(swimid: Run, tmp_path: Path) -> N
     scores = package.compare(trials, params=tmp_path / "repaired.yaml").scores
     held_out = scores[scores["role"] == "validate"]
     assert held_out["rmse"].iloc[0] == pytest.approx(found.file.waterfall[-2].rmse["x_m"], rel=0.02)
-
-
-@pytest.mark.slow
-def test_a_fish_with_backlash_is_repaired(swimid: Run, tmp_path: Path) -> None:
-    """A held-out trial is predicted much better than as given, by the parameters alone."""
-    shutil.copytree(SAMPLES / "gap", tmp_path, dirs_exist_ok=True)
-    trials = tmp_path / "trials.yaml"
-    head, mark, tail = trials.read_text().partition("log: run05.csv\n    role: fit")
-    trials.write_text(head + mark.replace("fit", "validate") + tail)
-    ran = swimid(
-        "diagnose", trials, "--params", tmp_path / "params.yaml", "-o", tmp_path / "gap.yaml",
-        "--effects", "servo-backlash,servo-lag",
-    )  # fmt: skip
-    assert ran.status == 0, ran.err
-    gap = GapFile.read(tmp_path / "gap.yaml")
-    assert [c.effect for c in gap.causes] == ["servo-backlash"]
-    held, squared = gap.facts.held_out["run05"], []
-    assert held.after < held.limit < held.as_given
-    noise = gap.waterfall[-1].rmse
-    for params in ("params.yaml", "repaired.yaml"):
-        scores = package.compare(trials, params=tmp_path / params).scores
-        rmse = scores[scores["role"] == "validate"].set_index("channel")["rmse"]
-        squared.append(float(np.mean([(rmse[channel] / noise[channel]) ** 2 for channel in noise])))
-    assert squared[1] < 0.1 * squared[0]

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -275,3 +276,19 @@ def test_a_buoy_among_equal_markers_is_reported(tmp_path):
     result = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
     assert "red3: within one radius of one place" in result.output
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "caution"
+
+
+def test_a_patch_larger_than_a_marker_is_taken(tmp_path):
+    """A black fish on white, a fifth of the picture, is followed where it is picked, and its size is said."""
+    (tmp_path / "frames").mkdir()
+    rng = np.random.default_rng(3)
+    for k in range(12):
+        image = np.full((240, 480, 3), 245.0)
+        cv2.ellipse(image, (230 + 2 * k, 130), (150, 50), 0, 0, 360, (15, 15, 15), -1, cv2.LINE_AA)
+        image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(tmp_path / "frames" / f"{k:03d}.png"), image)
+    marker = ("--marker", "body@240,130", "--fps", "100")
+    output = run("setup", tmp_path / "frames", *marker, "-o", tmp_path / "s.yaml").output
+    assert "SWM101" in output
+    assert "area_px" in output
+    assert "body: found in 100.0 %" in output
