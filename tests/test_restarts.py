@@ -11,10 +11,9 @@ import pytest
 
 from swimid.fitting import global_search, output_error
 from swimid.fitting.fit_common import load_experiment
-from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial, choose_parameters
+from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, choose_parameters
 from swimid.notices import SwimidWarning
 from swimid.rig import model
-from swimid.rig import model as rig_model
 from tests.conftest import Ran
 from tests.generators import rig as generator
 from validation.real_gaps.rows import screw_drive
@@ -96,30 +95,6 @@ def test_every_simulation_of_a_fit_is_counted(rng: np.random.Generator) -> None:
     counted[0] = 0
     several, _ = global_search.multistart(Counting(0.05), _line(rng), starts=3)
     assert several.evaluations == counted[0]
-
-
-def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
-    """The answer is unchanged, and the test needs fewer simulations than the search."""
-    experiment = load_experiment(samples / "rig" / "trials.yaml")
-    counted = [0]
-
-    class Counting(rig_model.RigModel):
-        def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-            counted[0] += 1
-            return super().simulate_hooked(values, trial, hooks)
-
-        def refine(self) -> None:  # type: ignore[override]
-            return None
-
-    plain = experiment.model
-    model = Counting(plain.name, plain.parameters, "x_m")
-    alone = output_error.fit_output_error(model, experiment.trials, tested=False)
-    once = counted[0]
-    found = output_error.fit_output_error(model, experiment.trials)
-    assert found.restarts == 0
-    assert found.settled
-    assert found.estimate == pytest.approx(alone.estimate, rel=1e-12)
-    assert counted[0] - 2 * once < once
 
 
 @pytest.mark.slow
