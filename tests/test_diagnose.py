@@ -17,6 +17,7 @@ from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import GapFile
 from tests.conftest import ROOT, SAMPLES, Ran
 from tests.generators import gap_trials
+from tests.generators.files import write_trials
 from validation.blind import cruises, swim_actuation, swim_effects
 from validation.blind.swim_case import Act, Channels, Trial
 
@@ -368,10 +369,7 @@ def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Pa
 
 def test_a_black_box_model_needs_a_parameter_file(swimid: Run, tmp_path: Path) -> None:
     path = tmp_path / "trials.yaml"
-    path.write_text(
-        "format: swimid-trials/1\nexperiment: arma\nrobot: long-fin\n"
-        f"input: cmd1_rad\noutput: u_m_s\ntrials:\n  - {{log: {tmp_path / 'a.csv'}}}\n"
-    )
+    write_trials(path, "arma", "long-fin", [f"log: {tmp_path / 'a.csv'}"], input="cmd1_rad", output="u_m_s")
     ran = swimid("diagnose", path)
     assert ran.status == 2
     assert "give those of a fit with --params" in ran.err

@@ -16,6 +16,7 @@ from swimid.notices import SwimidWarning
 from swimid.rig import model
 from tests.conftest import Ran
 from tests.generators import rig as generator
+from tests.generators.files import write_log, write_trials
 from validation.real_gaps.rows import screw_drive
 
 Run = Callable[..., Ran]
@@ -171,10 +172,8 @@ def test_a_decay_that_sticks(swimid: Run, tmp_path: Path) -> None:
         place = middle - (place - middle) * np.exp(-loss * np.pi / swing)
     x[time >= start] = place
     x += np.random.default_rng(0).normal(0, 2e-4, len(x))
-    np.savetxt(tmp_path / "d.csv", np.c_[time, x], delimiter=",", header="t_s,z_m", comments="")
-    (tmp_path / "t.yaml").write_text(
-        "format: swimid-trials/1\nexperiment: free-decay\nrobot: buoy.yaml\ntrials: [{log: d.csv}]\n"
-    )
+    write_log(tmp_path / "d.csv", {"t_s": time, "z_m": x})
+    write_trials(tmp_path / "t.yaml", "free-decay", "buoy.yaml", ["log: d.csv"])
     ran = swimid(
         "fit-drag", tmp_path / "t.yaml", "--free", "dry_friction", "--fix", "quadratic_drag=0", "--json"
     )
@@ -195,9 +194,7 @@ def test_a_real_drive_with_dry_friction(real_data: Path, tmp_path: Path) -> None
     rows = np.c_[time, force, position][::10]
     np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="t_s,force_N,x_m", comments="")
     (tmp_path / "cart.yaml").write_text("format: swimid-robot/1\nname: cart\nbody: {inertial_mass_kg: 60}\n")
-    (tmp_path / "t.yaml").write_text(
-        "format: swimid-trials/1\nexperiment: towed\nrobot: cart.yaml\ntrials: [{log: d.csv}]\n"
-    )
+    write_trials(tmp_path / "t.yaml", "towed", "cart.yaml", ["log: d.csv"])
     experiment = load_experiment(tmp_path / "t.yaml")
     choices = choose_parameters(
         experiment.model.parameters,

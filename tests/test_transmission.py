@@ -31,6 +31,7 @@ from swimid.swimmer.model import Swimmer
 from tests.conftest import Ran
 from tests.effect_cases import acted, start
 from tests.generators import swimmer
+from tests.generators.files import write_log, write_trials
 
 RATIOS = (0.2, 0.3, 0.5)
 DRIVE = {"frequency_hz": 1.2, "amplitude_deg": 30.0, "bias_deg": 5.0}
@@ -70,20 +71,9 @@ def by_table(*tables: Any) -> list[dict[str, Any]]:
 
 def swims(columns: dict[str, np.ndarray], folder: Path, robot: Path, drive: dict[str, float] | None) -> Path:
     """Write a log with these columns and its trials file."""
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(folder / "run.csv", table, delimiter=",", header=",".join(columns), comments="", fmt="%.12g")
-    entry: dict[str, Any] = {"id": "run", "log": "run.csv"}
-    if drive is not None:
-        entry["drive"] = drive
-    trials = {
-        "format": "swimid-trials/1",
-        "experiment": "free-swim",
-        "robot": str(robot),
-        "trials": [entry],
-    }
-    path = folder / "trials.yaml"
-    path.write_text(json.dumps(trials))
-    return path
+    write_log(folder / "run.csv", columns, "%.12g")
+    driven = "" if drive is None else f", drive: {json.dumps(drive)}"
+    return write_trials(folder / "trials.yaml", "free-swim", robot, [f"id: run, log: run.csv{driven}"])
 
 
 def simulated(trials: Path) -> dict[str, np.ndarray]:

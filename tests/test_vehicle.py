@@ -20,6 +20,7 @@ from swimid.results import parameters
 from swimid.robots import file as robot_format
 from swimid.swimmer.trials import robot_model
 from tests.generators import vehicle
+from tests.generators.files import write_log, write_trials
 from tests.generators.vehicle import Vehicle
 
 #: A vehicle whose buoyancy keeps it upright, 5 cm above the centre of mass.
@@ -145,7 +146,7 @@ def test_fit_of_propellers(swimid, tmp_path):
     rng = np.random.default_rng(12)
     robot = yaml.safe_dump(_with_propellers().model_dump(mode="json", exclude_none=True))
     (tmp_path / "rov.yaml").write_text(robot)
-    lines = ["format: swimid-trials/1", "experiment: multibody", "robot: rov.yaml", "trials:"]
+    lines = []
     for k in range(2):
         time, thrusts = np.arange(0.0, 15.01, 0.05), vehicle.manoeuvre(rng)
         motion = vehicle.simulate(ADVANCING, time, thrusts)
@@ -154,10 +155,9 @@ def test_fit_of_propellers(swimid, tmp_path):
         kept = {n: v for n, v in found.items() if n in ("t_s", *vehicle.NOISE, *names)}
         for name, sd in vehicle.NOISE.items():
             kept[name] = kept[name] + rng.normal(0.0, sd, len(time))
-        table = np.column_stack(list(kept.values()))
-        np.savetxt(tmp_path / f"run{k}.csv", table, delimiter=",", header=",".join(kept), comments="")
-        lines.append(f"  - {{log: run{k}.csv}}")
-    (tmp_path / "trials.yaml").write_text("\n".join(lines) + "\n")
+        write_log(tmp_path / f"run{k}.csv", kept)
+        lines.append(f"log: run{k}.csv")
+    write_trials(tmp_path / "trials.yaml", "multibody", "rov.yaml", lines)
 
     ran = swimid("fit-graybox", tmp_path / "trials.yaml", "--fix", "k_t=1", "-o", tmp_path / "vehicle.yaml")
 
@@ -287,17 +287,17 @@ def _swings(time: np.ndarray, torque: Callable[[float], float]) -> np.ndarray:
 def test_bench_driven_by_a_measured_torque(swimid, tmp_path):
     rng = np.random.default_rng(6)
     (tmp_path / "pendulum.yaml").write_text(PENDULUM)
-    rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: pendulum.yaml", "trials:"]
+    rows = []
     time = np.arange(0.0, 10.0, 0.01)
     for k, frequency in enumerate((0.6, 1.1, 1.7)):
         current = 0.2 * np.sin(2.0 * np.pi * frequency * time) + 0.1 * np.sin(2.0 * np.pi * 0.31 * time)
         angle = _swings(time, lambda now, c=current: float(np.interp(now, time, c)))
-        seen = np.column_stack([time, angle + rng.normal(0.0, 0.002, len(time)), current])
-        np.savetxt(
-            tmp_path / f"run{k}.csv", seen, delimiter=",", header="t_s,joint1_rad,motor_A", comments=""
+        write_log(
+            tmp_path / f"run{k}.csv",
+            {"t_s": time, "joint1_rad": angle + rng.normal(0.0, 0.002, len(time)), "motor_A": current},
         )
-        rows.append(f"  - {{log: run{k}.csv, start_state: rest}}")
-    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
+        rows.append(f"log: run{k}.csv, start_state: rest")
+    write_trials(tmp_path / "trials.yaml", "free-swim", "pendulum.yaml", rows)
 
     ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "bench.yaml")
 
@@ -373,8 +373,7 @@ def test_simulation_with_recorded_inputs(swimid, tmp_path):
     (tmp_path / "pendulum.yaml").write_text(PENDULUM)
     time = np.arange(0.0, 3.0, 0.01)
     current = 0.2 * np.sin(4.0 * time)
-    table = np.column_stack([time, current])
-    np.savetxt(tmp_path / "motor.csv", table, delimiter=",", header="t_s,motor_A", comments="")
+    write_log(tmp_path / "motor.csv", {"t_s": time, "motor_A": current})
 
     ran = swimid(
         "simulate", "--robot", tmp_path / "pendulum.yaml", "--input", tmp_path / "motor.csv",
