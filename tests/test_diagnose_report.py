@@ -88,12 +88,7 @@ def test_the_first_table_has_the_errors_as_given_and_after_each_cause() -> None:
     gap, *_ = cases.evidence(cases.PAIR).tables
     assert gap.columns == ["model", "squared error over expected", "u_m_s", "yaw_rate_rad_s", "joint4_rad"]
     assert gap.rows[0] == ["as given", 54.0, "0.042 m/s", "0.13 rad/s", "0.0045 rad"]
-    assert [row[0] for row in gap.rows[1:]] == [
-        "refitted",
-        "+ servo-backlash",
-        "+ current",
-        "noise alone",
-    ]
+    assert [row[0] for row in gap.rows[1:]] == ["refitted", "+ servo-backlash", "+ current", "noise alone"]
 
 
 def test_the_third_table_has_the_errors_over_the_range() -> None:
@@ -335,10 +330,7 @@ def test_effects_with_equal_residuals_share_a_row() -> None:
 
 @pytest.mark.parametrize(
     ("name", "shown"),
-    [
-        ("explained", ["as given", "refitted", "+ servo-backlash"]),
-        ("unexplained", ["as given", "refitted"]),
-    ],
+    [("explained", ["as given", "refitted", "+ servo-backlash"]), ("unexplained", ["as given", "refitted"])],
 )
 def test_the_first_figure_has_the_squared_errors_in_turn(name: str, shown: list[str]) -> None:
     (panel,) = cases.evidence(cases.ALL[name]).figures[0].panels

@@ -52,9 +52,7 @@ def level(known: NoiseModel) -> float:
 # ---------------------------------------------------------------- whitening
 
 
-def test_whitened_white_and_slow_noise_is_independent_and_has_unit_variance(
-    rng: np.random.Generator,
-) -> None:
+def test_whitened_white_and_slow_noise_is_independent_and_has_unit_variance(rng: np.random.Generator) -> None:
     """The samples have uneven times. Ten thousand variances have a mean within five standard errors."""
     time = np.cumsum(STEP_S * rng.uniform(0.2, 1.8, 10_000))
     x = 0.3 * (rng.normal(size=len(time)) + slow(rng, time, 2.0, 0.5))
@@ -369,10 +367,7 @@ def test_a_fit_with_random_effects_is_that_of_their_marginal_covariance(rng: np.
     """Fit and products of the folds equal those of generalised least squares."""
     given = line_study(rng)
     sd, slopes = 0.3, [np.r_[t.time_s, np.zeros(len(t.time_s))] for t in given.trials]
-    known = replace(
-        noise_of(given.shape, 0.5),
-        random_effects=(differing(Tilt(), sd),),
-    )
+    known = replace(noise_of(given.shape, 0.5), random_effects=(differing(Tilt(), sd),))
     study = given.with_noise(known)
     fit = study.fit((), [study.problem(()).start])
     folded = crossval.form_normal_equations(study, fit)

@@ -13,12 +13,7 @@ from scipy.optimize import brentq
 from swimid.effects import actuation
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Hooks, Stroke, SurgeInput, SwimInput, Trial
-from swimid.propulsion.model import (
-    SPEED,
-    RecoilModel,
-    SurgeModel,
-    velocity_ratio,
-)
+from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases

@@ -33,11 +33,7 @@ STEP = 0.00785
 def _known(weight: int) -> RigInput:
     mass = weight / 1000
     return RigInput(
-        inertia=1.196 + mass + 0.02,
-        force=mass * 9.8,
-        pulley=True,
-        area_factor=AREA_FACTOR,
-        release_s=0.0,
+        inertia=1.196 + mass + 0.02, force=mass * 9.8, pulley=True, area_factor=AREA_FACTOR, release_s=0.0
     )
 
 

@@ -37,10 +37,7 @@ def drag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return parameters.Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
     path = tmp_path_factory.mktemp("drag") / "drag.yaml"
-    estimates = {
-        "drag_coefficient": known(0.705, 0.0165, "1"),
-        "added_mass": known(0.685, 0.0185, "kg"),
-    }
+    estimates = {"drag_coefficient": known(0.705, 0.0165, "1"), "added_mass": known(0.685, 0.0185, "kg")}
     parameters.ParameterFile(model="falling-weight", robot="boxfish", parameters=estimates).write(path)
     return path
 

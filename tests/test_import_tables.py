@@ -381,8 +381,7 @@ def test_a_unit_of_time_alone_is_no_clock(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["t_ms", "Time [ms]", "millis", "timestamp_ms", "elapsed_ms", "ms", "Recording time (ms)"],
+    "name", ["t_ms", "Time [ms]", "millis", "timestamp_ms", "elapsed_ms", "ms", "Recording time (ms)"]
 )
 def test_names_of_a_clock(name: str, tmp_path: Path) -> None:
     path = _write(tmp_path / "a.csv", _rows(), names=[name, "x_m", "y_m"])

@@ -33,10 +33,7 @@ from tests.conftest import ROOT
 from tests.generators import gap_trials, lagrange
 from validation.blind import swim_actuation
 
-ENGINES: dict[type[Swimmer], ModuleType] = {
-    MultilinkModel: planar_engine,
-    MultibodyModel: spatial_engine,
-}
+ENGINES: dict[type[Swimmer], ModuleType] = {MultilinkModel: planar_engine, MultibodyModel: spatial_engine}
 
 
 def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> np.ndarray:

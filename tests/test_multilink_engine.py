@@ -460,9 +460,7 @@ class TestElements:
 
     def test_strips_of_a_turning_link(self) -> None:
         """About its front end at rate r: moment rho/2 c S r^2 L^2 / 4, force rho/2 c S r^2 L / 3."""
-        body = one_link(
-            {"kind": "drag", "normal_area_m2": 0.02, "normal_coefficient": 1.5, "strips": 3},
-        )
+        body = one_link({"kind": "drag", "normal_area_m2": 0.02, "normal_coefficient": 1.5, "strips": 3})
         for r in (2.0, -3.0):
             _, fy, moment = wrench(body, r=r)
             pressure = 0.5 * WATER * 1.5 * 0.02 * abs(r) * r

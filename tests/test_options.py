@@ -140,10 +140,7 @@ class TestModel:
         "given, text",
         [
             ({}, "the option 'params' is missing"),
-            (
-                {"params": "a", "method": "bad"},
-                "method: 'bad' is not allowed: allowed are 'fast' or 'good'",
-            ),
+            ({"params": "a", "method": "bad"}, "method: 'bad' is not allowed: allowed are 'fast' or 'good'"),
             ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: it must be greater than 0"),
             ({"params": "a", "names": "ab"}, "names: 'ab' is not allowed"),
             ({"params": "a", "metod": "fast"}, "has no option 'metod'"),

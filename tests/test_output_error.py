@@ -16,12 +16,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
 from swimid.fitting.fit_common import is_still
 from swimid.fitting.model import Trial
-from swimid.fitting.problem import (
-    Blocks,
-    Box,
-    Problem,
-    minimise,
-)
+from swimid.fitting.problem import Blocks, Box, Problem, minimise
 from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Step
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials

@@ -186,10 +186,7 @@ def test_a_form_is_restored_by_its_parameters_and_its_constants() -> None:
     """The wall on one side stands where the diagnosis saw it, whatever the trials of the command."""
     beside = {"side": "y_max", "extreme_m": 0.4}
     near = fish(
-        "wall",
-        settings={"effects": {"wall": beside}},
-        wall__y_max_push_N_s2_m2=20.0,
-        wall__y_max_decay_m=0.2,
+        "wall", settings={"effects": {"wall": beside}}, wall__y_max_push_N_s2_m2=20.0, wall__y_max_decay_m=0.2
     )
     far = fish(
         "wall",
@@ -267,11 +264,7 @@ def test_effects_act_on_an_affected_model_as_beside_its_effects(names: tuple[str
     values = np.concatenate(
         [start(model), *(e.tries(e.parameters(model, trials))[0] for e in (first, second))]
     )
-    for one, other in (
-        (both, nested),
-        (both.refine(), nested.refine()),
-        (both.coarser(), nested.coarser()),
-    ):
+    for one, other in ((both, nested), (both.refine(), nested.refine()), (both.coarser(), nested.coarser())):
         wanted = [one.run(values, trial) for trial in trials]
         many = other.run_many([(values, trial) for trial in trials])
         for trial, expected, seen in zip(trials, wanted, many, strict=True):

@@ -131,9 +131,7 @@ class TestPossible:
         """All trials agree with each other, but no body has the estimates."""
         weights = tuple(range(10, 41, 5))
         trials = generator.write_falls(
-            tmp_path,
-            np.random.default_rng(0),
-            stated_g={weight: factor * weight for weight in weights},
+            tmp_path, np.random.default_rng(0), stated_g={weight: factor * weight for weight in weights}
         )
         ran = swimid("fit-drag", trials)
         last = " ".join(ran.out.strip().split("\n\n")[-1].split())

@@ -244,10 +244,7 @@ SCALES = {
         "points_px": [[0, 719], [1000, 719], [1000, 19], [0, 19]],
         "points_m": [[0, -1], [1000 * METRES, -1], [1000 * METRES, 700 * METRES - 1], [0, 700 * METRES - 1]],
     },
-    "nearer": {
-        "metres_per_pixel": 1.25 * METRES,
-        "heights": {"camera_m": 5.0, "marker_m": 1.0},
-    },
+    "nearer": {"metres_per_pixel": 1.25 * METRES, "heights": {"camera_m": 5.0, "marker_m": 1.0}},
 }
 
 
@@ -366,11 +363,7 @@ def test_speeds_of_a_cycle_are_the_logs_own():
     truth = side_video.motion(time)
     cos, sin = np.cos(truth["pitch_rad"]), np.sin(truth["pitch_rad"])
     noise = np.random.default_rng(1).normal(0, 0.002, (2, len(time)))
-    noisy = {
-        "x_m": truth["x_m"] + noise[0],
-        "z_m": truth["z_m"] + noise[1],
-        "pitch_rad": truth["pitch_rad"],
-    }
+    noisy = {"x_m": truth["x_m"] + noise[0], "z_m": truth["z_m"] + noise[1], "pitch_rad": truth["pitch_rad"]}
     body = {
         "u_m_s": truth["vx_m_s"] * cos + truth["vz_m_s"] * sin,
         "w_m_s": truth["vz_m_s"] * cos - truth["vx_m_s"] * sin,

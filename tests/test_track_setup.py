@@ -134,12 +134,7 @@ def test_a_robot_near_the_camera_is_not_the_scene():
 def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
     """The moving thing is the marker; the rule of its colour is left out, and other colours are listed."""
     fish = clutter.straight(20, 160, 93, 0)
-    things = (
-        rule(RED, 60),
-        rule(YELLOW, 100),
-        clutter.fish(fish),
-        clutter.disc(fish, 5, RED, ahead=20),
-    )
+    things = (rule(RED, 60), rule(YELLOW, 100), clutter.fish(fish), clutter.disc(fish, 5, RED, ahead=20))
     video = clutter.write(tmp_path / "two.mp4", Pool(things, ripple_px=2.0))
     result = run("setup", video, "-o", tmp_path / "setup.yaml")
     assert "head red; no tail" in result.output
@@ -174,12 +169,7 @@ def test_a_rigid_pair_is_recognised_by_an_inclined_camera(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "colour, water",
-    [
-        (WHITE, (150, 122, 70)),
-        (BLACK, (150, 122, 70)),
-        (GREY, (190, 170, 140)),
-        (WHITE, (128, 126, 124)),
-    ],
+    [(WHITE, (150, 122, 70)), (BLACK, (150, 122, 70)), (GREY, (190, 170, 140)), (WHITE, (128, 126, 124))],
     ids=["white", "black", "grey", "white-on-grey"],
 )
 def test_a_marker_of_any_shade_can_be_picked(tmp_path, colour, water):

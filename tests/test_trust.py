@@ -124,11 +124,7 @@ def test_a_fit_tells_its_drives_and_a_map_heeds_them(tmp_path: Path, samples: Pa
 def test_a_gait_that_swims_tail_first_is_bad() -> None:
     """Speed is that along the path: it does not tell which way."""
     found = package.optimise_gait(
-        robot="dolphin",
-        frequency_hz=3.0,
-        vary={"K_s": (0.1, 2.0)},
-        starts=1,
-        **BEAT,
+        robot="dolphin", frequency_hz=3.0, vary={"K_s": (0.1, 2.0)}, starts=1, **BEAT
     )
     found.file.quantities["mean_surge_from_start_m_s"] = -0.1
     assert optimise_gait.make_gait_evidence(found.file, [], {}).verdict.level == "bad"

@@ -202,11 +202,7 @@ CHANGES = {
     "thruster": (replace(UPRIGHT, thrust=(1, 1, 0.8, 1, 1, 1, 1, 1)), "parameter:k_3", {"k_3": 0.8}),
     "mass": (replace(UPRIGHT, mass_kg=1.05 * 13.5), "parameter:mass", {"mass": 1.05 * 13.5}),
     "centre of mass": (replace(UPRIGHT, com_m=(0.02, 0.0, 0.0)), "com-offset", {"along_m": 0.02}),
-    "current": (
-        replace(UPRIGHT, current_m_s=(0.1, 0.05, 0.0)),
-        "current",
-        {"cx_m_s": 0.1, "cy_m_s": -0.05},
-    ),
+    "current": (replace(UPRIGHT, current_m_s=(0.1, 0.05, 0.0)), "current", {"cx_m_s": 0.1, "cy_m_s": -0.05}),
     "lag": (replace(UPRIGHT, lag_s=0.15), "servo-lag", {"time_constant_s": 0.15}),
     "advance": (
         replace(UPRIGHT, slope=0.35),

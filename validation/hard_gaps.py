@@ -428,32 +428,19 @@ CASES: dict[str, Case] = {
         fit=("--fix", "quadratic_drag=0", "--free", "linear_drag", "--free", "force_offset"),
     ),
     "drops-dry": Case(
-        dry_drops,
-        "dry friction and nothing else",
-        Truth(ANY, FRICTION),
-        fit=("--fix", "pulley_friction=0"),
+        dry_drops, "dry friction and nothing else", Truth(ANY, FRICTION), fit=("--fix", "pulley_friction=0")
     ),
     "fish-backlash": Case(
         fish(swim_actuation.servo_backlash(rng(4, 2), 2.0, "tfish")),
         "servo-backlash and nothing else",
         Truth(frozenset({"explained", "ambiguous"}), frozenset({"servo-backlash"})),
     ),
-    "fish-slip": Case(
-        slipping,
-        "slip, or unexplained",
-        Truth(ANY, frozenset({"slip"})),
-    ),
+    "fish-slip": Case(slipping, "slip, or unexplained", Truth(ANY, frozenset({"slip"}))),
     "decay-tangent": Case(
-        roll_decays(tangent),
-        "hardening, or unexplained",
-        Truth(ANY, frozenset({"hardening"})),
-        fit=(),
+        roll_decays(tangent), "hardening, or unexplained", Truth(ANY, frozenset({"hardening"})), fit=()
     ),
     "decay-stops": Case(
-        roll_decays(stops),
-        "hardening, or unexplained",
-        Truth(ANY, frozenset({"hardening"})),
-        fit=(),
+        roll_decays(stops), "hardening, or unexplained", Truth(ANY, frozenset({"hardening"})), fit=()
     ),
     "drops-odd-one": Case(
         one_with_another_drag,

@@ -320,11 +320,7 @@ def make_case(
         return [change]
 
     if len(names) == 2:
-        candidates = common.candidates(
-            CATALOGUE["cruise"],
-            dict(zip(names, acts, strict=True)),
-            change_of,
-        )
+        candidates = common.candidates(CATALOGUE["cruise"], dict(zip(names, acts, strict=True)), change_of)
         singles = _singles(misfit, ((speed - nominal) / sd)[good], candidates)
     channel = "mean_speed_m_s"
     motions = [rows[0]]

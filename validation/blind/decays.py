@@ -14,11 +14,7 @@ from validation.blind.common import PARAMETER, Catalogue, left_by_refit, stages_
 
 DURATION = 6.0
 #: Parameters that may change between the fit of the parameter file and the trials, with their units.
-PARAMETERS = {
-    "added_inertia": "kg m^2",
-    "quadratic_damping": "N m s^2/rad^2",
-    "linear_damping": "N m s/rad",
-}
+PARAMETERS = {"added_inertia": "kg m^2", "quadratic_damping": "N m s^2/rad^2", "linear_damping": "N m s/rad"}
 #: Relative prior standard deviation of each coefficient in a fit.
 PRIOR = 0.6
 
@@ -334,12 +330,7 @@ def _write_fit(
 
 
 def _write_prior(
-    folder: Path,
-    added: float,
-    quadratic: float,
-    linear: float,
-    stiffness: float,
-    rng: np.random.Generator,
+    folder: Path, added: float, quadratic: float, linear: float, stiffness: float, rng: np.random.Generator
 ) -> None:
     rows = {}
     for name, truth, unit, status in (
