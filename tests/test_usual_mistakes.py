@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import Ran
+from tests.conftest import SAMPLES, Ran
 from tests.generators import three_link
 
 Columns = dict[str, np.ndarray]
@@ -61,3 +61,11 @@ def test_good_trials_name_no_mistake(tmp_path: Path, swimid: Callable[..., Ran])
     ran = swimid("fit-graybox", trials, "-o", tmp_path / "fit.yaml")
     assert "usual mistakes" not in ran.out
     assert "With " not in ran.out
+
+
+def test_a_model_that_fails_everywhere_names_no_mistake(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
+    """The servos of these trials have backlash; no beat at all would describe one trial better."""
+    gap = SAMPLES / "gap"
+    ran = swimid("compare", gap / "trials.yaml", "--params", gap / "params.yaml", "-o", tmp_path / "c.yaml")
+    assert "BAD:" in ran.out
+    assert "usual mistake" not in ran.out

@@ -368,7 +368,9 @@ def _explain(
 ) -> Explanation | None:
     """Return the mistake as an explanation if its correction lowers the errors enough; None otherwise.
 
-    The evidence must be strong, and the errors must fall to those of a good model.
+    The evidence must be strong. The errors of the corrected trials must exceed those of a good model before
+    the correction, and no trial may exceed them after it: a mistake in one trial does not explain that the
+    model fails in all of them.
 
     Parameters
     ----------
@@ -381,7 +383,10 @@ def _explain(
         return None
     score = _compute_gain(list(after), before, after) - 2.0 * math.log(alternatives)
     errors = [(compute_trial_errors(before[name]), compute_trial_errors(after[name])) for name in corrected]
-    if score <= rivals.STRONG or any(error > GOOD for _, late in errors for error in late.values()):
+    left = [compute_trial_errors(series) for series in {**before, **after}.values()]
+    if score <= rivals.STRONG or any(error > GOOD for trial in left for error in trial.values()):
+        return None
+    if any(max(early.values(), default=0.0) <= GOOD for early, _ in errors):
         return None
     falls = {}
     for channel in errors[0][0].keys() & errors[0][1].keys():

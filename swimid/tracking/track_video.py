@@ -544,7 +544,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
     yield _grade("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
     still = [n for n in shares if shares[n] > 0 and track.measure_range(n)[1] < frames.MIN_RADII]
-    reason = f"{', '.join(still)}: within one radius of one place, which may be another object of the same colour"
+    reason = f"{', '.join(still)}: within one radius of one place, maybe another object of the same colour"
     value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {frames.MIN_RADII:g} radius"
     yield _judge("SWM067", "Other markers move", value, limit, not still, reason)
 

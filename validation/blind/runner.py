@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -309,15 +309,6 @@ def diagnose(
     return record
 
 
-def opened(jobs: int, cluster: str | None) -> Executor:
-    """Return an executor with threads on this machine, or with the workers of a cluster."""
-    if cluster is None:
-        return ThreadPoolExecutor(jobs)
-    from distributed import Client
-
-    return Client(cluster).get_executor(retries=2, pure=False)
-
-
 def run(
     cases: Sequence[dict[str, Any]],
     out: Path,
@@ -329,9 +320,8 @@ def run(
     timeout_s: float = 900.0,
     search: Path | None = None,
     relabel: bool = False,
-    cluster: str | None = None,
 ) -> None:
-    """Make and diagnose the cases that have no result yet, in ``jobs`` threads or on a cluster.
+    """Make and diagnose the cases that have no result yet, in ``jobs`` threads.
 
     With ``relabel`` the labels of the other cases, and the errors against their noise-free motions, are
     written anew. See :func:`diagnose` for ``search``.
@@ -358,7 +348,7 @@ def run(
         state = "" if record["ended"] else f"  {last['command'][0]} ended with {last['status']}"
         return f"{name} {case['robot']:15} {told:34} {took:6.1f} s{state}"
 
-    with opened(jobs, cluster) as pool:
+    with ThreadPoolExecutor(jobs) as pool:
         for future in as_completed([pool.submit(one, case) for case in cases]):
             if future.result():
                 print(f"{time.perf_counter() - begun:6.0f} s  {future.result()}", flush=True)
@@ -375,7 +365,6 @@ def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--effects", nargs="+", default=[], help="only single cases of these")
     parser.add_argument("--only", nargs="+", type=int, default=[], help="only the cases of these numbers")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--cluster", help="address or scheduler file of a cluster")
     parser.add_argument("--timeout", type=float, default=900.0, help="per command, s")
     parser.add_argument("--search", type=Path, help="folder with another version of the program")
     parser.add_argument("--out", type=Path, required=True, help="folder; a run there is taken up again")
@@ -414,7 +403,6 @@ def main(argv: Sequence[str] | None = None, *, program: Sequence[str] = PROGRAM)
             out,
             chosen.seed,
             jobs=chosen.jobs,
-            cluster=chosen.cluster,
             keep=chosen.keep,
             program=program,
             timeout_s=chosen.timeout,
