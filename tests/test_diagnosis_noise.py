@@ -11,7 +11,7 @@ from swimid.diagnosis import crossval, noise
 from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.study import START_PRIOR, GapStudy, Hypothesis
 from swimid.fitting.model import Trial
-from swimid.fitting.noise import Autoregression, NoiseForm
+from swimid.fitting.noise import NoiseForm
 from swimid.fitting.problem import Problem
 from tests.diagnosis_models import (
     Hooked,
@@ -78,9 +78,6 @@ def test_whitened_products_are_those_with_the_covariance_of_the_noise(rng: np.ra
     whole[:n, :n] = 2.0 * np.eye(n)
     whole[n:, n:] = 0.25 * (np.eye(n) + 3.0 * np.exp(-lag / 0.7))
     np.testing.assert_allclose(seen.T @ seen, columns.T @ np.linalg.solve(whole, columns), rtol=1e-8)
-
-
-FIRST_ORDER = Autoregression.of(np.array([-0.8]))
 
 
 # ---------------------------------------------------------------- estimate
