@@ -138,35 +138,19 @@ multilink:
     - {name: joint1, parent: head, child: mid, driven: {gain: 0.5}}
     - {name: joint2, parent: mid, child: tail, driven: {gain: 0.5}}
   elements:
-    - kind: slender-body
-      link: head
-      sections:
-        - {station_m: 0, height_m: 0.05, perimeter_m: 0.15}
-        - {station_m: 0.2, height_m: 0.1, perimeter_m: 0.3}
-      added_mass_coefficient: c_a
-      added_mass_direction: normal
-      drag_coefficient: 1.5
-      friction_coefficient: 0.02
-    - kind: slender-body
-      link: mid
-      sections:
-        - {station_m: 0, height_m: 0.1, perimeter_m: 0.3}
-        - {station_m: 0.1, height_m: 0.05, perimeter_m: 0.12}
-      added_mass_coefficient: c_a
-      added_mass_direction: normal
-      drag_coefficient: 1.5
-      friction_coefficient: 0.02
-    - kind: slender-body
-      link: tail
-      sections:
-        - {station_m: 0, height_m: 0.05, perimeter_m: 0.12}
-        - {station_m: 0.12, height_m: 0.12, perimeter_m: 0.24}
-      added_mass_coefficient: c_a
-      added_mass_direction: normal
-      drag_coefficient: 1.5
-      friction_coefficient: 0.02
+    - {kind: slender-body, link: head, LAW, sections: [
+        {station_m: 0, height_m: 0.05, perimeter_m: 0.15}, {station_m: 0.2, height_m: 0.1, perimeter_m: 0.3}]}
+    - {kind: slender-body, link: mid, LAW, sections: [
+        {station_m: 0, height_m: 0.1, perimeter_m: 0.3}, {station_m: 0.1, height_m: 0.05, perimeter_m: 0.12}]}
+    - {kind: slender-body, link: tail, LAW, sections: [
+        {station_m: 0, height_m: 0.05, perimeter_m: 0.12},
+        {station_m: 0.12, height_m: 0.12, perimeter_m: 0.24}]}
     - {kind: trailing-edge, link: tail, added_mass_kg_m: 11.0}
-"""
+""".replace(
+    "LAW",
+    "added_mass_coefficient: c_a, added_mass_direction: normal, drag_coefficient: 1.5, "
+    "friction_coefficient: 0.02",
+)
 
 
 def _write(folder: Path, text: str, values: dict[str, float] | None = None) -> Path:
