@@ -275,9 +275,6 @@ def test_bad_drag_file(swimid: Run, cruise: Path, text: str, words: list[str]) -
     refused(swimid("fit-propulsion", cruise / "trials.yaml", "--drag", cruise / "drag.yaml"), 3, words)
 
 
-# ------------------------------------------------------------ black-box fits
-
-
 # ------------------------------------------------------------ reports
 
 

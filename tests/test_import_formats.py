@@ -712,20 +712,10 @@ def test_lines_of_a_serial_monitor(form: str, imported: Imported, swimid: Run, t
 @pytest.mark.parametrize(
     "name",
     [
-        "movement",
-        "coco",
-        "trackpy",
-        "idtrackerai",
-        "kinovea",
-        "optitrack",
-        "qualisys",
-        "vicon",
-        "c3d",
-        "tdms",
-        "lvm",
-        "anipose",
+        "movement", "coco", "trackpy", "idtrackerai", "kinovea", "optitrack", "qualisys", "vicon", "c3d",
+        "tdms", "lvm", "anipose", "deeplabcut", "sleap", "tracker", "opensim", "ardupilot", "dynamixel",
     ],
-)
+)  # fmt: skip
 def test_a_file_that_is_none_of_the_format_named(name: str, swimid: Run, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t_s,x_m\n0,1\n1,2\n2,3\n")
     _refused(swimid, tmp_path / "a.csv", "--as", name)

@@ -369,9 +369,6 @@ class TestBreakdown:
         assert np.isnan(swim(times, values=values)[:, :3]).any()
 
 
-# ------------------------------------------------------------ MuJoCo
-
-
 # ------------------------------------------------------------ elements against closed forms
 
 

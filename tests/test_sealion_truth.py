@@ -67,6 +67,3 @@ def test_paths_agree_with_the_package(swimid: Any, tmp_path: Path, stroke: str) 
     way = np.hypot(np.diff(ours["x_m"]), np.diff(ours["z_m"])).sum()
     apart = np.hypot(ours["x_m"] - theirs["x_m"], ours["z_m"] - theirs["z_m"]).max()
     assert apart < 0.04 * way
-
-
-# ------------------------------------------------------------ trials

@@ -76,9 +76,3 @@ def test_a_run_behind_a_link_reads_the_files_of_its_plan(case: Case, swimid: Run
     shutil.rmtree(folder / "scratch/logs")
     again = swimid("batch", folder / "proj/plan.yaml", "-o", link, "--json")
     assert set(states(again).values()) == {"done"}
-
-
-# ---------------------------------------------------------------- names
-
-
-# ---------------------------------------------------------------- plans and scripts

@@ -122,6 +122,3 @@ def test_a_counter_of_any_name(name: str, case: Case, drafted: Callable[[str], s
     result = imported("named.csv", "--map", "map.yaml")
     assert result["speed"]["path_m_s"] == pytest.approx(0.2069, rel=0.01)
     assert result["stroke"]["frequency_hz"] == pytest.approx(1.2, abs=0.01)
-
-
-# ---------------------------------------------------------------- clocks, formats and units of other programs
