@@ -388,7 +388,7 @@ def drifting_camera(folder: Path) -> None:
         "added_mass": (0.69, 0.02, "kg", "estimated"),
         "pulley_friction": (0.0305, 0.001, "N", "estimated"),
     }
-    write_parameters(folder / "params.yaml", model="falling-weight", robot="boxfish", parameters=known)
+    write_parameters(folder / "params.yaml", "falling-weight", "boxfish", known)
 
 
 # ---------------------------------------------------------------- the list

@@ -319,13 +319,7 @@ def _write_fit(
     for k, (name, unit) in enumerate(PARAMETERS.items()):
         rows[name] = (estimates[k], stderr[k], unit, "estimated")
     rows["stiffness"] = (others[0].stiffness, 0.0, "N m/rad", "fixed")
-    write_parameters(
-        folder / "params_prior.yaml",
-        model="free-decay",
-        robot="hull.yaml",
-        parameters=rows,
-        correlation=correlation,
-    )
+    write_parameters(folder / "params_prior.yaml", "free-decay", "hull.yaml", rows, correlation)
     return np.linalg.cholesky(covariance)
 
 
@@ -342,4 +336,4 @@ def _write_prior(
         error = 0.0 if status == "fixed" else rng.uniform(0.02, 0.05)
         value = truth * (1 + error * rng.normal())
         rows[name] = (value, error * value, unit, status)
-    write_parameters(folder / "params_prior.yaml", model="free-decay", robot="hull.yaml", parameters=rows)
+    write_parameters(folder / "params_prior.yaml", "free-decay", "hull.yaml", rows)

@@ -412,7 +412,7 @@ def _write_fit(
         rows[name] = (value, error, units[name], "estimated")
     for name, value, unit in swim_files.FIXED[robot]:
         rows.setdefault(name, (value, 0.0, unit, "fixed"))
-    common.write_parameters(path, model="multilink", robot=robot, parameters=rows, correlation=correlation)
+    common.write_parameters(path, "multilink", robot, rows, correlation)
     return np.linalg.cholesky(covariance)
 
 
