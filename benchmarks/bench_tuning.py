@@ -260,7 +260,7 @@ noise and order. All are compared at {held} other beats and stiffnesses.
 
 One speed curve does not determine nine coefficients, and `fit-graybox` says so. Whether hand or estimator is
 nearer then depends on the random coefficients. With all channels of four records every mean speed is within
-0.1 cm/s. Not identifiable are then {unknown}: the frictions of head and trunk act as one sum."""
+0.1 cm/s. {unknown} are then not identifiable: the frictions of head and trunk act as one sum."""
 
 
 if __name__ == "__main__":

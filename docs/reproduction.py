@@ -257,9 +257,8 @@ def tfish_straight() -> str:
         yaw,
     )
     return f"""Table IV gives errors and normalised errors, whose quotient is a speed or a yaw rate. Three
-  of its rows contradict others, and are marked as doubtful. Speeds are those before {TANK_S:g} s, about
-  the time that the tank allows, and before {STEADY_S:g} s. With the published friction the model needs
-{min(rises):.0f} to {max(rises):.0f} s to reach 63 % of its speed.
+  of its rows contradict others, and are marked as doubtful. The tank allows about {TANK_S:g} s. With the
+published friction the model needs {min(rises):.0f} to {max(rises):.0f} s to reach 63 % of its speed.
 
 Speeds:
 
@@ -322,15 +321,12 @@ def tfish_turning() -> str:
         for b in (25.0, 30.0, 35.0)
     ]
     smallest = min(turning(b, TURN_ASYMMETRY, TURN_AMPLITUDE_DEG)[0] for b in (25.0, 30.0, 35.0))
-    paths = ", ".join(f"{row[2] * math.radians(row[5]):.2f}" for row in TABLE_V if row[1] == "CPG")
     columns = ["bias, mode"]
     for name in ("R, m", "ξ, deg", "ω max, deg/s", "ω mean, deg/s"):
         columns += [name, "model", "deviation"]
-    return f"""In turns (Table V, amplitude {TURN_AMPLITUDE_DEG:g}° chosen), the path tightens with the
-  bias and with asymmetry, as in the paper, the latter by {min(tighter):.0f} to {max(tighter):.0f} %
-  (published: 36 %). Unlike in the paper, the largest yaw rate is {min(slower):.0f} to {max(slower):.0f} %
-  below the published one, and the radius does not fall below {smallest:.2f} m. The published rows give
-  path speeds of {paths} m/s, which do not agree.
+    return f"""In turns (Table V, amplitude {TURN_AMPLITUDE_DEG:g}° chosen), asymmetry tightens the path by
+  {min(tighter):.0f} to {max(tighter):.0f} % (published: 36 %). The largest yaw rate is {min(slower):.0f} to
+  {max(slower):.0f} % below the published one, and the radius does not fall below {smallest:.2f} m.
 
 {table("tfish-turning", columns, rows)}
 
@@ -374,8 +370,8 @@ def tfish_rule() -> str:
     return f"""`swimid optimise stiffness` finds a pretension that rises with frequency and amplitude, as
   in Fig 9: {ranges}, from {RULE_HZ[0]:g} to {RULE_HZ[1]:g} Hz. The highest speed rises from {fixed:.2f} to
   {ruled:.2f} m/s ({100 * (ruled / fixed - 1):.0f} %); the paper has {low:g} and {high:g} m/s
-  ({100 * (high / low - 1):.0f} %). Unlike in Fig 10, the yaw rate has a larger range with the best spring,
-  at {wider} of {stiffer} points.
+  ({100 * (high / low - 1):.0f} %). Unlike in Fig 10, the best spring widens the range of the yaw rate, at
+  {wider} of {stiffer} points.
 
 ![The rule for each amplitude](figures/stiffness-rule.svg)
 """
@@ -429,7 +425,7 @@ def tfish_readings() -> str:
     columns = ["reading", *(f"V {f:g}/{a:g}" for f, a in CLEAN_SPEED), "rms"]
     columns += [*(f"yaw {f:g}/{a:g}" for f, a in CLEAN_YAW), "rms"]
     return f"""Other readings of the paper (`--reading NAME=OPTION`), one at a time, and other lengths of
-  the crank, which the paper does not give (20 mm is chosen):
+  the crank than the chosen 20 mm:
 
 {table("tfish-readings", columns, rows)}
 """
@@ -497,7 +493,7 @@ def dolphin_speeds() -> str:
     return f"""Top speeds of Figs 8 and 11b, waist ±{WAIST_DEG:g}°, have a root-mean-square error of
   {off:.1f} cm/s. In the paper the stiffer joint is faster; in the model the best stiffness at 2.88 Hz is
   {best_stiffness(2.88):.2f} N m/rad. With a locked joint the model swims {rigid:.2f} m/s at {top_hz:g} Hz
-  (published {known:g}). It reaches {faster:.2f} m/s at 5 Hz, where the published speed falls.
+  (published {known:g}), and {faster:.2f} m/s at 5 Hz, where the published speed falls.
 
 {table("dolphin-speeds", ["joint", "published, m/s", "model", "deviation", "fluke swings ±"], rows)}
 """
@@ -554,8 +550,8 @@ def dolphin_costs() -> str:
     largest = float(made["cost_of_transport_J_m"].max())
     columns = ["f, Hz", "W at 0.31 N m/rad", "W at 0.62", "J/m at 0.31", "J/m at 0.62"]
     return f"""The published cost of transport, {PUBLISHED_COST:g} J/m or more, is electrical. The joints
-  of the model need {100 * largest / PUBLISHED_COST:.0f} % of it or less. As in the paper, the power rises
-  with the frequency, and the softer joint has the lower cost.
+  of the model need {100 * largest / PUBLISHED_COST:.0f} % of it or less. As in the paper, the softer joint
+  has the lower cost.
 
 {table("dolphin-costs", columns, rows)}
 """
@@ -594,27 +590,23 @@ def checks() -> list[tuple[str, bool]]:
     ]
 
 
-FIG_11A = """As in Fig 11a, the best stiffness rises with the frequency. The figure has no values.
-
-![Speed over frequency and stiffness](figures/speed-map.svg)
+FIG_11A = """![Speed over frequency and stiffness](figures/speed-map.svg)
 """
 
 
 NOT_REPRODUCED = """## What cannot be reproduced, and why
 
-- *Curves over time and maps* are printed as pictures without data.
-- *Eq 10 of the tendon fish* is corrected. As printed, the bias drops out of the output.
-- *Inertias and masses of the tendon fish* contradict each other. Table II is used; only its I_0, taken
-  about the nose, is consistent.
-- *The dolphin's profile and polar* are not published. The polar was chosen to fit the three speeds, so that
-  their agreement is a fit and no prediction.
-- *L_c = 0.4 m of the dolphin* contradicts the inertias of its Table 2, which put it at 0.31 m.
+- Curves over time and maps are printed as pictures without data.
+- Eq 10 of the tendon fish is corrected. As printed, the bias drops out of the output.
+- Inertias and masses of the tendon fish contradict each other. Table II is used.
+- The profile and the polar of the dolphin are not published. The polar was chosen to fit the three speeds, so
+  that their agreement is a fit and no prediction.
+- L_c = 0.4 m of the dolphin contradicts the inertias of its Table 2, which put it at 0.31 m.
 """
 
 
-INTRODUCTION = """This page and its tables are written by `make reproduction` (`docs/reproduction.py`, then
-`benchmarks/bench_tuning.py`). The models are the robot files `tfish` and `dolphin` with the published
-coefficients. Tests compare the page with the output of the commands."""
+INTRODUCTION = """`make reproduction` writes this page and its tables. The models are the robot files `tfish`
+and `dolphin` with the published coefficients."""
 
 
 def page() -> str:

@@ -117,7 +117,7 @@ def test_constant_acceleration_is_measured(acceleration):
     found = measure_swimming(track)
     assert found.window == "whole track"
     assert not found.steady
-    assert found.stroke is None
+    assert found.stroke.beat is None
     for estimate, truth in zip(found.acceleration_xy, acceleration, strict=True):
         assert estimate.value == pytest.approx(truth, abs=0.4)
         assert holds(estimate, truth)
@@ -166,7 +166,7 @@ def test_a_robot_that_heaves_in_place_has_a_stroke(with_heading):
 def test_laps_are_no_strokes():
     """A point on a circle comes back again and again, at one speed."""
     found = measure_swimming(made(lambda t: [np.cos(1.2 * t), np.sin(1.2 * t)], seconds=16.0))
-    assert found.stroke is None
+    assert found.stroke.beat is None
     assert found.advance.value == pytest.approx(1.2, rel=0.003)
 
 

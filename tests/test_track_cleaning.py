@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.kinematics.jumps import clean_track
-from swimid.kinematics.speed import path_speed
+from swimid.kinematics.jumps import Cleaning, clean_track
+from swimid.kinematics.speed import TrackSpeed, measure_speed
 from swimid.kinematics.stroke import find_stroke
 from swimid.logs import log
 from swimid.logs.sampling import find_held
@@ -26,6 +26,14 @@ def _write(path: Path, made: Polled, head: str = "") -> None:
         writer = csv.writer(stream)
         writer.writerow(["t_s", "x_m", "y_m", "yaw_rad"])
         writer.writerows(made.rows)
+
+
+def measured_speed(cleaning: Cleaning, *place: np.ndarray) -> TrackSpeed:
+    """Return the speed of a cleaned track."""
+    kept = np.where(cleaning.good, place, np.nan).T
+    found = measure_speed(cleaning.held.measured_s, kept, offset_rows=cleaning.offset_rows)
+    assert found is not None
+    return found
 
 
 @pytest.mark.slow
@@ -69,9 +77,8 @@ def test_repeats_and_jumps_of_other_tracks(changes: dict[str, float]) -> None:
     made = polled(11, **changes)  # type: ignore[arg-type]
     time, x, y, _ = np.array(made.rows).T
     cleaning = clean_track(time, [x, y])
-    speed = path_speed(time, [x, y], cleaning)
+    speed = measured_speed(cleaning, x, y)
     assert cleaning.jumps == made.jumps
-    assert speed is not None
     assert abs(speed.path.value / made.path_m_s - 1) < 0.02
 
 
@@ -90,8 +97,7 @@ def test_the_interval_of_the_speed_covers_the_truth() -> None:
     for seed in range(8):
         made = polled(100 + seed, duration_s=20.0)
         time, x, y, _ = np.array(made.rows).T
-        speed = path_speed(time, [x, y], clean_track(time, [x, y]))
-        assert speed is not None
+        speed = measured_speed(clean_track(time, [x, y]), x, y)
         misses += not speed.line.low <= made.line_m_s <= speed.line.high
     assert misses <= 2
 
@@ -151,16 +157,16 @@ def test_harmonics_and_surge_at_twice_the_stroke(rng: np.random.Generator) -> No
         "u_m_s": 0.2 + 0.05 * np.cos(2 * phase) + 0.002 * rng.normal(size=2000),
     }
     found = find_stroke(time, columns)
-    assert found is not None
+    assert found.beat is not None
     assert abs(found.beat.frequency_hz - 1.5) < 4 * found.beat.stderr_hz + 1e-3
     alone = find_stroke(time, {"u_m_s": columns["u_m_s"]})
-    assert alone is not None
+    assert alone.beat is not None
     assert alone.maybe_double
     assert abs(alone.beat.frequency_hz - 3.0) < 0.01
 
 
 def test_noise_has_no_stroke(rng: np.random.Generator) -> None:
-    assert find_stroke(np.arange(500) / 30, {"yaw_rad": rng.normal(size=500)}) is None
+    assert find_stroke(np.arange(500) / 30, {"yaw_rad": rng.normal(size=500)}).beat is None
 
 
 # ---------------------------------------------------------------- written faster than measured

@@ -58,11 +58,7 @@ class ComOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that move the centre of mass of the heaviest link, and its weight with it."""
-        if model.in_space:
-            return Hooks(tables=(lambda tables: model.swimmer.shift(tables, values),))
-        body = model.body
-        by = float(values[0]), float(values[1])
-        return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))
+        return Hooks(tables=(lambda tables: model.swimmer.shift(tables, values),))
 
 
 @traceable(on="last", constants=3)

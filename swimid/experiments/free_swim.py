@@ -18,7 +18,7 @@ from swimid.errors import InputError
 from swimid.files.yamlio import ASK
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import SurgeInput, Trial
-from swimid.kinematics.frequency import compare_frequencies, find_beat
+from swimid.kinematics.frequency import compare_frequencies
 from swimid.logs.experiments import (
     EVERYWHERE,
     Drive,
@@ -28,7 +28,7 @@ from swimid.logs.experiments import (
     Trials,
     check_used,
 )
-from swimid.logs.log import FREQUENCY_RTOL, Log
+from swimid.logs.log import FREQUENCY_RTOL, Log, unwrap
 from swimid.notices import warn
 from swimid.propulsion.model import SurgeModel
 from swimid.propulsion.trials import beat_averages
@@ -119,7 +119,7 @@ def _set_references(experiment: Experiment, params: Params, path: Path) -> None:
 def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
     """Return the surge model with the averages over tail beats of the trials without a turning bias."""
     trials, logs, turning = [], [], []
-    beat_facts: dict[str, dict[str, float | str | None]] = {}
+    beat_facts: dict[str, dict[str, float | None]] = {}
     waveforms: dict[tuple[str, float], str] = {}
     for entry in entries.trials:
         drive = entry.drive
@@ -134,16 +134,14 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
             entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
         )
         logs.append(log.source)
-        seen = np.isfinite(log["yaw_rad"])
-        beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
-        used = "the measured frequency is used"
-        beat_facts[entry.id] = compare_frequencies(entry.id, drive.frequency_hz, beat, used)
+        heading, used = unwrap(log["yaw_rad"]), "the measured frequency is used"
+        beat = compare_frequencies(entry.id, drive.frequency_hz, log.time_s, heading, used)
+        beat_facts[entry.id] = beat
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue
         waveforms.setdefault(_waveform(drive), entry.id)
-        frequency = drive.frequency_hz if beat is None else beat.frequency_hz
-        trials.append(_average_beats(entry, drive, log, frequency))
+        trials.append(_average_beats(entry, drive, log, beat["found_hz"] or drive.frequency_hz))
     if turning:
         warn(
             "SWM018",

@@ -28,12 +28,12 @@ from swimid.imports.options import ImportOptions
 from swimid.kinematics import speed as track_speed
 from swimid.kinematics import stroke as strokes
 from swimid.kinematics import wave
-from swimid.kinematics.frequency import contradiction, read_frequency
+from swimid.kinematics.frequency import Beat, contradiction, read_frequency
 from swimid.kinematics.jumps import Cleaning, clean_track
 from swimid.kinematics.logged import Logged
 from swimid.kinematics.plot import figures_of
-from swimid.kinematics.speed import TrackSpeed, path_speed
-from swimid.kinematics.stroke import Rhythm, add_time_error, explain_missing, find_stroke
+from swimid.kinematics.speed import TrackSpeed, measure_speed
+from swimid.kinematics.stroke import StrokeEstimate, find_stroke
 from swimid.logs import log, sampling
 from swimid.logs.log import TIME, Doubt, Log, LogLike, runs
 from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, may_freeze
@@ -153,12 +153,10 @@ class Examined:
         Jumps and spikes of the channels beside the track, by a message on them.
     speed : TrackSpeed or None
         Speed of the track.
-    stroke : Rhythm or None
-        Stroke; None if none is found.
+    stroke : StrokeEstimate
+        Stroke, or the reason why none is found.
     against : str
         Message on how the stroke contradicts the metadata; empty if the two agree.
-    unknown : str
-        Reason why no stroke is found; empty if one is found.
     doubts : list of Doubt
         Columns with values that no swimmer reaches.
     comparisons : list of ColumnComparison
@@ -180,9 +178,8 @@ class Examined:
     cleaned: bool
     jumped: dict[str, Jumped]
     speed: TrackSpeed | None
-    stroke: Rhythm | None
+    stroke: StrokeEstimate
     against: str
-    unknown: str
     doubts: list[Doubt]
     comparisons: list[ColumnComparison]
     uneven: str
@@ -234,28 +231,30 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     channels = {key: values for key, values in measured if key not in (TIME, *markers)}
     times, times_sd_s = _find_picture_times(columns[TIME], stamps, cleaning)
     stated_hz = read_frequency(metadata)
-    stroke = find_stroke(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
-    unknown, against, periodic_hz, period_s = "", "", None, None
-    if stroke is None:
-        unknown, periodic_hz = explain_missing(columns[TIME], channels)
-    else:
-        stroke = add_time_error(stroke, times_sd_s, times)
-        periodic_hz, period_s = stroke.beat.frequency_hz, 1.0 / stroke.beat.frequency_hz
-        against = _check_stroke(stroke, stated_hz, name)
+    stroke = find_stroke(
+        times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz, time_sd_s=times_sd_s
+    )
+    against, periodic_hz = _check_stroke(stroke, stated_hz, name), stroke.frequency_hz or stroke.slow_hz
     if cleaning is not None:
-        speed = path_speed(stamps, track, cleaning, periodic_hz)
+        speed = measure_speed(
+            cleaning.held.measured_s,
+            np.where(cleaning.good, track, np.nan).T,
+            periodic_hz,
+            offset_rows=cleaning.offset_rows,
+            stamp_sd_s=cleaning.held.measured_sd_s,
+        )
     if posed is not None:
-        posed.centre(columns, None if stroke is None else stroke.beat.frequency_hz)
+        posed.centre(columns, stroke.frequency_hz)
     doubts = [*log.doubts(columns[TIME], columns), *_doubt_amplitudes(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
+    period_s = None if stroke.frequency_hz is None else 1.0 / stroke.frequency_hz
     comparisons = _compare_columns(columns, period_s, name)
     made = Log(source.path, metadata, columns, None)
     body_wave = point_evidence.wave_of(posed, periodic_hz)
     track_results = cleaning, cleaned, jumped, speed
-    stroke_results = stroke, against, unknown
     return Examined(
-        source, made, order, *track_results, *stroke_results, doubts, comparisons, *uneven, posed, body_wave
+        source, made, order, *track_results, stroke, against, doubts, comparisons, *uneven, posed, body_wave
     )
 
 
@@ -264,7 +263,7 @@ def _find_picture_times(times: Array, stamps: Array, cleaning: Cleaning | None) 
 
     ``times`` has the times of the samples that remain, and ``stamps`` those of all samples of the track.
     """
-    if cleaning is None or cleaning.held is None:
+    if cleaning is None:
         return times, 0.0
     measured_s = np.interp(times, stamps, cleaning.held.measured_s)
     if (np.diff(measured_s) > 0).all():  # equal times occur if other channels have rows between pictures
@@ -328,13 +327,11 @@ def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
         columns[name] = columns[name][rows]
 
 
-def _doubt_amplitudes(stroke: Rhythm | None) -> list[Doubt]:
+def _doubt_amplitudes(stroke: StrokeEstimate) -> list[Doubt]:
     """Return a :class:`Doubt` about each angle that oscillates with an amplitude above 180 degrees.
 
     No joint of a robot can move so far. The angle is probably in degrees.
     """
-    if stroke is None:
-        return []
     text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
     beats = {name: beat.amplitude for name, beat in stroke.channels.items() if name.endswith("_rad")}
     return [Doubt(name, text.format(size)) for name, size in beats.items() if size > np.pi]
@@ -437,10 +434,10 @@ def _take_out_track(
     return out
 
 
-def _check_stroke(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
+def _check_stroke(stroke: StrokeEstimate, stated_hz: float | None, name: str) -> str:
     """Return a message if the stroke contradicts the metadata; warn of this and of a doubtful stroke."""
     against = ""
-    if stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
+    if stroke.beat and stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
         against = f"{stroke.channel} {text}; the metadata say {stated_hz:g} Hz"
         warn("SWM032", f"{name}: {against}")
     if stroke.doubt:
@@ -674,7 +671,7 @@ def _track_checks(found: Examined) -> list[Check]:
 
 def _stroke_checks(found: Examined) -> list[Check]:
     stroke = found.stroke
-    if stroke is None:
+    if stroke.beat is None:
         return []
     checks = []
     if found.speed is not None and found.cleaning is not None:
@@ -687,16 +684,16 @@ def _stroke_checks(found: Examined) -> list[Check]:
     checks.append(_check("One stroke", not stroke.doubt, limit, stroke.doubt, value))
     if "frequency_hz" in found.log.metadata:
         name, stated = "Stroke against the metadata", f"{found.log.metadata['frequency_hz']} Hz"
-        checks.append(_check(name, not found.against, stated, found.against, _frequency(stroke)))
+        checks.append(_check(name, not found.against, stated, found.against, _frequency(stroke.beat)))
     return checks
 
 
 def _facts(found: Examined) -> dict[str, str]:
     """Return stroke, track and speed of an imported log, for the list of facts in the evidence."""
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
-    facts = {"Stroke": f"unknown: {found.unknown}"}
-    if stroke is not None:
-        facts["Stroke"] = f"{_frequency(stroke)} in {stroke.channel}"
+    facts = {"Stroke": f"unknown: {stroke.unknown}"}
+    if stroke.beat is not None:
+        facts["Stroke"] = f"{_frequency(stroke.beat)} in {stroke.channel}"
         if stroke.maybe_double:
             facts["Stroke"] += ", may be twice the stroke: no channel that swings sideways is there"
     if cleaning is not None:
@@ -721,7 +718,7 @@ def _tables(found: Examined) -> list[Table]:
             ["along the path", speed.path.value, speed.path.low, speed.path.high],
             ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
         ]
-        noise = numbers.format_number(speed.noise_m, 3, unit)
+        noise = numbers.format_number(speed.noise, 3, unit)
         caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
@@ -748,8 +745,8 @@ def _all_rows_table(all_rows: RowStatistics) -> Table:
     return Table(id="all-rows", title="Statistics of all rows", columns=columns, rows=rows, caption=caption)
 
 
-def _frequency(stroke: Rhythm) -> str:
-    return numbers.format_estimate(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
+def _frequency(beat: Beat) -> str:
+    return numbers.format_estimate(beat.frequency_hz, beat.stderr_hz, "Hz")
 
 
 def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:
@@ -776,7 +773,7 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
         "unlikely": found.mapped.unlikely,
         "jumps": {", ".join(one.columns): int(one.out.sum()) for one in found.jumped.values()},
         "contradictions": [asdict(one) for one in found.comparisons if one.text],
-        "stroke": {"unknown": found.unknown},
+        "stroke": {"unknown": stroke.unknown},
         **dict.fromkeys(("track", "speed", "points", "wave")),
         "verdict": proof.verdict.model_dump(),
         "checks": [check.model_dump() for check in proof.checks],
@@ -791,14 +788,14 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             "gaps_s": [list(gap) for gap in cleaning.gaps],
         }
     if speed is not None:
-        made["speed"] = {f"noise_{unit}": speed.noise_m, "covered_s": speed.covered_s}
+        made["speed"] = {f"noise_{unit}": speed.noise, "covered_s": speed.covered_s}
         for name, mean in (("path", speed.path), ("line", speed.line)):
             made["speed"] |= {f"{name}_{unit}_s": mean.value, f"{name}_ci95": [mean.low, mean.high]}
     if found.posed is not None:
         made["points"] = found.posed.data
         if found.wave is not None:
             made["wave"] = point_evidence.wave_data(found.wave, found.posed.unit)
-    if stroke is not None:
+    if stroke.beat is not None:
         made["stroke"] = {
             "frequency_hz": stroke.beat.frequency_hz,
             "stderr_hz": stroke.beat.stderr_hz,

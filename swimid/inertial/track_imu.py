@@ -23,7 +23,7 @@ from swimid.inertial.smoother import Motion, SmoothedMotion
 from swimid.kinematics import frequency
 from swimid.kinematics.frequency import read_frequency
 from swimid.kinematics.logged import Logged
-from swimid.kinematics.stroke import Rhythm, find_stroke
+from swimid.kinematics.stroke import StrokeEstimate, find_stroke
 from swimid.logs import log
 from swimid.logs.log import Log, LogLike
 from swimid.notices import Notice, Progress, record_warnings, silent, warn
@@ -162,7 +162,7 @@ class ImuRun:
     #: Setup of the recording, with the error class of the sensor and the rests that were used.
     setup: ImuSetup
     findings: list[Finding]
-    stroke: Rhythm | None
+    stroke: StrokeEstimate
     #: Stroke frequency that the metadata state, Hz; None if absent.
     stated_hz: float | None
     cutoff_hz: float
@@ -208,7 +208,7 @@ class ImuRun:
     def contradiction(self) -> str | None:
         """Message on the contradiction between stroke frequency and metadata; None if the two agree."""
         stroke, stated_hz = self.stroke, self.stated_hz
-        if stroke is None or stated_hz is None:
+        if stroke.beat is None or stated_hz is None:
             return None
         if stroke.maybe_double and frequency.contradiction(stroke.beat, 2 * stated_hz) is None:
             return None
@@ -268,8 +268,8 @@ def estimate_by_method(setup: ImuSetup, findings: list[Finding], poses: recordin
     readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
     stated_hz = read_frequency(record.metadata)
     stroke, cutoff = find_stroke(t, readings), LOWEST_HZ
-    if stroke is not None:
-        cutoff = STROKE_SHARE * stroke.beat.frequency_hz
+    if stroke.frequency_hz is not None:
+        cutoff = STROKE_SHARE * stroke.frequency_hz
     run = ImuRun(setup, findings, stroke, stated_hz, cutoff, {}, poses)
     if options.method == "paper":
         moved, constant = compute_by_paper(body, setup.attitude, options)
@@ -419,7 +419,7 @@ def _result(run: ImuRun, notices: Sequence[Notice], provenance: dict[str, Any]) 
         "attitude_from": run.setup.source.kind,
         "path_trusted_until_s": run.trusted_until_s,
         "clock_offset_s": run.fusion and run.fusion.offset.value_s,
-        "stroke_hz": run.stroke and run.stroke.beat.frequency_hz,
+        "stroke_hz": run.stroke.frequency_hz,
     }
     metadata = {k: v for k, v in head.items() if v is not None}
     references = [SHANG if run.by_paper else RAUCH]
@@ -475,7 +475,7 @@ def _data(run: ImuRun) -> dict[str, Any]:
         "noise": vars(setup.noise),
         "faults": [vars(finding) for finding in run.findings],
         "mounting": {"by": setup.mount.by, "roll_at_rest_rad": roll, "pitch_at_rest_rad": pitch},
-        "stroke": stroke
+        "stroke": stroke.beat
         and {
             "channel": stroke.channel,
             "frequency_hz": stroke.beat.frequency_hz,
@@ -565,11 +565,11 @@ def _motion_tests(run: ImuRun) -> Iterator[Test]:
         reason = f"the motion between rests does not close within its band ({value})"
         yield "SWM084", "Innovations at rests", value, f"below {MAX_REST_SCORE:g}", passed, reason
     stroke = run.stroke
-    if stroke is not None and run.stated_hz is not None:
+    if stroke.beat is not None and run.stated_hz is not None:
         against, limit = run.contradiction, f"metadata: {run.stated_hz:g} Hz"
         reason = f"{stroke.channel} {against}; the metadata say {run.stated_hz:g} Hz"
         yield "SWM032", "Stroke", f"{stroke.beat.frequency_hz:.4g} Hz", limit, against is None, reason
-    elif stroke is not None and stroke.doubt:
+    elif stroke.doubt:
         yield "SWM033", "Stroke", "in doubt", "one frequency", False, stroke.doubt
 
 
@@ -677,8 +677,8 @@ def _tables(run: ImuRun) -> list[Table]:
             ["position in the plane, maximum (m)", None, _largest(half)],
             [f"heading at the end (deg){basis}", float(yaw / DEG), float(BAND * yaw_sd / DEG)],
         ]
-    if run.stroke is not None:
-        beat = run.stroke.beat
+    beat = run.stroke.beat
+    if beat is not None:
         rows.append([f"stroke in {run.stroke.channel} (Hz)", beat.frequency_hz, BAND * beat.stderr_hz])
     columns = ["quantity", "value", "95 % band ±"]
     details = {name: value for name, value in _data(run).items() if name not in ("faults", "stroke")}

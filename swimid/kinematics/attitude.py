@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 def angles(rotation: Rotation) -> tuple[Array, Array, Array]:

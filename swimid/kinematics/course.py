@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 #: Minimum number of pairs of successive time windows in which the course is compared with the heading.

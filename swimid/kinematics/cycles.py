@@ -9,19 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.kinematics.attitude import from_angles
 from swimid.logs.sampling import slope
 
-if TYPE_CHECKING:
-    pass
-from swimid.kinematics.attitude import from_angles
-
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class Kind(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.log import FREQUENCY_RTOL
-from swimid.logs.sampling import has_levels
+from swimid.logs.sampling import has_levels, usual_step
 from swimid.notices import warn
 
 Array = NDArray[np.float64]
@@ -61,6 +61,8 @@ RIDGE = 1e-9
 #: Maximum order of a harmonic that a stronger and slower motion may cause. A beat of higher order is not
 #: taken for its harmonic.
 MAX_HARMONIC = 5
+#: Maximum frequency of the search for a beat, divided by a stated stroke frequency.
+MAX_STATED_RATIO = 8.0
 #: Maximum ratio of two sums of squared residuals for a slow motion that counts as periodic: that of a sine
 #: fit divided by that of a polynomial with as many coefficients. The polynomial describes a drift or a turn.
 PERIODIC_SHARE = 0.5
@@ -100,11 +102,6 @@ class Beat:
         half = float(special.stdtrit(max(self.cycles - WINDOW_CYCLES - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
 
-    @property
-    def speed(self) -> float:
-        """Product of amplitude and frequency, in the unit of the channel per s."""
-        return self.amplitude * self.frequency_hz
-
     def may_cause(self, frequency_hz: float) -> bool:
         """Return whether a beat at ``frequency_hz`` may be a harmonic of this beat."""
         return frequency_hz < (MAX_HARMONIC + 0.5) * self.frequency_hz
@@ -134,24 +131,28 @@ def read_frequency(metadata: Mapping[str, Any]) -> float | None:
 
 
 def compare_frequencies(
-    trial: str, stated_hz: float, beat: Beat | None, consequence: str
-) -> dict[str, float | str | None]:
+    trial: str, stated_hz: float, time_s: Array, heading: Array, consequence: str
+) -> dict[str, float | None]:
     """Return the stated and the estimated stroke frequency of a trial, Hz, and warn of a contradiction.
+
+    The keys are ``stated_hz``, ``found_hz`` and ``stderr_hz``. Without a beat the last two values are None.
 
     Parameters
     ----------
-    beat : Beat or None
-        Beat of the heading.
+    time_s, heading : ndarray, shape (n,)
+        Times, s, and unwrapped heading, rad, in which the beat is searched up to :data:`MAX_STATED_RATIO`
+        times the stated frequency. NaN is allowed.
     consequence : str
         Clause of the warning that says which of the two frequencies the caller uses.
     """
-    found: dict[str, float | str | None] = {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
-    if beat is not None:
-        found |= {"found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
-        if against := contradiction(beat, stated_hz):
-            text = f"the heading {against}, the trials file says {stated_hz:g} Hz; {consequence}"
-            warn("SWM032", f"{trial}: {text}")
-    return found
+    highest = min(MAX_STATED_RATIO * stated_hz, 0.45 / usual_step(time_s[np.isfinite(heading)]))
+    beat = find_beat(time_s, heading, highest_hz=highest)
+    if beat is None:
+        return {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
+    if against := contradiction(beat, stated_hz):
+        text = f"the heading {against}, the trials file says {stated_hz:g} Hz; {consequence}"
+        warn("SWM032", f"{trial}: {text}")
+    return {"stated_hz": stated_hz, "found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
 
 
 def find_beat(
@@ -219,7 +220,9 @@ def find_beats(
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if lowest_hz is None and (slow := find_slow_motion(t, x)) is not None:
-        sure = [beat for beat in sure if not slow.may_cause(beat.frequency_hz) or beat.speed > slow.speed]
+        # Keep a beat that may be a harmonic only if it moves faster than the slow motion.
+        rate = slow.amplitude * slow.frequency_hz
+        sure = [b for b in sure if not slow.may_cause(b.frequency_hz) or b.amplitude * b.frequency_hz > rate]
     return _remove_harmonics(tested, sure, 1.0 / (t[-1] - t[0]))
 
 
@@ -227,7 +230,7 @@ def _test_peaks(
     t: Array, x: Array, lowest_hz: float | None, highest_hz: float | None
 ) -> tuple[list[Beat], list[Beat]]:
     """Return all beats at the spectral peaks of a channel, and those that are significant in the search."""
-    duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
+    duration, step = t[-1] - t[0], usual_step(t)
     low = max(lowest_hz or 0.0, MIN_CYCLES / duration)
     # Limit the range of the search: an unevenly sampled record determines no more frequencies than an evenly
     # sampled record of as many samples.
@@ -306,25 +309,21 @@ def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
     if len(t) < 2 * MIN_SAMPLES_BEAT or not np.ptp(x) > 1e-12 * np.max(np.abs(x)):
         return None
     duration = float(t[-1] - t[0])
-    u = 2.0 * (t - t[0]) / duration - 1.0
-    powers = np.polynomial.legendre.legvander(u, 5)
-    parabola, quintic = (np.linalg.qr(powers[:, :k])[0] for k in (3, 6))
-    x = x - parabola @ (parabola.T @ x)
-    cycles = np.arange(1.0, 1.5 * MIN_CYCLES, 0.1)
-    turns = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
-    sines = np.stack([turns.real, turns.imag], axis=-1)
-    sines -= parabola @ (parabola.T @ sines)
-    normal = sines.transpose(0, 2, 1) @ sines
-    right = sines.transpose(0, 2, 1) @ x
-    weights = np.linalg.solve(normal, right[..., None])[..., 0]
-    explained = np.sum(right * weights, axis=1)
-    best = int(np.argmax(explained))
-    drift = float(np.sum((x - quintic @ (quintic.T @ x)) ** 2))
-    periodic = float(x @ x) - explained[best] < PERIODIC_SHARE * drift
-    if best == 0 or cycles[best] >= MIN_CYCLES or not periodic:
+    t = t - t[0]
+    u = 2.0 * t / duration - 1.0
+
+    def fit(design: Array) -> tuple[float, NDArray[np.floating[Any]]]:
+        weights = np.linalg.lstsq(design, x, rcond=None)[0]
+        return float(np.sum((x - design @ weights) ** 2)), weights
+
+    tried = np.arange(1.0, 1.5 * MIN_CYCLES, 0.1)
+    fits = [fit(np.column_stack((waves(t, n / duration), np.vander(u, 3)))) for n in tried]
+    best = int(np.argmin([squares for squares, _ in fits]))
+    squares, weights = fits[best]
+    cycles, drift_squares = float(tried[best]), fit(np.vander(u, 6))[0]
+    if best == 0 or cycles >= MIN_CYCLES or squares >= PERIODIC_SHARE * drift_squares:
         return None
-    amplitude = float(np.hypot(*weights[best]))
-    return Beat(cycles[best] / duration, np.nan, amplitude, np.nan, float(cycles[best]))
+    return Beat(cycles / duration, np.nan, float(np.hypot(*weights[:2])), np.nan, cycles)
 
 
 def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Array:

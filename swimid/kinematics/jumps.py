@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.log import runs
 from swimid.logs.sampling import FALSE_ALARM_REPEATS, PAUSE, Held, find_held, pauses, quantum
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -59,8 +55,8 @@ class Cleaning:
         Row numbers at which the track continues at another place.
     gaps : list of (float, float)
         Start and end of the gaps between good samples, s.
-    held : Held or None
-        Repeated samples, with the measurement times of the pictures; None if repeats were not searched.
+    held : Held
+        Repeated samples, with the measurement times of the pictures.
     """
 
     good: Flags
@@ -69,13 +65,13 @@ class Cleaning:
     jumps: int
     offset_rows: list[int]
     gaps: list[tuple[float, float]]
-    held: Held | None = None
+    held: Held
 
     @property
     def counts(self) -> dict[str, int]:
         """Number of repeated samples, number of jumps, and number of samples in jumps of a track, by name."""
-        repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
-        return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
+        lost = int(self.jumped.sum())
+        return {"repeats": int(self.repeated.sum()), "jumps": self.jumps, "samples_jumped": lost}
 
 
 def clean_track(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:
@@ -119,13 +115,9 @@ def clean_track(time_s: Array, positions: list[Array], others: list[Array] | Non
         offsets = [int(rows[k]) for k in elsewhere]
         jumps = len(runs(~stays)) + len(offsets)
     good = known & ~repeated & ~jumped
-    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good), held)
-
-
-def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
-    """Return start and end, s, of each gap between good samples of a track, as found by :func:`pauses`."""
     times = time_s[good]
-    return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
+    gaps = [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
+    return Cleaning(good, repeated, jumped, jumps, offsets, gaps, held)
 
 
 def find_jumps(

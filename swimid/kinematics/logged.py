@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.logs import log
 from swimid.logs.log import Log
@@ -21,9 +20,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, eq=False)
 class Logged(Result):
@@ -34,10 +30,6 @@ class Logged(Result):
     table : dict of str to array_like, each shape (n,)
         Columns as they are written to the file, with text and integers. Empty if the columns of ``log`` are
         written.
-    log : Log
-        The log, which any function that reads logs accepts.
-    frame : DataFrame
-        Columns of the log, one row per sample, in SI units and radians.
 
     Examples
     --------

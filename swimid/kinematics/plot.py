@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.kinematics.options import PlotOptions
-from swimid.kinematics.stroke import MAX_RATE_HZ, PUSHED, SIDEWAYS, Rhythm, find_stroke, swing
+from swimid.kinematics.stroke import MAX_RATE_HZ, PUSHED, SIDEWAYS, StrokeEstimate, find_stroke, swing
 from swimid.logs import log
 from swimid.logs.log import Log, LogLike, runs
 from swimid.logs.sampling import longest_even, pauses
@@ -54,7 +55,7 @@ class Drawn(Result):
         UsageError
             The path has an ending other than ``.svg`` or ``.png``.
         """
-        path = _picture(Path(path))
+        path = _picture(path)
         assert self.evidence is not None
         from swimid.results import drawing
 
@@ -102,7 +103,7 @@ def plot(
         raise UsageError("name at least one log to draw")
     if output is not None:
         paths = [one for one in logs if isinstance(one, str | Path)]
-        output = atomic.check_writable(_picture(Path(output)), inputs=paths)
+        output = atomic.check_writable(_picture(output), inputs=paths)
     records: list[log.Log] = []
     with record_warnings(repeat=True) as notices:
         for number, given in enumerate(logs, start=1):
@@ -124,10 +125,10 @@ def plot(
     return Drawn("plot", told, data, evidence=proof, document=records).write_output(output)
 
 
-def _picture(path: Path) -> Path:
-    if path.suffix.lower() not in PICTURES:
+def _picture(path: str | Path) -> Path:
+    if Path(path).suffix.lower() not in PICTURES:
         raise UsageError(f"{path}: a picture ends in {' or '.join(PICTURES)}")
-    return path
+    return Path(path)
 
 
 # ---------------------------------------------------------------- figures
@@ -139,19 +140,18 @@ MAX_PANELS = 12
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
 
 
-def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]:
+def figures_of(logs: Sequence[Log], *, found: StrokeEstimate | None = None) -> list[Figure]:
     """Return the figures of one or several logs: channels, path and spectra.
 
     Parameters
     ----------
     logs : sequence of Log
         Logs to draw. Several logs are drawn over each other, each with its own time axis origin.
-    found : Rhythm, optional
+    found : StrokeEstimate, optional
         Stroke of a single log, if it is already known.
     """
-    drawn = [channels(logs), track(logs)]
-    for record in logs:
-        drawn.append(_spectra(record, found or find_stroke(record.time_s, record.signals)))
+    spectra = [_spectra(record, found or find_stroke(record.time_s, record.signals)) for record in logs]
+    drawn = [channels(logs), track(logs), *spectra]
     return [figure for figure in drawn if figure is not None and figure.panels]
 
 
@@ -182,16 +182,15 @@ def channels(logs: Sequence[Log]) -> Figure:
     """Return the figure of log channels over time, with shaded gaps. Several logs share the panels."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
-    by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
-    for number, record in enumerate(logs):
-        for column, values in record.signals.items():
-            by_channel.setdefault(column, []).append((number, record, values))
     # Draw the channels that the largest number of logs have in common first.
-    order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
+    order = [name for name, _ in Counter(n for record in logs for n in record.signals).most_common()]
     panels = []
     for channel in order[:MAX_PANELS]:
         traces, gaps = [], []
-        for number, record, values in by_channel[channel]:
+        for number, record in enumerate(logs):
+            if channel not in record.signals:
+                continue
+            values = record.signals[channel]
             x, y = thin_curve(*_insert_pauses(record.time_s, values, after[number]))
             label, group, lacking = ("", None, "missing")
             if several:
@@ -238,11 +237,10 @@ def track(logs: Sequence[Log]) -> Figure | None:
             path, arrows = name, f"heading, {name}"
         x, y = record["x_m"], record[up]
         step, after = len(x) // MAX_TRACE_POINTS + 1, pauses(record.time_s)
-        line = (_insert_pauses(record.time_s, values, after)[1][::step] for values in (x, y))
-        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
-        there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+        line = [_insert_pauses(record.time_s, values, after)[1][::step] for values in (x, y)]
+        traces.append(Trace(x=line[0], y=line[1], label=path))
         heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]
-        if heading in record and len(there) > 1:
+        if heading in record and np.isfinite(x + y).sum() > 1:
             traces.append(_arrows(x, y, record[heading], arrows))
     if not traces:
         return None
@@ -267,7 +265,7 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
     return Trace(x=sides[0], y=sides[1], label=label, style="arrows")
 
 
-def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
+def _spectra(record: Log, stroke: StrokeEstimate) -> Figure:
     """Return the figure of the spectra of channels that may oscillate with the stroke.
 
     The harmonics of the stroke are marked, if a stroke was found.
@@ -276,7 +274,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
     signals = {n: v for n, v in record.signals.items() if any(names.fullmatch(n) for names in told)}
     caption = "No stroke was found."
     beats: list[tuple[str, float]] = []
-    if stroke is not None:
+    if stroke.beat is not None:
         signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
         track = swing(record.columns)
         if stroke.channel in track:
@@ -299,7 +297,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
     return ev.panels(f"spectra-{path.stem}", f"Spectra of {path.name}", caption, panels)
 
 
-def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
+def _spectrum(time: Array, values: Array, stroke: StrokeEstimate) -> tuple[Array, Array] | None:
     """Return the spectrum of a channel: frequencies, Hz, and amplitudes; None if too short or constant."""
     even_s, even = longest_even(time, values, MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
@@ -312,7 +310,7 @@ def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array,
     frequency = np.fft.rfftfreq(length, 1 / rate)
     amplitude = 2 * np.abs(np.fft.rfft(window * level, length)) / window.sum()
     highest = frequency[-1]
-    if stroke is not None:
+    if stroke.beat is not None:
         highest = min(6.5 * stroke.beat.frequency_hz, highest)
     shown = (frequency > 0) & (frequency <= highest)
     if not np.any(amplitude[shown] > 0):

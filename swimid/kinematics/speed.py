@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -9,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.kinematics.frequency import waves
-from swimid.kinematics.jumps import Cleaning
+from swimid.logs.sampling import pauses
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 #: Minimum number of samples of a gap-free segment of a track from which the speed is estimated.
@@ -48,26 +48,38 @@ class TrackEstimate:
     low: float
     high: float
 
+    @classmethod
+    def from_stderr(cls, value: float, stderr: float, freedom: int) -> TrackEstimate:
+        """Return an estimate with Student's t interval, from its standard error and degrees of freedom."""
+        from scipy.special import stdtrit
+
+        half = float(stdtrit(freedom, 0.975)) * stderr
+        return cls(value, value - half, value + half)
+
+    def cut_at_zero(self) -> TrackEstimate:
+        """Return this estimate with the interval cut off at zero, for a quantity that is never negative."""
+        return TrackEstimate(self.value, max(self.low, 0.0), self.high)
+
 
 @dataclass(frozen=True)
 class TrackSpeed:
-    """Mean speed of a track, in units of its coordinates per second.
+    """Mean speed of a track, in units of its coordinates per second. The intervals are cut off at zero.
 
     Attributes
     ----------
-    path : Estimate
-        Mean of the speed along the path, including sway and turns, m/s.
-    line : Estimate
-        Displacement divided by duration, after the periodic motion is averaged out, m/s.
-    noise_m : float
-        Standard deviation of a coordinate about the smoothed path, m.
+    path : TrackEstimate
+        Mean of the speed along the path, including sway and turns.
+    line : TrackEstimate
+        Net speed: displacement divided by duration, after the periodic motion is averaged out.
+    noise : float
+        Standard deviation of a coordinate about the smoothed path, in the unit of the coordinates.
     covered_s : float
         Duration of the track without its gaps, s.
     """
 
     path: TrackEstimate
     line: TrackEstimate
-    noise_m: float
+    noise: float
     covered_s: float
 
 
@@ -93,63 +105,21 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> TrackEs
         Correction that is added to the mean. Its standard uncertainty is taken to be as large as the
         correction.
     """
-    from scipy.special import stdtrit
-
     value = float(weights @ values / weights.sum())
     block = np.minimum((np.cumsum(weights) - 0.5 * weights) / weights.sum() * BLOCKS, BLOCKS - 1).astype(int)
     totals = np.bincount(block, weights, BLOCKS)
     held = totals > 0
     means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
-    half = 0.0
+    half = abs(shift)
     if len(means) > 1:
         # Widen the interval, because the means of successive blocks are correlated.
         error = float(means.std(ddof=1)) / np.sqrt(len(means)) * error_factor(means - means.mean())
-        half = float(stdtrit(len(means) - 1, 0.975)) * error
-    half = float(np.hypot(half, shift))
+        half = float(np.hypot(TrackEstimate.from_stderr(0.0, error, len(means) - 1).high, shift))
     return TrackEstimate(value + shift, value + shift - half, value + shift + half)
 
 
-def net_speed(
-    time_s: Array, place: Array, frequency_hz: float | None = None, stamp_sd_s: float = 0.0
-) -> TrackEstimate | None:
-    """Return the net speed of a track: the displacement of its averaged path divided by its duration.
-
-    The unit is that of the positions ``place`` per s.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Strictly increasing, s.
-    place : ndarray, shape (n, d)
-        Positions, without NaN.
-    frequency_hz : float, optional
-        Frequency of the periodic motion, Hz, known to a tenth of a cycle over the record. This motion is
-        fitted and left out of the displacement.
-    stamp_sd_s : float
-        Standard deviation of the errors of the time stamps, s.
-
-    Returns
-    -------
-    Estimate or None
-        Net speed; None for fewer than :data:`MIN_SAMPLES_SPEED` samples.
-
-    Notes
-    -----
-    A polynomial and two harmonics are fitted by least squares to both ends of the track, or to the whole of a
-    short track. For a short track, the displacements of fits with several polynomial orders and frequencies
-    are averaged with the weights of the Bayesian information criterion [1]_. In these fits an amplitude that
-    changes linearly absorbs the error of the frequency. The interval is widened for correlated residuals by
-    the factor of a first-order autoregressive process.
-
-    References
-    ----------
-    .. [1] Hoeting, J. A., Madigan, D., Raftery, A. E., Volinsky, C. T. (1999). Bayesian model averaging: a
-       tutorial. Statistical Science 14, 382-417. doi:10.1214/ss/1009212519
-    """
-    from scipy.special import stdtrit
-
-    if len(time_s) < MIN_SAMPLES_SPEED:
-        return None
+def _net_speed(time_s: Array, place: Array, frequency_hz: float | None, stamp_sd_s: float) -> TrackEstimate:
+    """Return the net speed of a track without NaN, by the method given in :func:`measure_speed`."""
     first, last = float(time_s[0]), float(time_s[-1])
     duration = last - first
     end_s = END_SHARE * duration if frequency_hz is None else END_CYCLES / frequency_hz
@@ -166,8 +136,8 @@ def net_speed(
     size = float(np.linalg.norm(away))
     along = float(variance @ (away / max(size, 1e-300)) ** 2)
     late = np.sqrt(2.0) * stamp_sd_s * size / duration
-    half = float(stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
-    return TrackEstimate(size / duration, (size - half) / duration, (size + half) / duration)
+    stderr = float(np.hypot(np.sqrt(max(along, 0.0)), late))
+    return TrackEstimate.from_stderr(size / duration, stderr / duration, freedom).cut_at_zero()
 
 
 def _average_displacement(
@@ -222,21 +192,29 @@ def _fit_path(
     return criterion, look @ weights, cover[:, :, None] * variance, freedom
 
 
-def path_speed(
-    time_s: Array, positions: list[Array], cleaning: Cleaning, frequency_hz: float | None = None
+def measure_speed(
+    time_s: Array,
+    place: Array,
+    frequency_hz: float | None = None,
+    *,
+    offset_rows: Sequence[int] = (),
+    stamp_sd_s: float = 0.0,
 ) -> TrackSpeed | None:
-    """Return the mean speed of a track after cleaning; None if no segment is long enough.
+    """Return the mean speed of a track; None if no segment has :data:`MIN_SAMPLES_SPEED` samples.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
-        Time stamps, s. If samples are repeated, the measurement times of ``cleaning`` are used instead.
-    positions : list of ndarray, each shape (n,)
-        Coordinates as in the file, m.
-    cleaning : Cleaning
-        Good samples of the track.
+        Strictly increasing times of measurement, s.
+    place : ndarray, shape (n, d)
+        Positions, in any unit; NaN where missing.
     frequency_hz : float, optional
-        Frequency of the periodic motion that is left out of the displacement, Hz.
+        Frequency of the periodic motion, Hz, known to a tenth of a cycle over the record. This motion is
+        fitted and left out of the displacement.
+    offset_rows : sequence of int
+        Row numbers at which the track continues at another place.
+    stamp_sd_s : float
+        Standard deviation of the errors of the time stamps, s.
 
     Notes
     -----
@@ -244,60 +222,56 @@ def path_speed(
     cross-validation on the longest segment [1]_. Noise lengthens a path. To correct this bias, resampled
     residuals are added to the smoothed path, the sum is smoothed again, and the added length is subtracted
     (parametric bootstrap [2]_). The interval of the path speed includes noise and unsteady swimming
-    (:func:`mean_of_blocks`). The speed ``line`` is computed by :func:`net_speed`.
+    (:func:`mean_of_blocks`).
+
+    For the net speed, a polynomial and two harmonics are fitted by least squares to both ends of the track,
+    or to the whole of a short track. For a short track, the displacements of fits with several polynomial
+    orders and frequencies are averaged with the weights of the Bayesian information criterion [3]_. In these
+    fits an amplitude that changes linearly absorbs the error of the frequency. The interval is widened for
+    correlated residuals by the factor of a first-order autoregressive process.
 
     References
     ----------
     .. [1] Craven, P., Wahba, G. (1979). Smoothing noisy data with spline functions. Numerische
        Mathematik 31, 377-403. doi:10.1007/BF01404567
     .. [2] Efron, B., Tibshirani, R. J. (1993). An Introduction to the Bootstrap. Chapman & Hall.
+    .. [3] Hoeting, J. A., Madigan, D., Raftery, A. E., Volinsky, C. T. (1999). Bayesian model averaging: a
+       tutorial. Statistical Science 14, 382-417. doi:10.1214/ss/1009212519
     """
-    place, stamp_sd_s = np.column_stack(positions), 0.0
-    if cleaning.held is not None:
-        time_s, stamp_sd_s = cleaning.held.measured_s, cleaning.held.measured_sd_s
-    rng = np.random.default_rng(0)
-    velocity, weights = np.full(place.shape, np.nan), np.zeros(len(time_s))
-    squares, count, excess = 0.0, 0, 0.0
-    stretches = _stretches(time_s, cleaning)
-    if not stretches:
+    known = np.flatnonzero(np.isfinite(place).all(axis=1))
+    segments = _segments(time_s, known, offset_rows)
+    if not segments:
         return None
-    longest = max(stretches, key=len)[:600]
+    rng = np.random.default_rng(0)
+    longest = max(segments, key=len)[:600]
     strength = _strength(time_s[longest], place[longest])
-    for rows in stretches:
+    speeds, weights, residuals, excess = [], [], [], 0.0
+    for rows in segments:
         t, x = time_s[rows], place[rows]
         smooth, slope = _smooth_path(t, x, strength)
         left = x - smooth
         again = _smooth_path(t, smooth + rng.choice(left, len(left)), strength)[1]
-        part = np.convolve(np.diff(t), [0.5, 0.5])  # duration, s, that each sample represents
-        weights[rows] = part
-        velocity[rows] = slope
-        excess += float(part @ (np.linalg.norm(again, axis=1) - np.linalg.norm(slope, axis=1)))
-        squares, count = squares + float(np.sum(left**2)), count + left.size
-    covered = float(weights.sum())
-    used = weights > 0
-    along = np.linalg.norm(velocity[used], axis=1)
-    line = net_speed(time_s[cleaning.good], place[cleaning.good], frequency_hz, stamp_sd_s)
-    assert line is not None  # each segment has at least MIN_SAMPLES_SPEED samples
-    path = mean_of_blocks(along, weights[used], -excess / covered)
-    return TrackSpeed(path, line, float(np.sqrt(squares / max(count, 1))), covered)
+        weights.append(np.convolve(np.diff(t), [0.5, 0.5]))  # duration, s, that each sample represents
+        speeds.append(np.linalg.norm(slope, axis=1))
+        excess += float(weights[-1] @ (np.linalg.norm(again, axis=1) - speeds[-1]))
+        residuals.append(left)
+    covered = float(np.concatenate(weights).sum())
+    path = mean_of_blocks(np.concatenate(speeds), np.concatenate(weights), -excess / covered).cut_at_zero()
+    line = _net_speed(time_s[known], place[known], frequency_hz, stamp_sd_s)
+    return TrackSpeed(path, line, float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))), covered)
 
 
-def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
+def _segments(time_s: Array, known: NDArray[np.intp], offset_rows: Sequence[int]) -> list[NDArray[np.intp]]:
     """Return the rows of each segment of a track without gaps and jumps, if long enough for smoothing.
 
-    Segments of more than :data:`MAX_STRETCH` samples are divided.
+    ``known`` are the rows with a position. Segments of more than :data:`MAX_STRETCH` samples are divided.
     """
-    rows = np.flatnonzero(cleaning.good)
-    rows = rows[:: max(len(rows) // MAX_SAMPLES_SPEED, 1)]
-    if len(rows) < MIN_SAMPLES_SPEED:
-        return []
-    ends = {end for _, end in cleaning.gaps} | {float(time_s[row]) for row in cleaning.offset_rows}
-    cuts = np.unique(np.searchsorted(time_s[rows], sorted(ends)))
-    found = []
-    for stretch in np.split(rows, cuts):
-        pieces = max(int(np.ceil(len(stretch) / MAX_STRETCH)), 1)
-        found += [part for part in np.array_split(stretch, pieces) if len(part) >= MIN_SAMPLES_SPEED]
-    return found
+    starts = [*known[pauses(time_s[known]) + 1], *offset_rows]
+    rows = known[:: max(len(known) // MAX_SAMPLES_SPEED, 1)]
+    parts = []
+    for segment in np.split(rows, np.unique(np.searchsorted(rows, starts))):
+        parts += np.array_split(segment, max(int(np.ceil(len(segment) / MAX_STRETCH)), 1))
+    return [part for part in parts if len(part) >= MIN_SAMPLES_SPEED]
 
 
 def _smooth_path(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from swimid.logs.log import FREQUENCY_RTOL, unwrap_angle
 from swimid.logs.sampling import longest_even, quantum
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 #: Pattern of the channels that oscillate once per stroke, because their signs in the two half strokes are
@@ -74,44 +72,60 @@ MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
 
 
 @dataclass(frozen=True)
-class Rhythm:
-    """Stroke that was found in a log, and the channels in which it was found.
+class StrokeEstimate:
+    """Stroke of a log or a track, and the channels in which it was found; or the reason why none is found.
 
     Attributes
     ----------
-    beat : Beat
-        Beat of the channel whose frequency has the smallest standard error.
+    beat : Beat or None
+        Beat of the channel whose frequency has the smallest standard error; None if no stroke is found.
     channel : str
         Name of the channel of ``beat``.
     channels : dict of str to Beat
         Strongest beat of each channel that has a beat.
-    maybe_double : bool
-        Whether the stroke is seen only in channels that may oscillate twice per stroke, so that the frequency
-        may be twice that of the stroke.
     rivals : dict of str to Beat
         Largest beat of each channel whose frequency is no multiple of the stroke frequency. Such a beat
         contradicts the stroke.
+    unknown : str
+        Reason why no stroke is found; empty if one is found.
+    slow_hz : float or None
+        Without a stroke: frequency of a periodic motion of too few cycles, Hz, if there is one.
     """
 
-    beat: Beat
-    channel: str
-    channels: dict[str, Beat]
-    maybe_double: bool
+    beat: Beat | None = None
+    channel: str = ""
+    channels: dict[str, Beat] = field(default_factory=dict)
     rivals: dict[str, Beat] = field(default_factory=dict)
+    unknown: str = ""
+    slow_hz: float | None = None
+
+    @property
+    def frequency_hz(self) -> float | None:
+        """Frequency of the stroke, Hz; None if no stroke is found."""
+        return None if self.beat is None else self.beat.frequency_hz
+
+    @property
+    def maybe_double(self) -> bool:
+        """Whether only channels that may oscillate twice per stroke show a beat.
+
+        The frequency may then be twice that of the stroke.
+        """
+        return self.channel in ALONG or PUSHED.fullmatch(self.channel) is not None
 
     @property
     def doubt(self) -> str:
         """Reason to doubt this stroke, as text for a message; empty if there is no reason."""
-        said = []
+        if self.beat is None:
+            return ""
+        said, hz = [], f"{self.beat.frequency_hz:.4g} Hz"
         if self.rivals:
             others = " and ".join(f"{n} at {b.frequency_hz:.4g} Hz" for n, b in self.rivals.items())
             said.append(
-                f"{self.channel} beats at {self.beat.frequency_hz:.4g} Hz, {others}, which is no multiple of "
-                "it: one of them is not the stroke but another vibration or sway"
+                f"{self.channel} beats at {hz}, {others}, which is no multiple of it: one of them is not the "
+                "stroke but another vibration or sway"
             )
         if self.beat.frequency_hz > MAX_STROKE_HZ:
-            hz = self.beat.frequency_hz
-            said.append(f"{hz:.4g} Hz is faster than robots and all but very small fish beat")
+            said.append(f"{hz} is faster than robots and all but very small fish beat")
         return "; ".join(said)
 
 
@@ -157,29 +171,20 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
     return found
 
 
-#: Number of products above which a convolution is computed by FFT. Below it the import of SciPy takes longer.
-LONG_PRODUCT = 100_000_000
-
-
 def _average_path(place: Array, width: int) -> tuple[Array, Array]:
     """Return values and slopes of straight lines fitted to ``width`` samples around each sample of a path.
 
     The slopes are per sample. Within half a window of either end of the path, the line of the first or last
     complete window is used.
     """
-    convolve: Callable[..., Array] = np.convolve
-    if width * len(place) > LONG_PRODUCT:
-        # The window is a share of the log, so that its products grow with the square of the length.
-        convolve = import_module("scipy.signal").convolve
-
-    half = width // 2
+    half, rows = width // 2, np.arange(len(place))
+    middle = np.clip(rows, half, len(place) - 1 - half)
     offsets = np.arange(-half, half + 1)
-    middles = np.column_stack([convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
-    slopes = np.column_stack([convolve(x, -offsets / (offsets @ offsets), "valid") for x in place.T])
-    samples = np.arange(len(place))
-    line = np.clip(samples - half, 0, len(middles) - 1)
-    beyond = samples - half - line
-    return middles[line] + slopes[line] * beyond[:, None], slopes[line]
+    centred = place - place.mean(axis=0)
+    sums = np.pad(np.cumsum([centred, rows[:, None] * centred], axis=1), ((0, 0), (1, 0), (0, 0)))
+    total, moment = sums[:, middle + half + 1] - sums[:, middle - half]
+    slopes = (moment - middle[:, None] * total) / (offsets @ offsets)
+    return place.mean(axis=0) + total / width + slopes * (rows - middle)[:, None], slopes
 
 
 def coordinate_columns(columns: Mapping[str, Array]) -> list[str]:
@@ -199,8 +204,9 @@ def find_stroke(
     *,
     range_hz: tuple[float, float] | None = None,
     stated_hz: float | None = None,
-) -> Rhythm | None:
-    """Find the stroke of a swimmer (its beat frequency) in the channels of a log; return None without one.
+    time_sd_s: float = 0.0,
+) -> StrokeEstimate:
+    """Find the stroke of a swimmer (its beat frequency) in the channels of a log or a track.
 
     Parameters
     ----------
@@ -213,6 +219,9 @@ def find_stroke(
     stated_hz : float, optional
         Stated frequency of the drive, Hz. If the search over all frequencies finds nothing, a search near
         this frequency follows, which needs less evidence.
+    time_sd_s : float
+        Standard deviation of the errors of the first and the last time, s. The standard error of the
+        frequency includes it.
 
     Notes
     -----
@@ -224,29 +233,26 @@ def find_stroke(
 
     The returned frequency is the estimate from the channel with the smallest standard error. Estimates are
     not averaged, because the channels are not independent. Beats that contradict the stroke are stored in
-    :attr:`Rhythm.rivals`, unless the frequency equals the stated one.
+    :attr:`StrokeEstimate.rivals`, unless the frequency equals the stated one.
     """
     seen = _find_motions(time_s, columns, range_hz)
     if not seen and stated_hz is not None and range_hz is None:
         range_hz = ((1 - FREQUENCY_RTOL) * stated_hz, (1 + FREQUENCY_RTOL) * stated_hz)
         seen = _find_motions(time_s, columns, range_hz)
+    slow = _find_slowest(time_s, columns)
     if not seen:
-        return None
+        return _explain_missing(time_s, columns, slow)
     pushed = {n: b for n, b in seen.items() if PUSHED.fullmatch(n) or n in ALONG}
     beats = {n: b for n, b in seen.items() if SIDEWAYS.fullmatch(n)} or seen
     chosen = _choose_stroke(beats, beats | pushed)
-    if not range_hz and (slow := find_slowest(time_s, columns)) and slow[1].may_cause(chosen.frequency_hz):
-        return None
-    rivals = _find_rivals(chosen, beats | pushed, stated_hz)
-    beat, channel = _choose_channel(chosen, beats)
-    strongest = {name: found[0] for name, found in beats.items()}
-    return Rhythm(beat, channel, strongest, maybe_double=channel in pushed, rivals=rivals)
-
-
-def _choose_channel(chosen: Beat, beats: Mapping[str, list[Beat]]) -> tuple[Beat, str]:
-    """Return the beat at the stroke frequency with the smallest standard error, and its channel."""
+    if not range_hz and slow and slow[1].may_cause(chosen.frequency_hz):
+        return _explain_missing(time_s, columns, slow)
     at_it = [(beat, name) for name in beats for beat in beats[name] if multiple(beat, chosen) == 1]
-    return min(at_it, key=lambda pair: pair[0].stderr_hz)
+    beat, channel = min(at_it, key=lambda pair: pair[0].stderr_hz)
+    late_hz = beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
+    beat = replace(beat, stderr_hz=float(np.hypot(beat.stderr_hz, late_hz)))
+    strongest = {name: found[0] for name, found in beats.items()}
+    return StrokeEstimate(beat, channel, strongest, _find_rivals(chosen, beats | pushed, stated_hz))
 
 
 def _find_motions(
@@ -261,10 +267,12 @@ def _find_motions(
     seen = _remove_laps(time_s, columns, within, seen)
     found = {}
     for name, beats in seen.items():
-        if name.endswith("_rad") and (turns := _turns(channels[name])) >= 1.0:
-            near_hz = 1.0 / float(np.ptp(time_s))
-            turning = Beat(turns * near_hz, 0.0, 0.0, 0.0, turns)
-            beats = _remove_multiples(beats, turning, MAX_COMPASS_HARMONIC, near_hz)
+        if name.endswith("_rad"):
+            known = channels[name][np.isfinite(channels[name])]
+            turns, near_hz = abs(float(known[-1] - known[0])) / (2 * np.pi), 1.0 / float(np.ptp(time_s))
+            if turns >= 1.0:
+                turning = Beat(turns * near_hz, 0.0, 0.0, 0.0, turns)
+                beats = _remove_multiples(beats, turning, MAX_COMPASS_HARMONIC, near_hz)
         # Leave out beats that are not larger than the rounding error, because they cannot be distinguished
         # from it. A rounding error is at most half of the rounding step, and it is periodic in a steady
         # motion.
@@ -319,13 +327,7 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
     return np.array([weights[3] - 1j * weights[4]])
 
 
-def _turns(angle: Array) -> float:
-    """Return the number of full rotations of an unwrapped angle from its first to its last sample."""
-    known = angle[np.isfinite(angle)]
-    return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
-
-
-def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
+def _find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
     """Find an oscillation with too few cycles for a frequency; return the name of its channel, and its beat.
 
     If the drive is logged, only the channels of the drive are searched. Otherwise the track and all channels
@@ -393,34 +395,29 @@ def _find_rivals(chosen: Beat, seen: Mapping[str, list[Beat]], stated_hz: float 
     return found
 
 
-def add_time_error(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
-    """Return a copy of the stroke whose standard error includes errors of the first and last time stamps."""
-    error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
-    beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
-    return replace(stroke, beat=beat)
-
-
-def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
-    """Return the reason why a log has no stroke, and the frequency of a slow motion, Hz, or None."""
+def _explain_missing(
+    time_s: Array, columns: Mapping[str, Array], slow: tuple[str, Beat] | None
+) -> StrokeEstimate:
+    """Return the reason why a log has no stroke, and the frequency of its slow motion ``slow``."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
-    slow = find_slowest(time_s, columns)
     slow_hz, laps, axes = None, [], _coordinates(columns)
     if slow is not None:
         slow_hz = slow[1].frequency_hz
         laps = [slow_hz]
     elif len(axes) > 1:
         laps = [beat.frequency_hz for v in axes for beat in find_beats(*_prepare_samples(time_s, v))]
-    for frequency_hz in laps:
-        if _is_lap(time_s, columns, frequency_hz):
-            text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; no other motion is periodic"
-            return text, slow_hz
-    if slow is not None:
-        name, motion = slow
-        text = f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
-        cycles = f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {MIN_CYCLES:g}"
-        return text + cycles, slow_hz
-    lowest = f"in {duration:.3g} s: from {MIN_CYCLES / max(duration, 1e-300):.3g} Hz on"
-    return f"no motion in it is periodic over {MIN_CYCLES:g} cycles or more ({lowest})", None
+    lap_hz = next((hz for hz in laps if _is_lap(time_s, columns, hz)), None)
+    if lap_hz is not None:
+        text = f"the path goes in circles of {1.0 / lap_hz:.3g} s; no other motion is periodic"
+    elif slow is not None:
+        text = (
+            f"the strongest motion of {slow[0]}, at about {slow_hz:.2g} Hz, has only {slow[1].cycles:.1f} "
+            f"cycles in {duration:.3g} s; a stroke needs {MIN_CYCLES:g}"
+        )
+    else:
+        lowest = f"in {duration:.3g} s: from {MIN_CYCLES / max(duration, 1e-300):.3g} Hz on"
+        text = f"no motion in it is periodic over {MIN_CYCLES:g} cycles or more ({lowest})"
+    return StrokeEstimate(unknown=text, slow_hz=slow_hz)
 
 
 def _beats(
@@ -449,7 +446,4 @@ def _prepare_samples(time_s: Array, values: Array) -> tuple[Array, Array]:
         and np.median(np.diff(time_s[there])) * MAX_RATE_HZ >= 1.0
     ):
         time, even = time_s[there], values[there]
-    known = np.isfinite(even)
-    if known.sum() < 16 or np.ptp(even[known]) == 0:
-        return np.empty(0), np.empty(0)
     return time, even

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from swimid.kinematics.cycles import block_speeds
 from swimid.kinematics.frequency import Beat, waves
-from swimid.kinematics.jumps import Cleaning, gaps
-from swimid.kinematics.speed import TrackEstimate, error_factor, mean_of_blocks, net_speed, path_speed
-from swimid.kinematics.stroke import explain_missing, find_stroke
+from swimid.kinematics.speed import TrackEstimate, error_factor, mean_of_blocks, measure_speed
+from swimid.kinematics.stroke import StrokeEstimate, find_stroke
 from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
@@ -103,17 +102,11 @@ class Swimming:
         Mean rate of change of the advance speed.
     acceleration_xy : tuple of TrackEstimate, or None
         Mean rates of change of the coordinates of the velocity.
-    stroke : Beat or None
-        Stroke in the window; None if none is found.
-    frequency_hz : TrackEstimate or None
-        Frequency of the stroke, Hz, with its 95 % interval.
+    stroke : StrokeEstimate
+        Stroke in the window, or the reason why none is found.
     amplitudes : dict of str to TrackEstimate
         Significant amplitudes at the stroke frequency: ``sway`` across the mean heading (across the path if
         there is no heading), and ``turn``, the amplitude of the heading (rad).
-    doubt : str
-        Reason to doubt the stroke; empty if there is no doubt.
-    unknown : str
-        Reason why no stroke is found; empty if one is found.
     """
 
     begin_s: float
@@ -124,11 +117,15 @@ class Swimming:
     change: TrackEstimate | None
     acceleration: TrackEstimate | None
     acceleration_xy: tuple[TrackEstimate, TrackEstimate] | None
-    stroke: Beat | None
-    frequency_hz: TrackEstimate | None
+    stroke: StrokeEstimate
     amplitudes: dict[str, TrackEstimate]
-    doubt: str = ""
-    unknown: str = ""
+
+    @property
+    def frequency_hz(self) -> TrackEstimate | None:
+        """Frequency of the stroke, Hz, with its 95 % interval; None if no stroke is found."""
+        if self.stroke.beat is None:
+            return None
+        return TrackEstimate(self.stroke.beat.frequency_hz, *self.stroke.beat.interval_hz)
 
     @property
     def steady(self) -> bool:
@@ -158,25 +155,6 @@ class _Blocks:
         return len(course) > 1 and bool(abs(course[-1] - course[0]) >= 2.0 * np.pi)
 
 
-@dataclass(frozen=True)
-class _Stroke:
-    """Stroke in a window of a track with a reason to doubt it, or the reason why no stroke is found.
-
-    Without a stroke, ``beat`` is None, ``unknown`` is the reason, and ``slow_hz`` is the frequency of a slow
-    motion, Hz, if there is one.
-    """
-
-    beat: Beat | None = None
-    doubt: str = ""
-    unknown: str = ""
-    slow_hz: float | None = None
-
-    @property
-    def period_s(self) -> float | None:
-        """Period of the stroke, s; None if there is no stroke."""
-        return None if self.beat is None else 1.0 / self.beat.frequency_hz
-
-
 def measure_swimming(
     track: SwimTrack, window_s: tuple[float | None, float | None] = (None, None)
 ) -> Swimming:
@@ -204,48 +182,28 @@ def measure_swimming(
     """
     begin, end, window = _choose_window(track, window_s)
     stroke = _find_stroke(track, begin, end)
-    blocks = _blocks(track, begin, end, stroke.period_s)
-    advance = change = acceleration = across = frequency = None
+    blocks = _blocks(track, begin, end, stroke.frequency_hz)
+    inside = (track.time_s >= begin) & (track.time_s <= end)
+    place = np.where(track.measured, track.raw, np.nan)[:, inside].T
+    mean = measure_speed(track.time_s[inside], place, stroke.slow_hz)
+    path = line = advance = change = acceleration = across = None
     amplitudes = {}
+    if mean is not None:
+        path, line = mean.path, mean.line
     # Do not compute speeds if a periodic motion is slower than the blocks, because the block speeds oscillate
     # with it. Laps of the path are no such motion.
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
         durations = np.full(len(blocks.speed), blocks.duration_s)
-        advance = _not_negative(mean_of_blocks(blocks.speed, durations))
+        advance = mean_of_blocks(blocks.speed, durations).cut_at_zero()
         change = _change(blocks.middle, blocks.speed)
         acceleration = _slope(blocks.middle, blocks.speed)
         across = (_slope(blocks.middle, blocks.velocity[0]), _slope(blocks.middle, blocks.velocity[1]))
-    inside = (track.time_s >= begin) & (track.time_s <= end)
-    if stroke.beat is None and not blocks.turn_round:
-        rows = inside & track.measured & np.isfinite(track.raw).all(axis=0)
-        advance = _not_negative(net_speed(track.time_s[rows], track.raw[:, rows].T, stroke.slow_hz))
     if stroke.beat is not None:
-        frequency = TrackEstimate(stroke.beat.frequency_hz, *stroke.beat.interval_hz)
         amplitudes = _amplitudes(track, begin, end, stroke.beat.frequency_hz)
-    return Swimming(
-        begin_s=begin,
-        end_s=end,
-        window=window,
-        path_speed=_measure_path_speed(track, inside),
-        advance=advance,
-        change=change,
-        acceleration=acceleration,
-        acceleration_xy=across,
-        stroke=stroke.beat,
-        frequency_hz=frequency,
-        amplitudes=amplitudes,
-        doubt=stroke.doubt,
-        unknown=stroke.unknown,
-    )
-
-
-def _measure_path_speed(track: SwimTrack, inside: Flags) -> TrackEstimate | None:
-    """Return the speed along the path in the chosen samples of a track; None without a long segment."""
-    time, good, none = track.time_s[inside], track.measured[inside], np.zeros(int(inside.sum()), dtype=bool)
-    speeds = path_speed(time, list(track.raw[:, inside]), Cleaning(good, none, none, 0, [], gaps(time, good)))
-    if speeds is None:
-        return None
-    return _not_negative(speeds.path)
+    elif not blocks.turn_round:
+        advance = line
+    speeds = path, advance, change, acceleration, across
+    return Swimming(begin, end, window, *speeds, stroke, amplitudes)
 
 
 def _choose_window(
@@ -256,7 +214,7 @@ def _choose_window(
     begin, end = float(known[0]), float(known[-1])
     low, high = window_s
     if low is None and high is None:
-        steady = _steady_part(_blocks(track, begin, end, _find_stroke(track, begin, end).period_s))
+        steady = _steady_part(_blocks(track, begin, end, _find_stroke(track, begin, end).frequency_hz))
         if steady is None:
             return begin, end, "whole track"
         return *steady, "steady part"
@@ -278,21 +236,14 @@ def _is_level(change: TrackEstimate, speed: float) -> bool:
     return abs(change.value) <= MAX_CHANGE * abs(speed) or change.low <= 0 <= change.high
 
 
-def _not_negative(speed: TrackEstimate | None) -> TrackEstimate | None:
-    """Return the estimate of a speed with its 95 % interval cut off at zero."""
-    if speed is None:
-        return None
-    return TrackEstimate(speed.value, max(speed.low, 0.0), speed.high)
-
-
-def _find_stroke(track: SwimTrack, begin: float, end: float) -> _Stroke:
+def _find_stroke(track: SwimTrack, begin: float, end: float) -> StrokeEstimate:
     """Find the stroke in a window of a track.
 
     In a track without a heading, the direction of travel is searched for the stroke instead.
     """
     rows = np.flatnonzero((track.time_s >= begin) & (track.time_s <= end))
     if len(rows) < 3:
-        return _Stroke(unknown="too few samples")
+        return StrokeEstimate(unknown="too few samples")
     raw, (vx, vy) = track.raw[:, rows], track.velocity[:, rows]
     # Use the column names of the log format, even if the unit of length is not the metre.
     columns = {"x_m": raw[0], "y_m": raw[1]}
@@ -306,13 +257,12 @@ def _find_stroke(track: SwimTrack, begin: float, end: float) -> _Stroke:
         columns = {"sway": _long_axis(raw) @ raw}
     columns = {name: np.where(track.measured[rows], values, np.nan) for name, values in columns.items()}
     found = find_stroke(track.time_s[rows], columns)
-    if found is None:
-        reason, slow_hz = explain_missing(track.time_s[rows], columns)
+    if found.beat is None:
         if track.angle is None:
-            reason = reason.replace("yaw_rad", "the course")
-        return _Stroke(unknown=reason, slow_hz=slow_hz)
+            found = replace(found, unknown=found.unknown.replace("yaw_rad", "the course"))
+        return found
     if found.maybe_double:
-        return _Stroke(unknown="only motions that may swing twice a stroke keep a beat")
+        return StrokeEstimate(unknown="only motions that may swing twice a stroke keep a beat")
 
     # Accept a stroke only if its amplitude is significant in the track. Any bend of a path deviates from a
     # cubic polynomial and may look like a beat.
@@ -320,12 +270,11 @@ def _find_stroke(track: SwimTrack, begin: float, end: float) -> _Stroke:
         return bool(_amplitudes(track, begin, end, beat.frequency_hz))
 
     if is_significant(found.beat):
-        rivals = {name: beat for name, beat in found.rivals.items() if is_significant(beat)}
-        return _Stroke(found.beat, replace(found, rivals=rivals).doubt)
-    for other in sorted(found.channels.values(), key=lambda beat: -beat.share):
-        if is_significant(other):
-            return _Stroke(other)
-    return _Stroke(unknown="no beat stands clear of the noise of the track")
+        return replace(found, rivals={n: beat for n, beat in found.rivals.items() if is_significant(beat)})
+    for name, beat in sorted(found.channels.items(), key=lambda item: -item[1].share):
+        if is_significant(beat):
+            return replace(found, beat=beat, channel=name, rivals={})
+    return StrokeEstimate(unknown="no beat stands clear of the noise of the track")
 
 
 def _is_under_way(velocity: Array) -> bool:
@@ -424,14 +373,15 @@ def _mean_over_period(time: Array, values: Array, period: float) -> Array:
     return np.where(inside & whole, mean, np.nan)
 
 
-def _blocks(track: SwimTrack, begin: float, end: float, period: float | None) -> _Blocks:
+def _blocks(track: SwimTrack, begin: float, end: float, frequency_hz: float | None) -> _Blocks:
     """Return the speeds of a track in successive blocks of whole strokes, without blocks that have gaps.
 
     Without a stroke the blocks have equal durations.
     """
     time = track.time_s
-    if period is None or period > (end - begin) / 3:
-        period = (end - begin) / N_BLOCKS
+    period = (end - begin) / N_BLOCKS
+    if frequency_hz is not None and 1.0 / frequency_hz <= (end - begin) / 3:
+        period = 1.0 / frequency_hz
     # Use measured samples where there are any, because the errors of smoothed samples are correlated.
     filled = np.where(track.measured & np.isfinite(track.raw), track.raw, track.smooth)
     path = np.array([_mean_over_period(time, row, period) for row in filled])
@@ -501,7 +451,4 @@ def _slope(time: Array, values: Array) -> TrackEstimate:
     freedom = max(len(time) - 2, 1)
     squares = float(residual @ residual)
     stderr = math.sqrt(squares / freedom / float(design[:, 1] @ design[:, 1]))
-    from scipy import special
-
-    half = float(special.stdtrit(freedom, 0.975)) * stderr * error_factor(residual)
-    return TrackEstimate(float(weights[1]), float(weights[1]) - half, float(weights[1]) + half)
+    return TrackEstimate.from_stderr(float(weights[1]), stderr * error_factor(residual), freedom)

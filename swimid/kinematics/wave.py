@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.kinematics.frequency import find_beat, find_slow_motion, waves
 from swimid.kinematics.speed import TrackEstimate
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ Complex = NDArray[np.complex128]
 CYCLES, MIN_WINDOWS, MIN_FRAMES = 2, 3, 12
 #: Minimum number of cycles of a swing, and minimum fraction of the variance of an angle that its sine
 #: explains.
-MIN_CYCLES, MIN_SHARE = 2.0, 0.5
+MIN_SWING_CYCLES, MIN_SINE_SHARE = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -131,21 +132,21 @@ def measure_wave(
     along the body, weighted by the squared amplitudes. The intervals are Student's, from the variation
     between windows.
     """
-    waves = _fit_lateral_motion(time_s, stations, heading, frequency_hz)
-    if len(waves) < MIN_WINDOWS:
+    motion = _fit_lateral_motion(time_s, stations, heading, frequency_hz)
+    if len(motion) < MIN_WINDOWS:
         return None
-    most = int(np.argmax(np.abs(waves).mean(axis=0)))
+    most = int(np.argmax(np.abs(motion).mean(axis=0)))
     if like is not None:
         most = like.reference
-    if not np.abs(waves[:, most]).all():
+    if not np.abs(motion[:, most]).all():
         return None
-    waves *= (np.conj(waves[:, most]) / np.abs(waves[:, most]))[:, None]
-    mean = waves.mean(axis=0)
+    motion *= (np.conj(motion[:, most]) / np.abs(motion[:, most]))[:, None]
+    mean = motion.mean(axis=0)
     usual = np.unwrap(np.angle(mean))
     if like is not None:
         nearest = usual[most] - np.array([lag.value for lag in like.phase])
         usual += 2 * np.pi * np.round((nearest - usual) / (2 * np.pi))
-    phases = usual + np.angle(waves * np.conj(mean))
+    phases = usual + np.angle(motion * np.conj(mean))
     lags = phases[:, most : most + 1] - phases
     weight = np.abs(mean) ** 2
     centre = weight @ behind / weight.sum()
@@ -156,8 +157,9 @@ def measure_wave(
         ends = (number.value, number.high, number.low)
         length = TrackEstimate(*(2 * np.pi / end for end in ends))
         speed = TrackEstimate(*(2 * np.pi * frequency_hz / end for end in ends))
-    amplitude = [_student(column) for column in (waves * np.exp(-1j * np.angle(mean))).real.T]
-    return Wave(behind, amplitude, list(map(_student, lags.T)), length, speed, len(waves), frequency_hz, most)
+    amplitude = [_student(column) for column in (motion * np.exp(-1j * np.angle(mean))).real.T]
+    lag = [_student(column) for column in lags.T]
+    return Wave(behind, amplitude, lag, length, speed, len(motion), frequency_hz, most)
 
 
 def _fit_lateral_motion(time_s: Array, stations: Complex, heading: Array, frequency_hz: float) -> Complex:
@@ -171,8 +173,7 @@ def _fit_lateral_motion(time_s: Array, stations: Complex, heading: Array, freque
             continue
         t, ahead = time_s[rows], np.mean(np.exp(1j * heading[rows]))
         lateral = (stations[rows] * np.conj(ahead) / abs(ahead)).imag
-        u, turn = (t - start) / width, 2 * np.pi * frequency_hz * (t - time_s[0])
-        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones(len(t)), u, u * u])
+        design = np.column_stack([waves(t - time_s[0], frequency_hz), np.vander((t - start) / width, 3)])
         weights = np.linalg.lstsq(design, lateral, rcond=None)[0]
         found.append(weights[0] - 1j * weights[1])
     return np.array(found)
@@ -200,11 +201,12 @@ class Swing:
     @property
     def data(self) -> dict[str, Any]:
         """Findings as plain data; the interval is null without two complete cycles."""
-        found = {"frequency_hz": self.frequency_hz, "mean_rad": self.mean}
-        one = self.amplitude
-        return found | {
-            "amplitude_rad": one.value,
-            "amplitude_ci95": None if np.isnan(one.low) else [one.low, one.high],
+        size = self.amplitude
+        return {
+            "frequency_hz": self.frequency_hz,
+            "mean_rad": self.mean,
+            "amplitude_rad": size.value,
+            "amplitude_ci95": None if np.isnan(size.low) else [size.low, size.high],
         }
 
 
@@ -218,7 +220,8 @@ def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None
     time_s, angle : ndarray, shape (n,)
         Times, and angles in rad; NaN where unknown.
     frequency_hz : float, optional
-        Frequency of the motion, by default that of the sine that fits the angle best.
+        Frequency of the motion. By default it is that of :func:`swimid.kinematics.frequency.find_beat`, or in
+        a record of fewer cycles that of :func:`swimid.kinematics.frequency.find_slow_motion`.
 
     Notes
     -----
@@ -231,13 +234,12 @@ def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None
         return None
     length = float(np.ptp(t))
     if frequency_hz is None:
-        # steps of a twentieth of the resolution, up to the frequency with four samples in a cycle
-        tried = np.arange(MIN_CYCLES / length, 0.25 * len(t) / length, 0.05 / length)
-        if not len(tried):
+        beat = find_beat(t, x) or find_slow_motion(t, x)
+        if beat is None:
             return None
-        frequency_hz = float(min(tried, key=lambda one: _sine(t, x, float(one))[1]))
+        frequency_hz = beat.frequency_hz
     weights, error = _sine(t, x, frequency_hz)
-    if length * frequency_hz < MIN_CYCLES or error > (1.0 - MIN_SHARE) * float(np.var(x)):
+    if length * frequency_hz < MIN_SWING_CYCLES or error > (1.0 - MIN_SINE_SHARE) * float(np.var(x)):
         return None
     cycle = np.floor((t - t[0]) * frequency_hz)
     sizes = []
@@ -248,26 +250,21 @@ def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None
             # Take the component along the sine of all samples.
             sizes.append(float(own[1:3] @ weights[1:3] / np.hypot(*weights[1:3])))
     size = float(np.hypot(*weights[1:3]))
-    half = stderr = math.nan
+    stderr = math.nan
     if len(sizes) > 1:
-        spread = _student(np.array(sizes))
-        half = 0.5 * (spread.high - spread.low)
         stderr = float(np.std(sizes, ddof=1) / np.sqrt(len(sizes)))
-    return Swing(frequency_hz, float(weights[0]), TrackEstimate(size, size - half, size + half), stderr)
+    amplitude = TrackEstimate.from_stderr(size, stderr, len(sizes) - 1)
+    return Swing(frequency_hz, float(weights[0]), amplitude, stderr)
 
 
-def _sine(t: Array, x: Array, frequency_hz: float) -> tuple[Array, float]:
+def _sine(t: Array, x: Array, frequency_hz: float) -> tuple[NDArray[np.floating[Any]], float]:
     """Return mean, cosine and sine, those of the double frequency, and the mean squared residual of a fit."""
-    turn = 2 * np.pi * frequency_hz * t
-    design = np.column_stack([np.ones_like(t), *(f(k * turn) for k in (1, 2) for f in (np.cos, np.sin))])
+    design = np.column_stack((np.ones(len(t)), waves(t, frequency_hz, (1, 2))))
     weights = np.linalg.lstsq(design, x, rcond=None)[0]
     return weights, float(np.mean((x - design @ weights) ** 2))
 
 
 def _student(values: Array) -> TrackEstimate:
     """Return the mean of values from successive windows with its 95 % interval."""
-    from scipy.special import stdtrit
-
-    mean, count = float(values.mean()), len(values)
-    half = float(stdtrit(count - 1, 0.975) * values.std(ddof=1) / np.sqrt(count))
-    return TrackEstimate(mean, mean - half, mean + half)
+    stderr = float(values.std(ddof=1)) / np.sqrt(len(values))
+    return TrackEstimate.from_stderr(float(values.mean()), stderr, len(values) - 1)

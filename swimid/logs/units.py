@@ -9,15 +9,9 @@ from collections import Counter
 from collections.abc import Iterable
 from itertools import chain, count
 
-import numpy as np
-from numpy.typing import NDArray
-
 from swimid.errors import (
     suggestion,
 )
-
-Array = NDArray[np.float64]
-
 
 _G = 9.80665  # standard gravity, m/s², ISO 80000-3
 _DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60

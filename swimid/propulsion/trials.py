@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, file_errors, suggestion
 from swimid.files import tabular
 from swimid.files.provenance import InputInMemory
 from swimid.fitting.model import Array
+from swimid.kinematics.cycles import cycle_means
 from swimid.logs.log import Log
 from swimid.notices import warn
 from swimid.propulsion.model import RecoilModel, plate_inertia
@@ -123,18 +123,11 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
             hint="check the unit of t_s and the beat frequency",
         )
     edges = time[0] + period_s * np.arange(count + 1)
-
-    def over_beats(values: np.ndarray) -> np.ndarray:
-        return np.diff(np.interp(edges, time, values))
-
-    averaged = values[-1]
-    if len(values) > 1:
-        averaged = np.unwrap(averaged)
-    # Integrate to the exact ends of each beat by interpolation. A mean over whole samples would have an error
-    # of up to one sample at each end.
-    speeds = over_beats(cumulative_trapezoid(averaged, time, initial=0.0)) / period_s
-    if len(values) > 1:
-        heading, (x, y) = speeds, (over_beats(place) for place in values[:2])
+    if len(values) == 1:
+        speeds = cycle_means(time, values[0], edges)
+    else:
+        heading = cycle_means(time, np.unwrap(values[2]), edges)
+        x, y = (np.diff(np.interp(edges, time, place)) for place in values[:2])
         speeds = (x * np.cos(heading) + y * np.sin(heading)) / period_s
     gaps = np.diff(time)
     for k in np.flatnonzero(gaps > 3 * np.median(gaps)):

@@ -19,7 +19,7 @@ from swimid.fitting.drives import Cycle
 from swimid.fitting.fit_common import Experiment, read_trial_log
 from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.kinematics.course import compare_course, is_in_degrees
-from swimid.kinematics.frequency import compare_frequencies, find_beat
+from swimid.kinematics.frequency import compare_frequencies
 from swimid.logs.experiments import Drive, FreeSwimTrial, Params, StrokeDrive
 from swimid.logs.log import Log, unwrap_angle
 from swimid.notices import warn
@@ -624,13 +624,9 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
     for name in (*model.pose[2:], *model.velocity[2:]):
         if not name.removesuffix("_s").endswith("_rad") or name not in log:
             continue
-        known = np.isfinite(log[name])
-        if known.sum() >= MIN_BEAT_SAMPLES:
-            time = log.time_s[known]
-            highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
-            found = find_beat(time, log[name][known], highest_hz=highest)
+        if np.isfinite(log[name]).sum() >= MIN_BEAT_SAMPLES:
             used = "correct it if it is wrong: it is used"
-            return compare_frequencies(entry.id, entry.drive.frequency_hz, found, used)
+            return compare_frequencies(entry.id, entry.drive.frequency_hz, log.time_s, log[name], used)
     return None
 
 

@@ -196,11 +196,10 @@ def _evaluate(
     if faults:
         reason = "; ".join(faults)
         checks.insert(0, ev.make_check("Frames of the film", "not all", False, "all", reason=reason))
-    if swum.stroke is not None:
-        if swum.doubt:
-            warn("SWM033", swum.doubt)
+    if swum.stroke.beat is not None:
+        doubt = swum.stroke.doubt
         value, limit = f"{swum.stroke.frequency_hz:.4g} Hz", "heading and path agree"
-        checks.append(ev.make_check("One stroke", value, not swum.doubt, limit, reason=swum.doubt))
+        checks.append(_judge("SWM033", "One stroke", value, limit, not doubt, doubt))
     columns = pose.columns(made, track, rules)
     joints = _joints(columns, rules, run, provenance.path_of(source).parent)
     head = _metadata(run, plane, made.times) | metadata
@@ -238,7 +237,7 @@ def _evaluate(
 
 def _add_joints(evidence: ev.Evidence, joints: Posed, swum: Swimming) -> None:
     """Add facts, tables, figures and methods on the joint angles to the evidence, in place."""
-    beat = point_evidence.wave_of(joints, None if swum.stroke is None else swum.stroke.frequency_hz)
+    beat = point_evidence.wave_of(joints, swum.stroke.frequency_hz)
     evidence.facts["Joints"] = point_evidence.facts(joints)["Points"]
     evidence.tables += point_evidence.tables(joints, beat)
     evidence.figures += point_evidence.figures(joints, beat)
@@ -362,7 +361,7 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
     up, turn, _ = setup.axes
     sway = {"horizontal": "sway", "vertical": "heave"}[setup.plane]
     advance, steady = "advance speed, not steady", None
-    if found.stroke is None:
+    if found.stroke.beat is None:
         advance = "displacement over time"
     if found.steady:
         steady = found.advance
@@ -379,7 +378,7 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
         ("stroke_frequency", "stroke frequency", found.frequency_hz, "Hz"),
     ]
     for key, name, kind in (("sway", sway, unit), ("turn", turn, "rad")):
-        if key in found.amplitudes or found.stroke is not None:
+        if key in found.amplitudes or found.stroke.beat is not None:
             rows.append((f"{name}_amplitude", f"{name} amplitude", found.amplitudes.get(key), kind))
     return rows
 
@@ -406,7 +405,7 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
             "from_s": found.begin_s,
             "to_s": found.end_s,
             "steady": found.steady,
-            "stroke_unknown": found.unknown,
+            "stroke_unknown": found.stroke.unknown,
             **{key: value and asdict(value) | {"unit": kind} for key, _, value, kind in rows},
         },
     }
@@ -516,7 +515,7 @@ def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
         reason += ", which is its noise"
     reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
-    turns = swum is not None and "turn" in swum.amplitudes and not swum.doubt
+    turns = swum is not None and "turn" in swum.amplitudes and not swum.stroke.doubt
     if turns:
         limit = f">= {noise:.2g} px of noise, with a stroke that turns the robot"
     passed = (radii >= frames.MIN_RADII or turns) and not still
@@ -703,8 +702,8 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
     windows = {"given": "as given", "whole track": "the whole track: no part of it is steady"}
     window = windows.get(found.window, "the steady part")
     facts["Speeds over"] = f"{found.begin_s:.4g} to {found.end_s:.4g} s, {window}"
-    if found.stroke is None:
-        facts["Stroke"] = f"unknown: {found.unknown}"
+    if found.stroke.beat is None:
+        facts["Stroke"] = f"unknown: {found.stroke.unknown}"
     return facts
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.kinematics.jumps import clean_track
-from swimid.kinematics.speed import net_speed
-from swimid.kinematics.stroke import add_time_error, find_slowest, find_stroke
+from swimid.kinematics.speed import measure_speed
+from swimid.kinematics.stroke import find_stroke
 
 Array = NDArray[np.float64]
 REPEATS = 400
@@ -48,23 +48,17 @@ def one(seed: int) -> dict[str, float]:
             cleaning = clean_track(stamps, list(place.T))
             good = cleaning.good
             columns = dict(zip(("x_m", "y_m"), place[good].T, strict=True))
-            assert cleaning.held is not None
             times = cleaning.held.measured_s[good]
-            stroke = find_stroke(times, columns)
-            slow = find_slowest(times, columns)
-            if stroke is not None:
-                stroke = add_time_error(stroke, cleaning.held.measured_sd_s, stamps)
+            stroke = find_stroke(times, columns, time_sd_s=cleaning.held.measured_sd_s)
+            if stroke.beat is not None:
                 low, high = stroke.beat.interval_hz
                 hits[f"{length}, {kind}: frequency"] = float(low <= truth["frequency_hz"] <= high)
             elif length == "long":
                 hits[f"{length}, {kind}: frequency"] = 0.0
-            periodic = stroke.beat if stroke is not None else slow[1] if slow is not None else None
-            speed = net_speed(
-                times,
-                place[good],
-                None if periodic is None else periodic.frequency_hz,
-                cleaning.held.measured_sd_s,
-            )
+            periodic_hz = stroke.frequency_hz or stroke.slow_hz
+            stamp_sd_s = cleaning.held.measured_sd_s
+            speed = measure_speed(times, place[good], periodic_hz, stamp_sd_s=stamp_sd_s)
             if speed is not None:
-                hits[f"{length}, {kind}: speed"] = float(speed.low <= truth["speed_m_s"] <= speed.high)
+                inside = speed.line.low <= truth["speed_m_s"] <= speed.line.high
+                hits[f"{length}, {kind}: speed"] = float(inside)
     return hits

@@ -457,13 +457,6 @@ class PlanarBody:
         rows[link] += (along, 0.0, -along * y, across, across * x, along * y * y + across * x * x)
         tables["inertia"] = rows
 
-    def shift(self, tables: dict[str, Any], link: int, by: Point) -> None:
-        """Move the centre of mass of a link, and the weight that acts there, by a vector (m)."""
-        mass, (x, y) = self.masses_kg[link], self.centre(link)
-        self.weigh(tables, link, (x, y), -mass, -mass)
-        self.weigh(tables, link, (x + by[0], y + by[1]), mass, mass)
-        self._model.tree.move_weight(tables, link, (x, y), by)
-
     def drag_more(self, tables: dict[str, Any], link: int, at: Point, linear: float) -> None:
         """Add a drag that is proportional to the velocity of a point of a link, N s/m."""
         tables["drag_link"] = np.append(tables["drag_link"], link)
@@ -605,6 +598,14 @@ class MultilinkModel(Swimmer):
         if not self.free_base:
             return ()
         return tuple(name.removesuffix("_m") for name in self.pose[:2])
+
+    def shift(self, tables: dict[str, Any], by: Array) -> None:
+        """Move the centre of mass of the heaviest link, and its weight, by a vector (m) in its axes."""
+        body = self.body
+        link, mass, centre = body.hull, body.masses_kg[body.hull], body.centre(body.hull)
+        body.weigh(tables, link, centre, -mass, -mass)
+        body.weigh(tables, link, (centre[0] + by[0], centre[1] + by[1]), mass, mass)
+        self.tree.move_weight(tables, link, centre, by)
 
     def scales(self, trials: Sequence[Trial]) -> SwimmerScales:
         """Return the typical scales of quantities in these trials, such as mass and force."""
