@@ -243,7 +243,7 @@ def name_of(path: str | Path, folder: str | Path | None = None) -> str:
 
 
 def publish_word(text: str) -> str:
-    """Return a word of a command line, or the value of an option, with a path in it as results state it."""
+    """Return a word of a command line, or the value of an option, with its path as results state paths."""
     option, equal, value = "", "", text
     if text.startswith("--"):
         option, equal, value = text.partition("=")

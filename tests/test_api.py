@@ -317,7 +317,7 @@ class TestNotebook:
         assert hint in str(caught.value.hint)
 
     def test_a_wrong_file_or_table_is_named(self) -> None:
-        with pytest.raises(swimid.InputError, match="a YAML file is needed here"):
+        with pytest.raises(swimid.InputError, match="has no 'key: value' lines at its top level"):
             swimid.fit_drag(self.LOG)
         with pytest.raises(swimid.InputError, match="log: a dict is no table"):
             swimid.plot({"x_m": [0.0, 1.0]})  # type: ignore[arg-type]

@@ -306,4 +306,4 @@ def test_a_copy_of_a_fitted_log_is_not_held_out(swimid: Run, rig: Path, tmp_path
     with (rig / "trials.yaml").open("a") as stream:
         stream.write("  - {log: another.csv, pulling_mass_kg: 0.010, role: validate}\n")
     ran = swimid("fit-drag", rig / "trials.yaml", "-o", tmp_path / "d.yaml")
-    refused(ran, 3, ["'w10' and 'another", "what is held out must not be fitted"])
+    refused(ran, 3, ["'w10' and 'another", "held-out rows must not be fitted"])

@@ -159,7 +159,7 @@ def test_results_of_another_version_are_marked_and_not_mixed_in(lab: Path, swimi
     assert states(ran)["logs_log0.csv"] == "outdated"
     metrics = pd.read_csv(lab / "run/metrics.csv", comment="#")
     assert set(metrics.item) == {"logs_log1.csv"}
-    assert "done by swimid 0.0.1" in (lab / "run/index.html").read_text()
+    assert "made by swimid 0.0.1" in (lab / "run/index.html").read_text()
     ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--json")
     assert states(ran)["logs_log0.csv"] == "done"
 

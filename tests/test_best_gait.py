@@ -255,19 +255,19 @@ def test_the_command_writes_a_gait_file(swimid: Callable[..., Ran], tmp_path: Pa
     assert found.evidence.facts["Limits"] == "joint_rate_deg_s 7.854 rad/s"
     assert max(len(line) for line in ran.out.splitlines()) <= 100
     assert "CAUTION" in ran.out
-    assert "1 of 6 checks warn: 0 of 1 runs are steady" in ran.out.replace("\n", " ")
+    assert "1 of 6 checks warn: the run did not become steady" in ran.out.replace("\n", " ")
 
 
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"vary": {}}, "nothing is varied"),
+        ({"vary": {}}, "no parameter of the gait is varied"),
         ({"vary": {"K": (0.1, 1.0)}}, "there is no 'K'"),
         ({"vary": {"K_s": (1.0, 0.1)}}, "not below"),
         ({"goal": "power"}, "reach_speed"),
         ({"limits": {"torque": 1.0}}, "there is no 'torque'"),
         ({"limits": {"torque_N_m": -1.0}}, "above zero"),
-        ({"frequency_hz": None}, "needs frequency_hz"),
+        ({"frequency_hz": None}, "the beat has no frequency_hz"),
         ({"robot": "boxfish"}, "multilink"),
     ],
 )

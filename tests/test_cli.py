@@ -310,7 +310,7 @@ class TestInterrupts:
 
         ran = self.verb(work, [tmp_path / "out.yaml"])
         assert ran.exit_code == 130
-        assert f"a search cut short: wrote {tmp_path / 'out.yaml'}" in ran.stderr
+        assert f"the result so far is written: {tmp_path / 'out.yaml'}" in ran.stderr
         assert ran.stdout == ""
 
 
@@ -360,7 +360,7 @@ def test_a_decimal_comma_in_a_flow_mapping_is_named(
     ran = swimid("fit-drag", path)
     assert ran.status == 3
     typed = value.replace(".", ",")
-    assert f"trials.yaml, line 5: '{typed}' is read as two items; write {value}" in ran.err
+    assert f"trials.yaml, line 5: '{typed}' is read as two values; write {value}" in ran.err
 
 
 def test_a_decimal_comma_elsewhere_is_named_too(swimid: Run, tmp_path: Path) -> None:
@@ -370,8 +370,8 @@ def test_a_decimal_comma_elsewhere_is_named_too(swimid: Run, tmp_path: Path) -> 
     assert "write the decimal point as a dot: 0.010" in swimid("fit-drag", path).err
     log = tmp_path / "run.csv"
     log.write_text("# drive: {frequency_hz: 1,5, amplitude_deg: 20}\nt_s,x_m\n0,0\n1,1\n")
-    assert "'1,5' is read as two items; write 1.5" in swimid("plot", log, "-o", tmp_path / "x.svg").err
+    assert "'1,5' is read as two values; write 1.5" in swimid("plot", log, "-o", tmp_path / "x.svg").err
     robot = tmp_path / "robot.yaml"
     robot.write_text("format: swimid-robot/1\nname: a\nbody: {inertial_mass_kg: 1,2}\n")
     ran = swimid("simulate", "--robot", robot, "--frequency-hz", "1", "--amplitude-deg", "2")
-    assert "robot.yaml, line 3: '1,2' is read as two items; write 1.2" in ran.err
+    assert "robot.yaml, line 3: '1,2' is read as two values; write 1.2" in ran.err

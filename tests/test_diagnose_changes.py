@@ -58,7 +58,7 @@ def test_changed_parameters_that_are_not_requested_are_stated(
 ) -> None:
     trials = write_falls(tmp_path / "second", np.random.default_rng(12), drag_coefficient=SECOND)
     file, said = diagnosed(swimid, trials, "--params", first_day, "--effects", "string-stretch")
-    missing = "Changes of parameters were not requested, and are not tried: "
+    missing = "Changes of parameters were not requested and not tried: "
     assert missing + "drag_coefficient, added_mass and pulley_friction." in " ".join(said.split())
     assert "tried 1 effect" in said
     assert {score.effect for score in file.scores} == {"string-stretch"}
@@ -84,7 +84,9 @@ def test_a_none_verdict_without_standard_errors_is_not_good(
     file, said = diagnosed(swimid, trials, "--params", first_day)
     assert (file.verdict, list(file.moved)) == ("none", ["drag_coefficient"])
     said = " ".join(said.split())
-    assert "failed: the given parameters differ from the refitted ones: drag_coefficient 0.7051 →" in said
+    assert (
+        "failed: the given parameters differ from the refitted parameters: drag_coefficient 0.7051 →" in said
+    )
 
 
 def repeated(folder: Path, weights_g: Sequence[float], drops: str, log: Callable[[float], str]) -> Path:

@@ -170,8 +170,8 @@ def test_a_reading_that_changes_no_measured_channel_is_no_hypothesis(tmp_path: P
     found, left_out = readings.list_readings(experiment(path), [swim()])
     assert {r.name for r in found} == set(STAGES)
     assert left_out == {
-        "reading:gravity=moon": "it changes nothing that was measured in these trials",
-        "reading:play=none": "its coefficients or channels are not those of the reading chosen",
+        "reading:gravity=moon": "the reading changes no channel that was measured in these trials",
+        "reading:play=none": "the reading has other coefficients or channels than the model",
     }
 
 

@@ -79,7 +79,7 @@ def test_the_summary_says_what_closes_the_gap_and_by_how_much() -> None:
     assert "In cross-validation over trials the squared error goes from 54 as given to 1.6 times" in text
     assert "99 % of the gap closes (97.1 … 99.5 %)" in text
     assert "A refit alone closes 70 %, and the cause closes 96 % of the remainder." in text
-    assert "c_d0 stood in for the cause: it is 0.920 ± 0.020 without the cause and 0.710 ± 0.030 with" in text
+    assert "c_d0 compensated for the cause: 0.920 ± 0.020 without the cause and 0.710 ± 0.030 with" in text
     assert "c_ma" not in text
     assert "Next experiment: Swim at 1.0 Hz" in text
 
@@ -127,9 +127,9 @@ def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
 
 
 def test_the_reason_why_no_cause_is_named_is_stated() -> None:
-    why = "refitted parameters of the file close the gap on held-out data as well as servo-backlash"
+    why = "a refit of the parameters closes the gap on held-out data as well as servo-backlash"
     assert f"checks warn: {why}" in said("imitated")
-    assert "warn: held-out errors fall with servo-backlash in f14a15 only" in said("carried").replace(
+    assert "warn: the held-out errors fall with servo-backlash only in f14a15" in said("carried").replace(
         "servo- ", "servo-"
     )
 
@@ -139,35 +139,39 @@ def test_the_other_verdicts_in_words() -> None:
     assert "cause of" not in said("none")
     assert "do not determine whether the model has a gap" in said("untold")
     assert "Trials differ in trim (0.2 of its typical size), which is part of the noise." in said("scattered")
-    assert "all trials have one setting, and nothing is tested at another" in said("single")
+    assert "all trials have the same setting, so that the answer is not tested at another setting" in said(
+        "single"
+    )
     follows = said("follows")
     assert "follows the trials it is fitted to, but not the validation trials." in follows
     assert "f10a15 has 22 times the squared error that noise and uncertain parameters explain" in follows
     assert "together explain the gap" in said("pair")
-    assert "The model has a gap, and no effect that was tried closes it." in said("unexplained")
-    assert "failed: no gap has a probability of 0.1 % only" in said("unexplained")
+    assert "The model has a gap, and none of the effects that were tried closes the gap." in said(
+        "unexplained"
+    )
+    assert "failed: the probability that there is no gap is only 0.1 %" in said("unexplained")
 
 
 def test_a_changed_parameter_is_stated_first() -> None:
     text = said("changed")
     change = "k_t 0.06 → 0.055200 ± 0.000030 N·m/rad (71 standard errors)"
     assert f"EXPLAINED: {change} explains the gap." in text
-    assert "These trials do not separate parameter:k_t from joint-stiffness." in text
+    assert "These trials cannot distinguish parameter:k_t from joint-stiffness." in text
     assert re.search(r"as given +54\b", text)
     result = Diagnosis("diagnose", text, {}, document=cases.ALL["changed"])
     assert result.causes.iloc[0]["effect"] == "parameter:k_t"
-    assert f"the given parameters differ from the refitted ones: {change}" in said("moved")
+    assert f"the given parameters differ from the refitted parameters: {change}" in said("moved")
 
 
 def test_notes_of_a_missing_parameter_file_and_a_poor_black_box() -> None:
     assert "NO GAP: The refitted model describes these trials" in said("not given")
-    assert "failed: the model reproduces 0.3 % of u_m_s" in said("black box")
+    assert "failed: the model reproduces only 0.3 % of u_m_s" in said("black box")
 
 
 def test_a_reading_is_named_with_its_question_and_its_option() -> None:
     text = said("reread")
     assert "reading:drag_point=strips explains the gap" in text
-    assert "To work with the other reading: --reading drag_point=strips." in text
+    assert "To use the other reading of the robot: --reading drag_point=strips." in text
     (_, _, _, causes, *_) = cases.evidence(cases.REREAD).tables
     assert "spread evenly along each link" in str(causes.rows[0][-1])
     result = Diagnosis("diagnose", text, {}, document=cases.ALL["reread"])
@@ -178,7 +182,7 @@ def test_a_reading_is_named_with_its_question_and_its_option() -> None:
 
 def test_an_odd_trial_is_reported() -> None:
     text = said("odd trial")
-    assert "checks warn: left out f18a30: c_d0 1.40 ± 0.05 in place of 0.7" in text
+    assert "trials that contradict the others are left out (f18a30: c_d0 1.40 ± 0.05 in place of 0.7)" in text
     assert checked(cases.ODD)["trials agree"].verdict == "warn"
     assert "trials agree" not in checked(cases.NONE)
 
@@ -203,7 +207,7 @@ def test_bounds_that_are_reached_are_reported() -> None:
     assert (first.value, first.verdict) == ("c_d4 at 6 and c_f0 at 0", "info")
     hit = replace(cases.NONE, at_bound={"c_d4": 6.0})
     assert checked(hit)["bounds without effects"].verdict == "warn"
-    assert "bounds are hit: c_d4 at 6" in summary(hit)
+    assert "the refit without effects ends at bounds: c_d4 at 6" in summary(hit)
     assert first.name not in checked(cases.EXPLAINED)
 
 
@@ -211,8 +215,8 @@ def test_an_explanation_names_its_rivals() -> None:
     rivalled = replace(cases.BACKLASH, equivalent=["amplitude-loss", "tether"])
     text = summary(replace(cases.EXPLAINED, causes=[rivalled]))
     assert "servo-backlash (backlash_rad 0.0351 ± 0.0021 rad) explains the gap." in text
-    assert "These trials do not separate servo-backlash from amplitude-loss or tether." in text
-    assert "do not separate" not in summary(cases.EXPLAINED)
+    assert "These trials cannot distinguish servo-backlash from amplitude-loss or tether." in text
+    assert "cannot distinguish" not in summary(cases.EXPLAINED)
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_own_effects_are_used(tmp_path):
         (OWN.replace('meaning = "A tick."', ""), 15, "lacks meaning"),
         (OWN.replace("def hooks", "def hook"), 15, r"lacks hooks\(\)"),
         (OWN.replace('"sensing"', '"sencing"'), 15, "did you mean 'sensing'"),
-        (OWN.replace('{"output"}', '{"putout"}'), 15, "which are no hooks"),
+        (OWN.replace('{"output"}', '{"putout"}'), 15, "needs unknown hooks"),
         (OWN.replace('"tick"', '"waves"'), 15, "used already: 'waves'"),
         (OWN + "\n    def __init__(self):\n        raise RuntimeError('no')\n", 23, "cannot be made: no"),
     ],

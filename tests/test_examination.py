@@ -243,7 +243,7 @@ def test_late_rows_are_put_in_their_place(share: float) -> None:
             order[[k, k + 1]] = order[[k + 1, k]]
     made = _import({"yaw_rad": YAW[order]}, time=T[order])
     assert np.array_equal(made.frame["t_s"], T)
-    assert f"{np.sum(np.diff(order) < 0)} that came late" in _reason(made)
+    assert f"{np.sum(np.diff(order) < 0)} late rows are sorted by their time" in _reason(made)
     assert made.data["verdict"]["level"] == "caution"
 
 

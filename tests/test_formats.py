@@ -277,7 +277,10 @@ class TestCruiseTable:
             (HEADER + "# remark\n\nA,2,16,1.15\n", ["line 4", "4 cells"]),
             (HEADER + "A,2,16,1.15,\n", ["time_s", "every run's value is missing"]),
             (HEADER + "A,2,16,1.15,1e-320\n", ["line 2", "time_s", "the speed is inf"]),
-            (HEADER.replace("time_s", "time"), ["line 1", "neither time_s nor", "did you mean 'time'"]),
+            (
+                HEADER.replace("time_s", "time"),
+                ["line 1", "one of the columns time_s and mean_speed_m_s is needed", "did you mean 'time'"],
+            ),
             (HEADER.replace(",", ";"), ["line 1", "semicolons"]),
         ],
     )

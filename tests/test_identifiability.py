@@ -43,7 +43,7 @@ class TestThreeFrictions:
         assert list(sum_.weights.values()) == pytest.approx(WEIGHTS, rel=1e-4)
         assert sum_.text.startswith("c_f0 + 0.31 c_f13 + 0.08 c_f4 = ")
         assert idn.sentences(result) == [
-            f"c_f0, c_f13 and c_f4 cannot be separated by these trials; known is {sum_.text}"
+            f"c_f0, c_f13 and c_f4 cannot be separated by these trials, which determine only {sum_.text}"
         ]
 
     @pytest.mark.slow

@@ -326,7 +326,7 @@ def test_invalid_files_are_refused(content: str, words: list[str], swimid: Run, 
         (("target: x_m, unit: mm", "target: yaw_rad"), ["target 'yaw_rad'"]),
         (("source: 2", "source: 9"), ["has 3 columns"]),
         (("source: 2", 'source: "X [m]"'), ["did you mean 'X [mm]'"]),
-        (("time: {source: 1, unit: ms}", ""), ["time once"]),
+        (("time: {source: 1, unit: ms}", ""), ["the time is missing or given twice"]),
         (("columns:", "colums:"), ["did you mean 'columns'"]),
     ],
 )

@@ -110,8 +110,8 @@ def test_warnings_name_points_and_frames(swimid: Run, tmp_path: Path) -> None:
     )
     assert ran.status == 0, ran.err
     assert "SWM120" in ran.err
-    assert "labels exchanged back 3 ×: snout and back 3 × (frames 40, 41, 42)" in ran.err
-    assert "labels astray, left out 1 ×: web 1 × (frame 70)" in ran.err
+    assert "exchanged labels, corrected 3 ×: snout and back 3 × (frames 40, 41, 42)" in ran.err
+    assert "labels far from their points, left out 1 ×: web 1 × (frame 70)" in ran.err
     assert "3 exchanged, 1 stray" in " ".join(ran.out.split())
 
 
@@ -383,7 +383,7 @@ def test_places_that_the_film_does_not_determine(
     ran = swimid("import", film, *words, "-o", tmp_path / "run.csv", "--json")
     found = ran.json["result"]["points"]["undetermined"]
     assert all(axis in found.get(name, "") for name, axis in weak.items())
-    said = "the film does not determine the places of"
+    said = "the film does not determine the positions"
     assert (said in ran.err) == bool(weak)
     assert (said in ran.json["result"]["verdict"]["text"]) == bool(weak)
     if not weak:

@@ -168,7 +168,7 @@ def fish() -> Swimmer:
 
 
 @pytest.mark.kernels
-def test_a_run_that_breaks_down_does_not_change_the_others(
+def test_a_run_that_diverges_does_not_change_the_others(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
     runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)

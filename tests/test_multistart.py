@@ -59,7 +59,7 @@ class TestTwoMinima:
     def test_no_start_that_can_be_simulated_is_an_error(self, rng: np.random.Generator) -> None:
         data = trials(Toy(well, WELL), [TRUTH], {"y": 0.1}, rng)
         model = Toy(lambda v, t: {"y": np.full(len(t), np.nan)}, WELL)
-        with pytest.raises(NoTrustworthyResult, match="breaks down"):
+        with pytest.raises(NoTrustworthyResult, match="diverges"):
             multistart(model, data, starts=3)
 
 

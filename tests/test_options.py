@@ -256,8 +256,8 @@ class TestWording:
             (
                 ["rwls", LOG, "--input", "cmd1_rad", "--output", "u_m_s", "--na", "2"],
                 lambda: package.rwls([TestWording.LOG], output_column="u_m_s", na=2),
-                "give both --na and --nb, or neither",
-                "give both na and nb, or neither",
+                "only one of --na and --nb is given",
+                "only one of na and nb is given",
             ),
             (
                 ["fit-propulsion", SWIM, "--drag", "drag.yaml"],

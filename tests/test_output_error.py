@@ -303,7 +303,7 @@ class TestBroken:
     def test_a_start_that_cannot_be_simulated_is_refused(self, rng: np.random.Generator, how: str) -> None:
         data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
         model = self._model(2.2, self.fail if how == "error" else lambda: np.nan)
-        with pytest.raises(NoTrustworthyResult, match=r"breaks down.*t0, t1, t2"):
+        with pytest.raises(NoTrustworthyResult, match=r"diverges.*t0, t1, t2"):
             output_error.fit_output_error(model, data)
 
     @pytest.mark.parametrize("how", ["nan", "error"])

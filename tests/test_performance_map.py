@@ -99,7 +99,7 @@ def test_standard_deviations_follow_the_covariance(tmp_path: Path) -> None:
         ({"over": {"frequency_hz": (2.0, 1.0, 3)}}, "not below"),
         ({"over": {"frequency_hz": (1.0, 2.0, 1)}}, "two or more"),
         ({"over": {"asymmetry": (0.0, 0.4, 3)}, "frequency_hz": 1.0}, "a-cpg"),
-        ({"over": {"K_s": (0.1, 1.0, 3)}}, "needs frequency_hz"),
+        ({"over": {"K_s": (0.1, 1.0, 3)}}, "the beat has no frequency_hz"),
         ({"over": {"frequency_hz": (1.0, 2.0, 3)}, "chosen": {"K_s": -1.0}}, "negative"),
     ],
 )

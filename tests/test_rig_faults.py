@@ -85,7 +85,10 @@ def test_the_wrong_sign_of_a_force_is_found(
     swimid: Run, tmp_path: Path, turned: tuple[str, ...], where: str
 ) -> None:
     ran = swimid("fit-drag", generator.towed(tmp_path, turned=turned))
-    assert f"SWM110: with force_N times -1 in {where} the error of u_m_s falls" in ran.err
+    assert (
+        f"SWM110: force_N has the wrong sign in {where}: with force_N times -1 the error of u_m_s falls"
+        in ran.err
+    )
     assert "SWM024" not in ran.err
 
 
@@ -159,7 +162,7 @@ def test_a_decay_without_an_overshoot_or_with_a_large_creep_is_refused(
 ) -> None:
     ran = swimid("fit-drag", decays(tmp_path, ratio, creep))
     assert ran.status == 3
-    assert "does not swing" in ran.err
+    assert "does not oscillate" in ran.err
     assert "experiment: towed" in ran.err
 
 

@@ -191,7 +191,7 @@ def test_a_second_trials_file_is_refused(tmp_path):
     )
     status, document, _ = run(tmp_path / "one.yaml", tmp_path / "one.yaml", "--na", 2, "--nb", 2)
     assert status == 2
-    assert "give one trials file" in document["error"]["message"]
+    assert "two trials files are given" in document["error"]["message"]
 
 
 def test_gaps_are_counted_and_do_not_bias_the_estimates(tmp_path):
@@ -274,7 +274,10 @@ USAGE = [
     (["--input", "u_m_s", "--output", "u_m_s", "--na", "2", "--nb", "2"], "same column"),
     ([*COLUMNS, "--na", "2"], "both --na and --nb"),
     ([*COLUMNS, "--na", "2", "--nb", "2", "--validate", "1.5"], "between 0 and 1"),
-    ([*COLUMNS, "--na", "2", "--nb", "2", "--validate", "0.2", "--validate", "0.3"], "only one share"),
+    (
+        [*COLUMNS, "--na", "2", "--nb", "2", "--validate", "0.2", "--validate", "0.3"],
+        "has several shares, 0.2 0.3",
+    ),
     (["--output", "u_m_s", "--na", "2", "--nb", "2"], "--input"),
     (["--output", "u_m_s", "--input-sine", "0", "1", "0", "--na", "2", "--nb", "2"], "amplitude must not"),
     ([*COLUMNS, "--na", "2", "--nb", "2", "-o", "RUN"], "also an input"),
@@ -322,7 +325,7 @@ def test_logs_of_different_rate_exit_3(tmp_path):
     "change,options,text",
     [
         (lambda c: c["u_m_s"].fill(0.3), (), "constant"),
-        (lambda c: c["cmd1_rad"].fill(0.0), (), "does not move"),
+        (lambda c: c["cmd1_rad"].fill(0.0), (), "the input is constant"),
         (lambda c: c["u_m_s"].__setitem__(slice(0, None, 3), np.nan), (), "usable rows"),
         (lambda c: None, ("--validate", "0.01"), "held-out part"),
     ],

@@ -99,7 +99,7 @@ class TestSobol:
         def breaking(x: np.ndarray) -> np.ndarray:
             return linear(x) if x[1] < 0.6 else np.full(2, np.inf)
 
-        with pytest.raises(NoTrustworthyResult, match="break down, more than 1 %") as caught:
+        with pytest.raises(NoTrustworthyResult, match="diverge, more than 1 %") as caught:
             sensitivity.sobol(each(breaking), np.zeros(3), np.ones(3), samples=256, jobs=2)
         assert "--range" in str(caught.value)
 
@@ -346,7 +346,7 @@ class TestCommand:
         out = tmp_path / "sens.yaml"
         ran = swimid("sensitivity", tfish, "-o", out, "--samples", "8", "--range", "c_ma=-3,3")
         assert ran.status == 4
-        assert "break down" in ran.err
+        assert "diverge" in ran.err
         assert not out.exists()
 
     def test_another_file_format_is_refused(self, tfish: Path) -> None:

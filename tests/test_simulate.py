@@ -345,8 +345,8 @@ def test_a_film_shows_the_robot_swim(swimid: Run, tmp_path: Path, ending: str) -
         ((), 2, "name a parameter file"),
         (("--robot", "tfihs", *BEAT), 3, "did you mean 'tfish'"),
         (("--robot", "boxfish", *BEAT), 3, "no 'multilink' or 'multibody' part"),
-        (("--robot", "tfish"), 2, "needs --frequency-hz"),
-        (("--robot", "tfish", "--frequency-hz", "1"), 2, "needs --amplitude-deg"),
+        (("--robot", "tfish"), 2, "the beat has no frequency_hz"),
+        (("--robot", "tfish", "--frequency-hz", "1"), 2, "the beat has no amplitude_deg"),
         (("--robot", "tfish", "--frequency-hz", "150", "--amplitude-deg", "9"), 2, "cannot be integrated"),
         (("--robot", "tfish", *BEAT, "--set", "c_m=1"), 2, "did you mean 'c_ma'"),
         (("--robot", "tfish", *BEAT, "--reading", "areas=both"), 2, "no option 'both'"),
@@ -371,10 +371,10 @@ def test_impossible_simulations_are_refused_with_a_reason(
     assert "Traceback" not in ran.err
 
 
-def test_a_simulation_that_breaks_down_reports_the_time(swimid: Run) -> None:
+def test_a_simulation_that_diverges_reports_the_time(swimid: Run) -> None:
     ran = swimid("simulate", "--robot", "tfish", *BEAT, "--set", "c_d4=1e9")
     assert ran.status == 4
-    assert "breaks down at t = " in ran.err
+    assert "diverges at t = " in ran.err
     assert "--dt" in ran.err
 
 

@@ -45,7 +45,7 @@ def test_a_simulation_that_no_step_saves_does_not_count() -> None:
     assert max(step.changes[0].values()) <= 1.0
 
 
-def test_a_fit_whose_step_breaks_down_at_its_start_takes_a_smaller_one(tmp_path: Path) -> None:
+def test_a_fit_whose_step_diverges_at_its_start_takes_a_smaller_one(tmp_path: Path) -> None:
     path = tmp_path / "tuna.yaml"
     path.write_text(LIGHT_FIN, encoding="utf-8")
     robot = robot_format.read(str(path))

@@ -137,7 +137,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
         ({"coefficient": "K"}, "no law of a passive joint contains K"),
         ({"robot": "sealion", "stroke": "characteristic"}, "tail beat"),
         ({"between": (-1.0, 2.0)}, "must be within 0 to 20"),
-        ({"amplitude_deg": None}, "needs amplitude_deg"),
+        ({"amplitude_deg": None}, "the beat has no amplitude_deg"),
     ],
 )
 def test_wrong_options_are_refused(changed: dict[str, object], says: str) -> None:

@@ -39,7 +39,7 @@ def test_a_rule_that_is_covered_at_times_is_not_proposed(tmp_path, covered_rule)
     """It is found in all frames, and the passing fish shifts its centre, but it does not move."""
     result = track("setup", covered_rule, "-o", tmp_path / "setup.yaml", status=4)
     assert "yellow (hue" in result.output
-    assert "does not move" in result.output
+    assert "moves in only" in result.output
     assert not (tmp_path / "setup.yaml").exists()
 
 
@@ -85,7 +85,7 @@ def test_a_track_within_its_noise_is_bad(tmp_path):
     result = track("setup", video, "-o", tmp_path / "setup.yaml", "--marker", "buoy@200,60")
     assert "SWM067" in result.output
     output = track("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "which is its noise" in " ".join(output.output.split())
+    assert "which is not above the noise" in " ".join(output.output.split())
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "bad"
 
 
@@ -147,7 +147,7 @@ def test_the_halves_of_a_ball_are_not_a_rigid_pair(tmp_path, nod_rad):
     found = json.loads(result.stdout)["result"]
     assert found["tail"] is None
     assert len(found["markers"]) == 1
-    assert any("on no rigid part" in p["reason"] for p in found["passed_over"])
+    assert any("not on one rigid part" in p["reason"] for p in found["passed_over"])
 
 
 def test_a_rigid_pair_is_recognised_by_an_inclined_camera(tmp_path):
@@ -257,7 +257,7 @@ def test_a_buoy_among_equal_markers_is_reported(tmp_path):
         "scale: {metres_per_pixel: 0.002}\n"
     )
     result = track("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "red3: within one radius of one place" in result.output
+    assert "red3 stayed within one radius of one position" in result.output
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "caution"
 
 

@@ -209,7 +209,7 @@ def test_a_marker_cut_by_the_edge_is_not_measured(tmp_path):
 def test_a_marker_that_is_always_cut_is_refused_with_the_reason(tmp_path):
     film = Film((Disc(lambda t: (-2.0, 60 + 30 * t), radius=12),), duration_s=1.0)
     _, output = tracked(tmp_path, film, status=4)
-    assert "found in no frame of 30 (in 30 the edge of the picture cuts it)" in output
+    assert "found in no frame of 30 (in 30 frames the edge of the picture cuts the marker)" in output
 
 
 def test_a_body_that_leaves_the_picture_is_reported(tmp_path):
@@ -217,11 +217,11 @@ def test_a_body_that_leaves_the_picture_is_reported(tmp_path):
     film = Film((Disc(straight(200, 120, 40, 4), radius=12),), duration_s=8.0)
     log, output = tracked(tmp_path, film)
     last = np.flatnonzero(log.found == 1)[-1]
-    assert f"last seen at {log.t_s[last]:.2f} s of 7.97 s" in output
+    assert f"last detected at {log.t_s[last]:.2f} of 7.97 s" in output
     assert "SWM065" in output
-    assert "left the picture" in output
+    assert "then they left the picture" in " ".join(output.split())
     checks = checked(tmp_path)
-    assert checks["First and last sight"].verdict == "warn"
+    assert checks["First and last detection"].verdict == "warn"
     # nothing was lost, but most of the film is empty: the check warns
     assert checks["Frames found"].verdict == "warn"
 
@@ -230,7 +230,7 @@ def test_a_body_lost_inside_the_picture_is_not_reported_as_left(tmp_path):
     """It vanishes in the middle of the picture: the check fails and states the place."""
     film = Film((Disc(lambda t: (100 + 40 * t, 120.0) if t < 2 else None, radius=12),), duration_s=8.0)
     _, output = tracked(tmp_path, film)
-    assert "lost for good" in output
+    assert "not detected afterwards" in " ".join(output.split())
     assert "frame 59, at 179, 120 px" in output
     assert checked(tmp_path)["Frames found"].verdict == "fail"
 
@@ -239,8 +239,8 @@ def test_a_body_that_enters_late_is_reported(tmp_path):
     film = Film((Disc(lambda t: (-15 + 60 * max(t - 2, 0), 120.0), radius=12),), duration_s=5.0)
     log, output = tracked(tmp_path, film)
     first = np.flatnonzero(log.found == 1)[0]
-    assert f"first seen at {log.t_s[first]:.2f} s" in output
-    assert "last seen" not in output
+    assert f"first detected at {log.t_s[first]:.2f} s" in output
+    assert "last detected" not in output
     assert checked(tmp_path)["Frames found"].verdict == "warn"
 
 

@@ -454,7 +454,7 @@ def test_an_export_says_how_to_command_the_joints(
         return
     text = out.read_text()
     assert "joint2 follows the actuator tendon" in text
-    assert "command it with 0.25 times its angle" in text
-    assert "command it with its angle by the table of the robot file" in text
+    assert "command the servo with 0.25 times its angle" in text
+    assert "command the servo with its angle by the table of the robot file" in text
     (causes,) = tmp_path.glob("*_causes.py")
     assert '"tendon": [AmplitudeLossFilter(loss=0.1)]' in causes.read_text()

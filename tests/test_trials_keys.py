@@ -423,7 +423,8 @@ class TestStretchesOfOneLog:
     def test_held_out_rows_must_not_be_fitted(self, tmp_path):
         path = write_case(tmp_path, self.document("validate", start_s=5.0))
         with pytest.raises(
-            InputError, match=r"'a' and 'b' .* share its rows from 5 s to 8 s: what is held out"
+            InputError,
+            match=r"'a' and 'b' .* share its rows from 5 s to 8 s: held-out rows must not be fitted",
         ):
             arma.read([path], RwlsOptions())
 
@@ -433,7 +434,7 @@ class TestStretchesOfOneLog:
             arma.read([path], RwlsOptions())
         assert [n.text for n in notices if n.code == "SWM074"] == [
             "trials.yaml: the trials 'a' and 'b' are of the same log and share its rows to 8 s, which count "
-            "twice: standard errors are too small"
+            "twice, so that standard errors are too small: separate the trials with start_s and end_s"
         ]
 
     def test_neighbours_stand_apart(self, tmp_path):
@@ -450,5 +451,5 @@ class TestStretchesOfOneLog:
             held_out=(tmp_path / "one.csv",), input_column="cmd1_rad", output_column="u_m_s"
         )
         for fitted in (path, tmp_path / "one.csv"):
-            with record_warnings(), pytest.raises(InputError, match="what is held out must not be fitted"):
+            with record_warnings(), pytest.raises(InputError, match="held-out rows must not be fitted"):
                 arma.read([fitted], options)

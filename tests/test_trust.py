@@ -120,7 +120,7 @@ def test_a_gait_that_swims_tail_first_is_bad() -> None:
 
 
 def test_a_slope_that_is_not_known_is_not_zero(tmp_path: Path) -> None:
-    """Where a run beside the estimates breaks down a quantity has no standard error, none too small."""
+    """Where a run beside the estimates diverges a quantity has no standard error, none too small."""
     path = fitted(tmp_path, {"c_d2": 0.8, "c_d1": 0.6})
     options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
     applied: Applied = Performance.of_options(options).applied

@@ -586,7 +586,7 @@ def _check_determined(known: Identifiability, orders: Orders) -> None:
         hint = "lower the orders, or excite the robot with more than one frequency"
         raise NoTrustworthyResult(f"{text}, and no coefficient of the model is determined", hint=hint)
     if known.input_rank == 0:
-        text = "the input does not move: its effect cannot be identified"
+        text = "the input is constant, so its effect cannot be identified"
         raise NoTrustworthyResult(text, hint="check the input column, or give --input-sine")
 
 

@@ -502,11 +502,13 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         own = _even_times(log.time_s, values, held)
         if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
             continue
-        what = ("are empty", "repeat the measurement before")[bool(held.repeated.any())]
+        what = ("are empty", "repeat the sample before")[bool(held.repeated.any())]
         text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
         if own is None:
             columns[column] = np.where(held.repeated, np.nan, values)
-            text += f" at no even rate: they are left out, and the others may be {held.lateness_s:.6g} s late"
+            text += (
+                f" at an uneven rate: these are left out, and the others may be {held.lateness_s:.6g} s late"
+            )
         else:
             text += f": it is measured every {usual_step(own[1]):.6g} s"
         if column == output and own is not None:
@@ -695,7 +697,8 @@ def _list_entries(
             groups.append([_single(source, role, f"table {number + 1}")])
             continue
         if listed is not None:
-            raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
+            hint = "list logs to fit and logs to hold out (role: validate) in one trials file"
+            raise UsageError("two trials files are given; only one is allowed", hint=hint)
         path = trials_format.place(source)
         listed = trials_format.read(source, "rwls")
         files += [path] * (not listed._in_memory)
@@ -742,7 +745,8 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
         except (TypeError, ValueError):
             logs.append(item)
     if len(shares) > 1:
-        raise UsageError("--validate: only one share can be given, besides any number of logs")
+        shown = " ".join(f"{share:g}" for share in shares)
+        raise UsageError(f"--validate has several shares, {shown}: give one share and any number of logs")
     for share in shares:
         if not 0 < share < 1:
             hint = "0.25 is the last quarter"
@@ -756,11 +760,10 @@ def _columns(options: RwlsOptions, listed: Any) -> Columns:
     if listed is not None:
         source, output = source or listed.input, output or listed.output
     if output is None:
-        raise UsageError("give the output column with --output COLUMN")
+        raise UsageError("the output column is not named", hint="name it: --output COLUMN")
     if (options.input_sine is None) == (source is None):
-        raise UsageError(
-            "give the input column with --input COLUMN, or compute it with --input-sine A F PHASE"
-        )
+        hint = "name the input column, --input COLUMN, or compute the input, --input-sine A F PHASE"
+        raise UsageError("exactly one input column or input sine is needed", hint=hint)
     if source == output:
         raise UsageError(f"input and output are the same column '{source}'")
     return Columns(source or "F_u", output, options.input_sine)

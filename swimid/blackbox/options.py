@@ -69,7 +69,8 @@ class RwlsOptions(Options, argument="LOG...", output_flags=("-o", "--result"), m
     @model_validator(mode="after")
     def _check_together(self) -> Self:
         if (self.na is None) != (self.nb is None):
-            raise UsageError("give both --na and --nb, or neither to search the orders")
+            hint = "give both --na and --nb, or neither to search the orders"
+            raise UsageError("only one of --na and --nb is given", hint=hint)
         if self.input_sine is not None:
             amplitude, frequency_hz, _ = self.input_sine
             if amplitude == 0 or frequency_hz <= 0 or not all(map(math.isfinite, self.input_sine)):

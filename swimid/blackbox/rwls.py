@@ -623,7 +623,7 @@ class Part:
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
     #: Free-run error of held-out records about the output level of the fitted data. It is None for fitted
-    #: records, and if no means were subtracted. All other errors are about the own level of the records.
+    #: records, and if no means were subtracted. All other errors are about the level of each record.
     strict: SeriesScore | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:
@@ -646,7 +646,7 @@ def score_records(records: list[ArxRecord], model: ArxEstimate, poles: list[ArxP
     longest = max((len(r) for r in records), default=0)
     if longest <= orders.lag:
         raise NoTrustworthyResult(
-            f"a held-out part has {longest} samples, the model needs {orders.lag} past ones",
+            f"the longest held-out part has {longest} samples; more than {orders.lag} are needed",
             hint="hold out a larger share, or validate on a longer log",
         )
     runs = [simulate(r, orders, theta) for r in records]

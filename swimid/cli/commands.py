@@ -116,7 +116,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
 
 # ---------------------------------------------------------------- doctor
 
-#: Extras of those who develop swimid.
+#: Extras of the installation that only developers need.
 NOT_FOR_USERS = ("all", "dev", "docs", "bench")
 #: Modules with functions that numba compiles. The function ``warm_up`` of each module compiles them.
 KERNELS = (
@@ -200,11 +200,11 @@ def _evidence(findings: dict[str, Any], extras: dict[str, str]) -> Evidence:
         rows.append([name, version or "not installed", f"pip install 'swimid[{extras[name]}]'"])
     for name, time_s in findings.get("kernels_s", {}).items():
         rows.append([name, "compiled", f"in {time_s:.1f} s"])
-    verdict = Verdict(level="good", text="Everything is in place.")
+    verdict = Verdict(level="good", text="All parts of swimid are installed.")
     if not findings["healthy"]:
         missing = [name for name, version in findings["packages"].items() if version is None]
         lacking = ", ".join(missing) or "FFmpeg in OpenCV"
-        verdict = Verdict(level="bad", text=f"Reinstall swimid. Missing: {lacking}.")
+        verdict = Verdict(level="bad", text=f"Parts of swimid are missing: {lacking}. Reinstall swimid.")
     return Evidence(
         command="doctor",
         title=f"swimid {swimid.__version__}",

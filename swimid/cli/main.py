@@ -113,7 +113,8 @@ class CommandRun:
                 outcome = work()
             if interrupts:
                 places = ", ".join(map(str, outcome.outputs)) or "nothing"
-                raise Interrupted(f"interrupted; the result is of a search cut short: wrote {places}")
+                text = f"interrupted before the search ended; the result so far is written: {places}"
+                raise Interrupted(text)
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(0)
@@ -209,8 +210,8 @@ class CommandRun:
             If the folder of the output does not exist.
         """
         if str(output) == "-":
-            hint = "--json prints it on stdout"
-            raise UsageError("this result is files, not a stream: name one", hint=hint)
+            hint = "name a file with -o, or print the result with --json"
+            raise UsageError("the result of this command is a file and cannot go to stdout", hint=hint)
         atomic.check_writable(output, inputs=inputs)
         if not self.force and not provenance.is_own(output):
             raise UsageError(
@@ -434,7 +435,8 @@ def _insist_distinct(places: list[Path]) -> None:
     resolved = [place.resolve() for place in places]
     for place, file in zip(places, resolved, strict=True):
         if resolved.count(file) > 1:
-            raise UsageError(f"two outputs would be written to {place}", hint="name another file for one")
+            hint = "name different files for the two outputs"
+            raise UsageError(f"two outputs would be written to {place}", hint=hint)
 
 
 # ---------------------------------------------------------------- values of options
@@ -488,7 +490,9 @@ def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
             return kind
         low, high = (limits.get(near, limits.get(open_)) for near, open_ in (("ge", "gt"), ("le", "lt")))
         number_range: Any = click.IntRange if kind is int else click.FloatRange
-        return number_range(low, high, min_open="gt" in limits, max_open="lt" in limits)
+        made = number_range(low, high, min_open="gt" in limits, max_open="lt" in limits)
+        made.name = {int: "integer", float: "number"}[kind]
+        return made
     return str
 
 

@@ -54,8 +54,8 @@ MAX_EQUIVALENTS = 3
 #: useless.
 MAX_RELATIVE_ERROR = 10.0
 #: Texts that advise the user to record trials at another setting (ANOTHER), or to repeat a setting (REPEAT).
-ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
-REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
+ANOTHER = "run another setting: coefficients that imitate an effect at one setting do not do so at others"
+REPEAT = "repeat one setting three times: repeats separate a missing effect from differences between trials"
 
 
 def propose_cause(search: SearchResult, found: CauseComparison) -> Proposed:
@@ -243,9 +243,10 @@ def _compute_unreproduced(study: GapStudy, fit: Hypothesis) -> dict[str, float |
 def _remaining(search: SearchResult, facts: Facts, *, named: bool) -> Remaining:
     """Return the share of the squared gap that remains on held-out data, and where it has structure."""
     if facts.unreproduced:
-        return Remaining(share=1.0, where=f"all of {', '.join(facts.unreproduced)} but its mean", white=False)
+        where = f"all motion of {', '.join(facts.unreproduced)} about its mean"
+        return Remaining(share=1.0, where=where, white=False)
     left = search.structure
-    where = "nothing that a smooth description finds"
+    where = "without structure"
     if left.is_present:
         largest = sorted(left.places.items(), key=lambda item: -item[1])
         where = " and ".join(p for p, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
@@ -270,7 +271,7 @@ def _reasons(noise: NoiseModel) -> list[str]:
     differing = [f"{kind.name} ({kind.sd:.2g} of its typical size)" for kind in noise.random_effects]
     if not differing:
         return []
-    return [f"trials differ by chance in {join_names(differing)}, of which each trial has its own value"]
+    return [f"trials differ at random in {join_names(differing)}, which has its own value in each trial"]
 
 
 def _name_held_out(study: GapStudy, validation: Sequence[Trial]) -> HeldOut:
@@ -420,11 +421,11 @@ def _advice(
     if file.verdict == "unexplained" and file.held_out == "validation":
         off = [name for name, t in file.facts.held_out.items() if t.after > t.limit]
         if off:
-            text = f"fit {', '.join(off)}, too (role: fit): no other trial shows effects that act only there"
+            text = f"set role: fit for {', '.join(off)}: no other trial shows effects that act only there"
             return [Advice(text=text)]
     rivals, has_equivalents = _select_rivals(file.facts, shown)
     if len(rivals) < 2:
-        repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
+        repeat = [Advice(text=f"{REPEAT} (remaining gap: {file.remaining.where})")]
         return repeat if file.verdict in ("partial", "unexplained") else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     if not has_equivalents and now > proposals.compute_threshold(rivals):

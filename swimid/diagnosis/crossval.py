@@ -442,7 +442,7 @@ def draw_noise(equations: NormalEquations, rng: np.random.Generator, count: int)
 
 
 def invert_normal(normal: Array) -> Array:
-    """Return the inverse of a normal matrix, without the directions that nothing determines."""
+    """Return the inverse of a normal matrix, without the directions that the data do not determine."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = scale[:, None] * normal * scale
     inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)

@@ -42,15 +42,15 @@ from swimid.simulation.compare_series import ChannelScore
 
 #: Text that says why a diagnosis without a parameter file cannot find a changed parameter.
 NOT_GIVEN = (
-    "no parameter file was given: the refit began at the values of {}, of which nothing is taken "
-    "as known, and no change of a parameter can be named"
+    "no parameter file was given: the refit began at the values of {}, which are not taken as known, so "
+    "that no changed parameter can be named"
 )
 #: Text on an effect that has no form for a simulator of the user.
-CANNOT_ACT = "it has no form for this simulator, or none of its channels was measured"
+CANNOT_ACT = "the effect is not defined for this simulator, or its channels were not measured"
 #: Text on changed parameters that are not among the requested effects.
-NOT_REQUESTED = "changes of parameters were not requested, and are not tried: {}"
+NOT_REQUESTED = "changes of parameters were not requested and not tried: {}"
 #: Text that says why there is no proposed trial if the answer leaves no rival causes.
-NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
+NO_RIVALS = "the diagnosis has no rival causes that a trial could distinguish"
 
 
 def _compute_errors(loaded: Loaded) -> dict[str, ChannelScore]:
@@ -376,7 +376,7 @@ def diagnose(
             edited = repaired.build_simulator_file(loaded, repaired_file, repaired_path, options.own_effects)
             simulator = edited and (model.file_ending, edited)
         if repaired_file is None and repaired_path is not None and repaired_path.exists():
-            text = f"{repaired_path.name} belongs to an earlier run: this one found no cause to write to it"
+            text = f"{repaired_path.name} is the file of an earlier diagnosis: this diagnosis found no cause"
             warn("SWM061", text)
     sources = loaded.experiment.robot.sources
     shown = evidence.build_gap_evidence(file, worst, sources=sources, notices=list(notices))

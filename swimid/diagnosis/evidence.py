@@ -70,7 +70,7 @@ BOX = (
 #: Name of the parameter file with the causes, in the folder of the gap file.
 REPAIRED = "repaired.yaml"
 
-#: Minimum share of the gap that is stated in a sentence.
+#: Minimum share of the gap that a refit closes, at which the answer states this share.
 MIN_REFIT_SHARE = 0.005
 #: Definition of the squared error of a held-out part.
 SQUARED = (
@@ -156,21 +156,22 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         yield ev.make_check(*found, otherwise=otherwise, reason=row.reason)
     if file.moved:
         said = format_changes(file.moved)
-        reason = f"the given parameters differ from the refitted ones: {said}"
+        reason = f"the given parameters differ from the refitted parameters: {said}"
         yield ev.make_check("parameters as given", said, False, "within their errors", reason=reason)
     if file.at_bound:
         said = join_names([f"{name} at {format_number(bound, 3)}" for name, bound in file.at_bound.items()])
-        text = "a coefficient that the refit without effects takes to its bound may stand in for a cause"
+        text = "a coefficient at its bound may compensate for a missing effect"
         passed = None if file.causes else False
-        reason = f"bounds are hit: {said}"
+        reason = f"the refit without effects ends at bounds: {said}"
         yield ev.make_check("bounds without effects", said, passed, "inside", text, reason=reason)
     if file.setting_count is not None and file.setting_count < 2:
-        said = "all trials have one setting, and nothing is tested at another"
+        said = "all trials have the same setting, so that the answer is not tested at another setting"
         yield ev.make_check("settings", "1", False, "≥ 2", reason=said)
     if file.odd_trials:
         said = "; ".join(f"{name}: {text}" for name, text in file.odd_trials.items())
-        text = "a trial with parameters of its own is left out; check its entry in the trials file"
-        yield ev.make_check("trials agree", said, False, "all", text, reason=f"left out {said}")
+        text = "a trial that contradicts the others is left out; check its entry in the trials file"
+        reason = f"trials that contradict the others are left out ({said})"
+        yield ev.make_check("trials agree", said, False, "all", text, reason=reason)
     passed = file.remaining.white
     if file.causes:
         yield from _of_causes(file)
@@ -187,7 +188,7 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
     for c in file.causes:
         if c.gain is not None and len(file.causes) > 1:
             name, gain = f"held-out gain of {c.effect}", numbers.format_estimate(c.gain, c.gain_stderr)
-            reason = f"the {name} is no more than two standard errors ({gain})"
+            reason = f"the {name} is not above two standard errors ({gain})"
             passed = c.gain > 2.0 * (c.gain_stderr or 0.0)
             yield ev.make_check(name, gain, passed, "> 2 standard errors", reason=reason)
     ends = [f"{c.effect}/{n}" for c in file.causes for n, v in c.parameters.items() if v.status == "at-bound"]
@@ -199,7 +200,7 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         share = file.closed.share or 0.0
         said = f"{percent(share, 2)} {format_interval(file.closed)}".strip()
         name = "squared gap closed with the failed samples"
-        reason = f"if the failed samples are included, {said} of the squared gap closes"
+        reason = f"if the failed samples are included, only {said} of the squared gap closes"
         passed, needed = share >= verdict.MIN_CLOSED_SHARE, f"≥ {percent(verdict.MIN_CLOSED_SHARE)}"
         yield ev.make_check(name, said, passed, needed, reason=reason)
 
@@ -299,10 +300,10 @@ def _coefficients(file: GapFile) -> ev.Table:
     for a in (a for c in file.causes for a in c.absorbed):
         values = ["" if v is None else format_value(v) for v in (a.given, a.without, a.with_effect)]
         rows.append([a.coefficient, *values, a.coefficient in strayed])
-    columns = "coefficient | as given | refitted without | refitted with | stood in"
+    columns = "coefficient | as given | refitted without | refitted with | compensated"
     caption = (
-        f"A coefficient stood in for a cause when it moves by more than {MOVED_STDERR:g} standard "
-        f"errors and {100 * MOVED_SHARE:g} % with the causes: do not use its value without them."
+        f"A coefficient compensated for a cause if the causes change it by more than {MOVED_STDERR:g} "
+        f"standard errors and {100 * MOVED_SHARE:g} %: do not use its value without the causes."
     )
     title = "Coefficients of the model without and with the causes"
     return _table("coefficients", title, columns, rows, caption)
@@ -319,7 +320,7 @@ def _twins(file: GapFile) -> list[list[EffectRow]]:
     groups: list[list[EffectRow]] = []
     for score in file.scores:
         mine = alone.get(score.effect)
-        # An effect that changes nothing leaves the residuals of the model without effects.
+        # An effect without influence leaves the residuals of the model without effects.
         if mine is not None and mine.deviance < plain:
             same = (g for g in groups if g[0].effect in alone and are_twins(mine, alone[g[0].effect]))
             if group := next(same, None):
@@ -428,7 +429,7 @@ def format_answer(file: GapFile) -> str:
 
     They name the causes with their sizes, and say by how much the causes reduce the held-out errors.
     """
-    text = "The model has a gap, and no effect that was tried closes it."
+    text = "The model has a gap, and none of the effects that were tried closes the gap."
     if file.verdict == "unexplained" and file.facts.unreproduced:
         text = "The model does not describe these trials, so that their gap cannot be separated from noise."
     elif file.verdict == "unexplained":
@@ -453,12 +454,12 @@ def _name_causes(file: GapFile) -> str:
         return f"The model has a gap whose likeliest {cause} {join_names(names)}."
     if file.verdict == "partial":
         closes = plural("closes", "close", names)
-        return f"{join_names(names)} {closes} part of the gap, and more remains than noise."
+        return f"{join_names(names)} {closes} part of the gap, and the remaining gap exceeds the noise."
     alone = [_name_cause(c, rivals=False) for c in file.causes]
     text = f"{join_names(alone)} {plural('explains', 'together explain', names)} the gap."
     alike = [f"{c.effect} from {join_names(c.equivalent, 'or')}" for c in file.causes if c.equivalent]
     if alike:
-        text += f" These trials do not separate {join_names(alike)}."
+        text += f" These trials cannot distinguish {join_names(alike)}."
     return text
 
 
@@ -548,9 +549,9 @@ def notes(file: GapFile) -> list[str]:
         said.append(f"the gap is largest at {join_names(places)}")
     for a in select_moved(file)[:1]:
         values = " without the cause and ".join(format_value(v) for v in (a.without, a.with_effect))
-        said.append(f"the coefficient {a.coefficient} stood in for the cause: it is {values} with it")
+        said.append(f"the coefficient {a.coefficient} compensated for the cause: {values} with the cause")
     said += [
-        f"to work with the other reading: --reading {c.effect.removeprefix(READING)}"
+        f"to use the other reading of the robot: --reading {c.effect.removeprefix(READING)}"
         for c in file.causes
         if c.effect.startswith(READING)
     ]

@@ -248,8 +248,8 @@ class Advice(yamlio.Document):
     text: str
     #: Rival causes that the experiment would distinguish.
     separates: list[str] = []
-    #: Difference between the rival causes in noise standard deviations: predicted for the experiment, the
-    #: largest one that noise alone makes with 95 % probability, and the one on the present trials.
+    #: Difference between the rival causes in noise standard deviations: predicted for the experiment, 95 %
+    #: quantile for noise alone, and value on the present trials.
     difference: Number = None
     noise: Number = None
     now: Number = None

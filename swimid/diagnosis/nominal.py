@@ -27,8 +27,8 @@ RANDOM_PARAMETERS: dict[str, tuple[str, float] | None] = {
     "start_offset": None,
     "initial_speed": None,
 }
-#: Those of them that are random effects only if settings are repeated. Between single trials of different
-#: settings, they would absorb any drag that the model lacks.
+#: Per-trial parameters that are random effects only if settings are repeated. Between single trials of
+#: different settings, they would absorb any drag that the model lacks.
 RANDOM_IN_REPEATS = {"relative_drag_deviation"}
 #: Minimum number of trials from which random effects are estimated.
 MIN_RANDOM_TRIALS = 3

@@ -203,7 +203,7 @@ def describe(odd: OddTrial, differing: Sequence[RandomCandidate] = ()) -> str | 
     alone, one by one, and at most :data:`MAX_ODD_PARAMETERS` together.
     """
     if odd.mistake:
-        return f"with {odd.mistake}, it agrees with the other trials"
+        return f"with {odd.mistake}, the trial agrees with the other trials"
     fit, study = odd.fit, odd.fit.study
     (trial,) = (t for t in study.trials if t.id == odd.trial)
     others = _fit_trials(study, fit, [t for t in study.trials if t is not trial], {})

@@ -261,7 +261,7 @@ class HypothesisPool:
         return list(first.values())
 
     def contenders(self) -> list[Hypothesis]:
-        """Return hypotheses that are not improbable, and the best ones of each size."""
+        """Return hypotheses that are not improbable, and the best hypotheses of each size."""
         sets = self.compute_posterior().sets
         least = PROBABLE * max(sets.values(), default=0.0)
         ranked = [pair for size in range(1, MAX_EFFECTS + 1) for pair in enumerate(self.best(size))]

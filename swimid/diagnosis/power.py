@@ -73,9 +73,10 @@ def build_power_evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = (
     twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
     seen = len(file.effects) - len(blind)
     answer = (
-        f"Of {len(file.effects)} effects these trials would show {seen}, {twins} of them never distinguished."
+        f"These trials would show {seen} of {len(file.effects)} effects, {twins} of which they cannot "
+        "distinguish from another effect."
     )
-    unseen = f"not seen at any size within their bounds: {', '.join(blind)}"
+    unseen = f"these effects would not be seen at any size within their bounds: {', '.join(blind)}"
     check = ev.make_check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
     rows = []
     for r in file.effects:
@@ -87,7 +88,7 @@ def build_power_evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = (
         title="The smallest size of each effect that is seen with 90 % power",
         columns=["effect", "parameter", "smallest size", "imitated (%)", "never distinguished from"],
         rows=rows,
-        caption="Imitated: share of its squared change that the coefficients take up.",
+        caption="Imitated: share of the squared change due to an effect that the coefficients reproduce.",
     )
     return ev.Evidence(
         command="diagnose",
@@ -99,10 +100,10 @@ def build_power_evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = (
         tables=[table],
         notices=list(notices),
         methods=[
-            "The change that an effect makes in the trials, the coefficients of the model projected out, was "
-            "held against their noise: seen is what leaves less than 10 % to there being no gap, nine times "
-            "in ten (noncentral chi-square); never distinguished: effects whose changes are so alike that a "
-            "very large one leaves the other more than 10 %.",
+            "The change due to each effect was computed, the coefficients of the model were projected out, "
+            "and the rest was compared with the noise. An effect is seen if the probability of no gap falls "
+            "below 10 % in nine of ten repetitions (noncentral chi-square). Two effects are never "
+            "distinguished if even a very large one leaves the other a probability above 10 %.",
         ],
         provenance=dict(file.provenance),
     )
@@ -140,8 +141,8 @@ class DetectionPower(FileResult[PowerFile]):
 # ---------------------------------------------------------------- computation
 
 #: Reasons why the detection power of an effect is unknown.
-NO_MEASURED_CHANGE = "it changes nothing that was measured in these trials"
-BROKEN_DOWN = "the model breaks down with it"
+NO_MEASURED_CHANGE = "the effect changes no channel that was measured in these trials"
+DIVERGES = "the simulation diverges with the effect"
 #: Probability with which an effect of the reported size is detected.
 POWER = 0.9
 #: Minimum fraction of the squared change by an effect that must remain after the model's parameters are
@@ -221,7 +222,7 @@ def compute_power(
         own = _lines(runs, columns)
         lines += own
         if not own:
-            left_out.setdefault(runs.effect.name, NO_MEASURED_CHANGE if runs.points else BROKEN_DOWN)
+            left_out.setdefault(runs.effect.name, NO_MEASURED_CHANGE if runs.points else DIVERGES)
     inner = crossval.form_normal_equations(search.study, base, columns)
     products = crossval.project_columns(inner)[:-1, :-1]
     squares = np.maximum(products.diagonal(), 0.0)

@@ -679,12 +679,11 @@ def _nothing(first: str, left: Sequence[str], count: int, length_m: float, least
     rivals = f"{first} from {' or '.join(left)}"
     if not count:
         return (
-            f"none: no trial of {MIN_SEGMENT_BEATS:g} beats and "
-            f"{MIN_PROPOSAL_SAMPLES} samples keeps the limits (a path of at most {length_m:.3g} "
-            f"m), so that none separates {rivals}"
+            f"none: no trial of {MIN_SEGMENT_BEATS:g} beats and {MIN_PROPOSAL_SAMPLES} samples satisfies the "
+            f"limits (a path of at most {length_m:.3g} m), so that no trial distinguishes {rivals}"
         )
     return (
-        f"none: of {count} possible trials none separates {rivals} by more than noise alone could "
+        f"none: none of {count} possible trials distinguishes {rivals} by more than the noise "
         f"({least:.2g} standard deviations)"
     )
 

@@ -175,11 +175,11 @@ def list_readings(
             meaning = f'Another answer to "{reading.question.rstrip(".")}": {answer.says.rstrip(".")}.'
             other = OtherReading(key, option, meaning=meaning, stage=_stage(places), reread=reread)
             if any(word in place for word in COMMANDS for place in places):
-                left_out[other.name] = "the trials contain its effect on the robot: choose it by --reading"
+                left_out[other.name] = "the reading changes commands of the trials: choose it by --reading"
             elif not reread.stand({key: option}):
-                left_out[other.name] = "its coefficients or channels are not those of the reading chosen"
+                left_out[other.name] = "the reading has other coefficients or channels than the model"
             elif _is_same(other.in_place_of(nominal), values, trials, seen):
-                left_out[other.name] = "it changes nothing that was measured in these trials"
+                left_out[other.name] = "the reading changes no channel that was measured in these trials"
             else:
                 found.append(other)
     return found, left_out

@@ -17,7 +17,7 @@ from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
 
 #: Sum of squared changes of the trials by an effect, in units of the noise variance, below which the effect
-#: counts as changing nothing.
+#: counts as having no influence.
 MIN_SQUARED_CHANGE = 1e-6
 #: Maximum change of a sample by an effect, in noise standard deviations. A larger change means that the
 #: simulation diverged.
@@ -134,9 +134,9 @@ def screen_effects(
             best = _screen_shared(inner, tried, first, plain, left, whole)
         first += len(tried.points)
         if best is None:
-            left_out[tried.effect.name] = "it changes nothing that was measured in these trials"
+            left_out[tried.effect.name] = "the effect changes no channel that was measured in these trials"
             if not tried.points:
-                left_out[tried.effect.name] = "the model broke down with it: the effect could not be judged"
+                left_out[tried.effect.name] = "the simulation diverges with the effect, which was not judged"
         else:
             found.append(best)
             left_out.pop(tried.effect.name, None)

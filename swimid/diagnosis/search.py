@@ -500,7 +500,7 @@ def search_causes(
             given = given.copy_with(given.model, [t for t in given.trials if t.id != trial.trial])
         search.settle()
         if search.posterior.outside > 0.5 and search.study.noise.random_effects:
-            # The random values of the trials may have taken up what an effect explains.
+            # The random effects may have absorbed changes that an effect explains.
             other = start_search(study, fit)
             other.settle()
             if other.posterior.outside < search.posterior.outside:

@@ -113,7 +113,7 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
         verdicts.append("explained")
     weakest = max(verdicts, key=VERDICT_ORDER.index)
     if weakest == "partial" and not causes:
-        # Without a cause, nothing closes a part of the gap.
+        # A partial verdict needs a cause that closes a part of the gap.
         weakest = "unexplained"
     return Decision(weakest, causes)
 
@@ -129,7 +129,7 @@ def list_rows(facts: Facts) -> Iterator[VerdictRow]:
     """Yield the rows of the table. A question that does not apply to the trials has no row."""
     if facts.unreproduced:
         found = join_names([f"{percent(v, 2)} of {c}" for c, v in facts.unreproduced.items()])
-        reason = f"the model reproduces {found}"
+        reason = f"the model reproduces only {found}"
         yield VerdictRow("output reproduced", found, "≥ 50 %", False, "unexplained", False, reason)
     if facts.proposed:
         yield from _of_causes(facts)
@@ -141,7 +141,7 @@ def _of_no_cause(facts: Facts) -> Iterator[VerdictRow]:
     """Yield the rows of a model to which the fits add no cause."""
     none = facts.no_gap or 0.0
     found = format_otherwise(facts)
-    reason = f"no gap has a probability of {probability_text(none)} only"
+    reason = f"the probability that there is no gap is only {probability_text(none)}"
     yield VerdictRow("gap", found, "no gap > 50 %", none > 0.5, "unexplained", False, reason)
     yield _inside(facts)
 
@@ -174,7 +174,7 @@ def _of_causes(facts: Facts) -> Iterator[VerdictRow]:
     name, first = next(iter(facts.proposed.items()))
     none, sure = facts.no_gap or 0.0, f"≥ {percent(MIN_SURE_PROBABILITY)}"
     found, needed = f"no gap {probability_text(none)}", f"≤ {percent(MAX_NO_GAP_PROBABILITY)}"
-    reason = f"no gap has a probability of {probability_text(none)}"
+    reason = f"the probability that there is no gap is {probability_text(none)}"
     yield VerdictRow("gap", found, needed, none <= MAX_NO_GAP_PROBABILITY, "ambiguous", True, reason)
     share = _catalogue_share(facts)
     found = f"{probability_text(share)} of the probability of a gap"
@@ -211,8 +211,8 @@ def _is_supported(facts: Facts) -> bool:
         return True
     left = compute_remaining_share(facts, as_given=_is_change(facts))
     closes = left is not None and left <= 1.0 - MIN_CLOSED_SHARE
-    # An effect with values of its own in each trial also fits those of a held-out trial. An effect at its
-    # bound stands in for a cause outside.
+    # An effect with a separate value for each trial fits every held-out trial, too. An effect at its bound
+    # compensates for a cause outside the catalogue.
     first, *_ = facts.proposed.values()
     if closes and not first.per_trial and not any(one.at_bound for one in facts.proposed.values()):
         return True
@@ -229,7 +229,7 @@ def _of_errors(facts: Facts, names: str) -> Iterator[VerdictRow]:
     is_change = _is_change(facts)
     as_given = is_change or is_imitated(facts)
     if as_given and not is_change:
-        reason = f"refitted parameters of the file close the gap on held-out data as well as {names}"
+        reason = f"a refit of the parameters closes the gap on held-out data as well as {names}"
         question = "cause against the parameters"
         yield VerdictRow(question, "imitated", "distinct", False, "ambiguous", True, reason)
     yield _row_of_decrease(facts, names, as_given=as_given)
@@ -249,7 +249,7 @@ def _row_of_decrease(facts: Facts, names: str, *, as_given: bool) -> VerdictRow:
     otherwise: Verdict = "unexplained"
     reason = f"held-out errors do not clearly fall with {names} ({found})"
     if carried:
-        otherwise, reason = "ambiguous", f"held-out errors fall with {names} in {carried} only"
+        otherwise, reason = "ambiguous", f"the held-out errors fall with {names} only in {carried}"
     elif (facts.no_gap or 0.0) > MAX_NO_GAP_PROBABILITY:
         otherwise = "ambiguous"
     needed = f"probability ≥ {percent(MIN_DECREASE_PROBABILITY)}"
@@ -260,7 +260,7 @@ def _row_of_remainder(facts: Facts, names: str, *, as_given: bool) -> VerdictRow
     """Return the row about the share of the squared gap on held-out data that the causes leave."""
     left, needed = compute_remaining_share(facts, as_given=as_given), f"≤ {percent(CALIBRATED.form)}"
     if left is None:
-        text = "held-out data have no gap, so that the share which remains is unknown"
+        text = "the remaining share of the gap is unknown, because held-out data have no gap"
         return VerdictRow("remaining gap", text, needed, False, "ambiguous", True, text)
     given, before, _, _ = _sums(facts.held_out)
     against = "as given" if as_given or given < before else "after a refit"

@@ -22,7 +22,7 @@ class AmplitudeLoss(base.Actuation):
     """Constant relative loss of amplitude: each joint moves by ``(1 - loss)`` times its command."""
 
     name = "amplitude-loss"
-    meaning = "The joints turn by less than their command, by the same share always."
+    meaning = "The joints turn by a constant fraction less than their command."
     sources = ("boxfish, section 5.3 (the body's oscillation reduces the effective amplitude)",)
     smooth = True
     scatters = True
@@ -263,7 +263,7 @@ class ServoLag(base.Actuation):
     """
 
     name = "servo-lag"
-    meaning = "The servos follow their command late and with a smaller amplitude, the more so the faster."
+    meaning = "The servos lag behind their command and reduce its amplitude, more at higher frequencies."
     sources = (
         "robotic dolphin, section 4.2.1 (the water slows the actual beat)",
         "sea lion, section II (motion profiles taken as the motion of the joints)",
@@ -304,7 +304,7 @@ class Slip(base.Actuation):
     """
 
     name = "slip"
-    meaning = "From some moment of a trial on the joints turn by less than their command."
+    meaning = "From a certain time of a trial, the joints turn by less than their command."
     sources = (
         "Zhong, Li and Du 2017, IEEE/ASME Trans. Mechatronics 22:1633 (a fish driven by wires)",
         "Firbank 1970, Int. J. Mech. Sci. 12:1053 (belts that creep and slip)",
@@ -320,7 +320,7 @@ class Slip(base.Actuation):
         """
         lasting = model.scales(trials).duration
         longest = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=0.0) or lasting
-        when = "time after the first sample at which half of it is lost"
+        when = "time after the first sample at which half of the loss is reached"
         return (
             parameter("loss", "1", 0.1, "share of the command lost", 0.0, 0.95),
             parameter("begin_s", "s", 0.1 * lasting, when, 0.0, longest, start=0.5 * lasting),

@@ -144,12 +144,8 @@ def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     faults = (
         (lacking, f"lacks {', '.join(lacking)}", None),
         (not name or {type(name), type(meaning)} != {str}, "needs a name and a meaning in words", None),
-        (stage not in STAGES, f"is at the stage '{stage}', which there is not", stages),
-        (
-            isinstance(needs, str) or not set(needs) <= HOOK_NAMES,
-            f"needs {needs!r}, which are no hooks",
-            hooks,
-        ),
+        (stage not in STAGES, f"has the unknown stage '{stage}'", stages),
+        (isinstance(needs, str) or not set(needs) <= HOOK_NAMES, f"needs unknown hooks: {needs!r}", hooks),
         (name in taken, f"has a name that is used already: '{name}'", None),
     )
     for fault, problem, hint in faults:

@@ -220,7 +220,7 @@ class Tether(Effect):
     """
 
     name = "tether"
-    meaning = "cable that pulls the robot back the more the farther it is"
+    meaning = "cable whose pull on the robot grows with the distance from its anchor"
     sources = ("dolphin paper, section 1",)
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -244,7 +244,7 @@ class Tether(Effect):
         stiffness = 0.3 * force / size
         pull = (
             parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
-            parameter("slack_m", "m", 0.2 * size, "length before it pulls", 0.0, size),
+            parameter("slack_m", "m", 0.2 * size, "slack length of the tether", 0.0, size),
         )
         drag, words = 0.3 * force / (size * scales.speed**2), "distance of the anchor behind the start"
         line = parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, "drag of the line per length", lower=0.0)
@@ -370,14 +370,14 @@ class Wall(Effect):
         if model.body is not None:
             length, scales = sum(model.body.lengths_m), model.scales(trials)
             size = 0.05 * scales.force / scales.speed**2
-            words = "push of the wall at the extreme per squared speed"
+            words = "force of the wall at the extreme of the tracks per squared speed"
             first = parameter(f"{self.side}_push_N_s2_m2", "N s^2/m^2", size, words)
         else:
             length = 0.4 * model.scales(trials).span
-            words = "relative growth of drag at the extreme"
+            words = "relative growth of drag at the extreme of the tracks"
             first = parameter(f"{self.side}_gain", "1", 1.0, words, lower=0.0)
         lower, upper, start, size = (share * length for share in (0.1, 3.0, 0.5, 0.2))
-        words = "length over which it decays"
+        words = "decay length of the effect of the wall"
         return first, parameter(f"{self.side}_decay_m", "m", size, words, lower, upper, start=start)
 
     def tries(self, parameters: Parameters) -> list[Array]:

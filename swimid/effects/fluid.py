@@ -286,10 +286,10 @@ class ThrustLoss(Effect):
         return len(swimmer.thrusters(swimmer.tree.tables(swimmer.start_coefficients))[0]) > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return c as a parameter, (kg/m)^0.5.
+        """Return as parameter the loss c of thrust per speed and per square root of the thrust, (kg/m)^0.5.
 
-        Its scale is the value that takes a twentieth of the typical thrust at the typical speed, as that of
-        ``amplitude-loss`` does. At its upper bound, no thrust is left there.
+        Its scale reduces the typical thrust at the typical speed by a twentieth, as the scale of
+        ``amplitude-loss`` does. Its upper bound reduces this thrust to zero.
         """
         swimmer = model.swimmer
         _, inputs, forces = swimmer.thrusters(swimmer.tree.tables(swimmer.start_coefficients))

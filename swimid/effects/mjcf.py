@@ -266,7 +266,7 @@ class MjcfWaterIngress(OfBase, structure.WaterIngress):
     def parameters(self, model: Any, trials: Trials) -> Parameters:
         """Return the mass of the water (kg), and its distance ahead of the centre of mass of the body (m)."""
         size, radius = 0.05 * model.scales(trials).inertia, 3.0 * gyration(model.compiled)
-        words = "where it collects, ahead of the body's centre of mass"
+        words = "distance of the water ahead of the body's centre of mass"
         return (
             parameter("mass_kg", "kg", size, "mass of the water inside", lower=0.0),
             parameter("along_m", "m", 0.3 * radius, words, -radius, radius),

@@ -67,7 +67,7 @@ class PulleyInertia(base.RigCoefficient):
     """
 
     name = "pulley-inertia"
-    meaning = "inertia of the pulley that was not counted"
+    meaning = "inertia of the pulley that the model leaves out"
     sources = ("boxfish paper, Eq 8",)
     coefficient = "inertia"
     pulley = True
@@ -166,7 +166,7 @@ class StringStretch(Effect):
     """
 
     name = "string-stretch"
-    meaning = "stretch of the string between the body and the counted pulley"
+    meaning = "stretch of the string between the body and the pulley"
     sources = ("boxfish paper, section 3.3",)
 
     def applies(self, model: Model, trials: Trials) -> bool:

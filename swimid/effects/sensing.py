@@ -63,7 +63,7 @@ class CameraScale(base.Sensing):
     """
 
     name = "camera-scale"
-    meaning = "The measured lengths are too long or too short by a constant share."
+    meaning = "The measured lengths are too long or too short by a constant fraction."
     sources = (
         "boxfish, section 4.2 (error of the course's length)",
         "tendon fish, section V (global camera)",
@@ -195,7 +195,7 @@ class ClockRate(base.ClockError):
     """
 
     name = "clock-rate"
-    meaning = "The clock of the measurement runs fast, or slow, against that of the drive."
+    meaning = "The clock of the measurement is faster or slower than the clock of the command."
     sources = (
         "Atmel, ATmega328P data sheet (internal oscillator within 10 % as it leaves the factory)",
         "SMPTE 170M (29.97 frames per second, often called 30)",
@@ -206,7 +206,7 @@ class ClockRate(base.ClockError):
 
         The scale of 0.2 % is 20 ms after 10 s, which is a visible offset.
         """
-        name, words = f"{self.camera * 'camera_'}rate", "share by which the clock of the log is fast"
+        name, words = f"{self.camera * 'camera_'}rate", "fraction by which the clock of the log is fast"
         return (parameter(name, "1", 0.002, words, -LARGEST, LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
@@ -263,7 +263,7 @@ class MarkerDropout(Effect):
     """
 
     name = "marker-dropout"
-    meaning = "For some stretches the tracker lost the markers or followed something else."
+    meaning = "The tracker lost the markers, or followed another object, for parts of a trial."
     sources = (
         "tendon fish, section V.A (failed detection of the colour labels at 4 s)",
         "sea lion, section II (two markers tracked)",
@@ -316,7 +316,7 @@ class MarkerOffset(Effect):
         return (
             parameter("along_m", "m", 0.01, "tracked point ahead of the reference", *ends),
             parameter("across_m", "m", 0.01, "tracked point beside the reference", *ends),
-            parameter("heading_rad", "rad", 0.03, "tracked against true heading", -math.pi, math.pi),
+            parameter("heading_rad", "rad", 0.03, "tracked minus true heading", -math.pi, math.pi),
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
@@ -355,7 +355,7 @@ class TimeOffset(base.ClockError):
     """
 
     name = "time-offset"
-    meaning = "The clock of the measurement is late, or early, against that of the drive."
+    meaning = "The clock of the measurement has a constant offset from the clock of the command."
     sources = (
         "boxfish, section 3.4 (time read from a video to 0.1 s)",
         "sea lion, section II (time zero is the frame of release)",

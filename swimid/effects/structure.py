@@ -360,7 +360,7 @@ class JointLocked(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the locked fraction of the joint, from 0 to nearly 1."""
-        words = f"share to which {self.column} is held"
+        words = f"locked fraction of the motion of {self.column}"
         return (parameter(f"locked_{self.column.removesuffix('_rad')}", "1", 0.3, words, 0.0, MAX_LOCK),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
@@ -596,7 +596,7 @@ class Stribeck(Friction):
     """
 
     name = "stribeck"
-    meaning = "friction that falls from its level at rest to a lower one in motion"
+    meaning = "friction that is higher at rest than in motion"
     sources = (
         "Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30:1083",
         "boxfish paper, Eq 7 (a friction that does not depend on speed)",
@@ -616,13 +616,13 @@ class Stribeck(Friction):
             size, most, top = scales.brake, math.inf, scales.speed
             word = f"stribeck_{model.rig.speed.unit.replace('/', '_')}"
             rates, moving = model.rig.speed.unit, "speed"
-            what = "friction at rest beyond that in motion"
+            what = "friction at rest minus friction in motion"
         else:
             largest = base.typical_amplitude(model, trials)
             rise, unit, size, most = "stick_rad", "rad", 0.05 * largest, 0.9 * largest
             word, rates, top = "stribeck_rad_s", "rad/s", base.largest_rate(model, trials)
             what, moving = "angle by which a joint at rest is held back", "rate"
-        over, least = f"{moving} over which it falls", 0.01 * top
+        over, least = f"{moving} over which the friction falls", 0.01 * top
         return (
             parameter(rise, unit, size, what, 0.0, most),
             parameter(word, rates, 0.1 * top, over, least, 0.5 * top, start=0.2 * top),
@@ -667,7 +667,7 @@ class WaterIngress(Effect):
     """
 
     name = "water-ingress"
-    meaning = "water inside the hull that moves with it"
+    meaning = "water inside the hull that moves with the hull"
     sources = ("sea lion paper, discussion",)
     needs = frozenset({"tables", "coefficients"})
     smooth = True
@@ -694,7 +694,7 @@ class WaterIngress(Effect):
         if body is None:
             return (much,)
         length, (x, _) = body.lengths_m[body.hull], body.centre(body.hull)
-        words = "where it collects, ahead of the hull's centre of mass"
+        words = "distance of the water ahead of the hull's centre of mass"
         place = parameter("along_m", "m", 0.2 * length, words, -length - x, -x)
         return much, place
 

@@ -49,7 +49,7 @@ class FallingWeightTrial(RigTrial):
     @model_validator(mode="after")
     def _one_drive(self) -> FallingWeightTrial:
         if (self.pulling_mass_kg is None) == (self.driving_force_N is None):
-            raise ValueError("give either 'pulling_mass_kg' or 'driving_force_N'")
+            raise ValueError("it needs exactly one of 'pulling_mass_kg' and 'driving_force_N'")
         return self
 
 

@@ -182,11 +182,11 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
         if len(after) > len(values) // 4 and creep < MAX_CREEP * abs(extremes[1] - end):
             return crossings, extremes
     raise InputError(
-        "does not swing: it has no overshoot after which it comes to rest without a creep",
+        "does not oscillate: it has no overshoot, or creeps instead of coming to rest",
         file=log.path,
         column=name,
-        hint="cut a slow creep after the swings off with end_s in the trials file; a body that is damped so "
-        "strongly that it hardly swings needs 'experiment: towed' with a measured force",
+        hint="cut off a slow creep after the oscillation with end_s in the trials file; a body whose strong "
+        "damping prevents an oscillation needs 'experiment: towed' with a measured force",
     )
 
 
@@ -261,7 +261,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
         begin += int(np.argmax(np.abs(part - part[-1])))
     if begin > 0.5 * len(values):
         raise InputError(
-            f"the largest swing is at {time[begin]:g} s, in the second half of it: this is no free decay",
+            f"the largest swing is at {time[begin]:g} s, in the second half of the log: it is no free decay",
             file=log.path,
             column=name,
             hint="cut the log with start_s and end_s in the trials file",

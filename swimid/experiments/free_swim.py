@@ -109,8 +109,8 @@ def _set_references(experiment: Experiment, params: Params, path: Path) -> None:
         fitted, here = file.settings.get(key), experiment.facts[key]
         if fitted is not None and fitted != here:
             raise InputError(
-                f"these trials were driven with the {key} {here}, those of the parameters with {fitted}: "
-                "each has a thrust of its own",
+                f"these trials have the {key} {here}, but the parameters were fitted to trials with "
+                f"{fitted}, which has another thrust",
                 file=path,
                 column=f"drive.{key}",
             )
@@ -145,15 +145,14 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
     if turning:
         warn(
             "SWM018",
-            f"{len(turning)} trials with a turning bias left out of the straight-swimming fit: "
-            f"{', '.join(turning)}",
+            f"trials with a turning bias are left out of the straight-swimming fit: {', '.join(turning)}",
         )
     if not trials:
         raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
     _refuse_waveforms(waveforms, path)
     still = [t.id for t in trials if t.surge.amplitude_rad <= 0]
     if still:
-        text = f"the drive amplitude must be positive; it is not in {', '.join(still)}"
+        text = f"the amplitude of the beat is not positive in {', '.join(still)}"
         raise InputError(text, file=path, column="amplitude_deg")
     trials = _pool_frequencies(trials)
     model = SurgeModel(
@@ -194,7 +193,7 @@ def _refuse_waveforms(waveforms: Mapping[tuple[str, float], str], path: Path) ->
             f"{other[1]:g}), which give different thrusts",
             file=path,
             column="drive.waveform",
-            hint="write a trials file for each",
+            hint="write one trials file for each waveform",
         )
 
 

@@ -110,9 +110,9 @@ def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:
     )
     if not all(np.isfinite(series).all() for series in whole.values()):
         raise InputError(
-            f"the simulation of the trial '{trial.id}' breaks down with the values of the file",
+            f"the simulation of the trial '{trial.id}' diverges with the values of the file",
             file=model.path,
-            hint="a smaller timestep, or the integrator implicitfast, may help",
+            hint="try a smaller timestep, or the integrator implicitfast, in the file",
         )
     # a channel that hardly moves has the noise of its measurement as range
     measured = {name: np.ptp(v[np.isfinite(v)]) for name, v in trial.measured.items() if np.isfinite(v).any()}
@@ -126,7 +126,7 @@ def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:
     if worst and changes[worst] > SMALL_CHANGE:
         warn(
             "SWM091",
-            f"{model.path.name}: half its timestep of {model.step_s:g} s changes {worst} by up to "
-            f"{100 * changes[worst]:.2g} % of its range in the trial '{trial.id}'; the timestep is part of "
-            "the model",
+            f"{model.path.name}: halving the timestep of {model.step_s:g} s changes {worst} by up to "
+            f"{100 * changes[worst]:.2g} % of its range in the trial '{trial.id}'; the timestep is kept, "
+            "because it is part of the model",
         )

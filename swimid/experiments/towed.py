@@ -65,7 +65,7 @@ class Towed(Trials):
             if len(spikes):
                 first = log.time_s[spikes[0]]
                 text = f"{len(spikes)} outliers of force_N, the first at {first:.4g} s, are interpolated"
-                warn("SWM058", f"{log.path.name}: {text}: does the amplifier of the load cell fail there?")
+                warn("SWM058", f"{log.path.name}: {text}: check the amplifier of the load cell")
             if longest_run(missing) > MAX_FORCE_GAP:
                 first, _ = max(runs(missing).tolist(), key=np.ptp)
                 text = (

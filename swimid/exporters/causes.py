@@ -103,7 +103,8 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
         for p in needed:
             if p.lower == 0.0 and own[p.name] < 0.0:
                 column = f"parameters.{name}/{p.name}"
-                raise InputError(f"{own[p.name]:g} is negative; it must not be", file=path, column=column)
+                text = f"{own[p.name]:g} is negative; it must be zero or positive"
+                raise InputError(text, file=path, column=column)
         hooks = NONE
         if any(own[p.name] != p.start for p in needed):
             hooks = effect.hooks(np.array([own[p.name] for p in needed]), EXPORT_TRIAL, model)
@@ -134,7 +135,7 @@ def limits_of(
         (
             filtered,
             "the target has no such law of a servo; a Python file beside the output filters the commands, "
-            "and without it the joints follow them exactly",
+            "and without this file the joints follow their commands exactly",
         ),
     ):
         if several:

@@ -102,9 +102,11 @@ def export(
         texts = {"text": text, "filters": filters}
         return ExportedText("export", text.rstrip("\n"), result | texts, document=text)
     files = _write_files(out, text, filters, samples, source, options)
-    summary = f"{source.robot.name} as {title}: everything is carried"
+    summary = f"{source.robot.name} as {title}: the format carries all parts of the robot"
     if limits:
-        summary = f"{source.robot.name} as {title}: {len(limits)} limits, see the warnings"
+        summary = (
+            f"{source.robot.name} as {title}: the format cannot carry {len(limits)} parts, see the warnings"
+        )
     summary += _compare_with_mujoco(source, options, params, text, result)
     return ExportedText("export", summary, result, files, document=text)
 
@@ -128,7 +130,7 @@ def _check_output(
     if output is not None and str(output) != "-":
         return atomic.check_writable(Path(output), inputs=[parameters.origin(params)])
     if options.draws:
-        text = "--draws writes a file beside the output, but no output is given: name one"
+        text = "--draws writes a file beside the output, but no output is given"
         raise UsageError(text, hint="name it: -o FILE")
     return None
 
@@ -261,7 +263,7 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
         effect, _, own = name.partition("/")
         if own and effect not in source.parameters.effects:
             raise InputError(
-                f"'{effect}' is none of the effects of the file",
+                f"'{effect}' is not an effect of the file",
                 file=path,
                 column=f"parameters.{name}",
                 hint=f"write it to the entry effects: [{effect}]",

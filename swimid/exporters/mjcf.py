@@ -113,8 +113,8 @@ def _limits(source: ExportSource) -> list[str]:
     if not laws:
         return []
     return [
-        f"{', '.join(laws)}: MuJoCo's fluid models have no such law; the numbers stand at sites and act "
-        "once swimid.exporters.mjcf.water is installed as passive callback"
+        f"{', '.join(laws)}: MuJoCo's fluid models have no such law; the coefficients are stored at sites, "
+        "and the forces act if swimid.exporters.mjcf.water is installed as passive callback"
     ]
 
 

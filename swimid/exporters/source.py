@@ -301,8 +301,8 @@ class ExportSource:
             if law.table_deg is not None:
                 rule = "its angle by the table of the robot file"
             found.append(
-                f"{axis.name} follows the actuator {law.actuator} in swimid; here it has a servo of its own: "
-                f"command it with {rule}"
+                f"{axis.name} follows the actuator {law.actuator} in swimid, but has its own servo in this "
+                f"format: command the servo with {rule}"
             )
         return found
 
@@ -391,12 +391,10 @@ def _describe_added_mass(source: ExportSource, choice: str, native: str) -> list
     ``choice`` is the value of the option. ``native`` is the sentence for the value ``native``.
     """
     wet = [link for link in source.links if np.any(link.added)]
-    unfolded = {"native": [native], "none": ["added mass and inertia are left out, as asked"]}
+    unfolded = {"native": [native], "none": ["added mass and inertia are left out (--added-mass none)"]}
     if not wet or choice in unfolded:
         return unfolded[choice] if wet else []
-    limits = [
-        "added mass is part of the bodies' masses: their weight, where gravity acts, is that much too large"
-    ]
+    limits = ["added mass is part of the bodies' masses: where gravity acts, the weights are too large by it"]
     directional = [
         f"{link.name} {link.added[0, 0]:.4g} kg forward, {link.added[1, 1]:.4g} kg sideways"
         for link in wet

@@ -547,7 +547,7 @@ class Checkpoint:
         if texts:
             text = f"{path}: {others + damaged} of {count} lines were ignored: {', '.join(texts)}"
             if others:
-                text += f"; delete {path.name} if nobody goes on with those runs"
+                text += f"; delete {path.name} if nobody continues these other runs"
             warn("SWM150", text)
 
 
@@ -586,6 +586,6 @@ def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
         if other != one:
             raise UsageError(
                 f"'{other}' and '{one}' would both be written to the file {name}",
-                hint="give them ids that differ in letters, digits, '_', '-' or '.'; capitals do not count",
+                hint="use ids that differ in letters, digits, '_', '-' or '.'; case does not count",
             )
     return [name for _, name in names.values()]

@@ -38,7 +38,7 @@ ADDRESS = "https://raw.githubusercontent.com"
 VARIABLE = "SWIMID_DOWNLOADS"
 #: Maximum time to wait for an answer of a server, s.
 SERVER_TIMEOUT_S = 30
-#: Names of the files that are written beside the downloaded ones.
+#: Names of the files that are written to the folder of the downloaded files.
 LICENCE, CITATION = "LICENSE", "CITATION.md"
 
 

@@ -45,7 +45,7 @@ class _Stream:
         return len(data)
 
     def check(self) -> None:
-        """Raise the first error, if there is one."""
+        """Raise the first error of writing, if writing has failed."""
         if self._error is not None:
             raise self._error
 

@@ -190,10 +190,10 @@ def load(path: str | Path) -> CommentedMap:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line, hint = raw[: error.start].count(b"\n") + 1, "save it as UTF-8, or is it another kind of file?"
+        line, hint = raw[: error.start].count(b"\n") + 1, "save the file as UTF-8, or name another file"
         raise InputError("is not UTF-8 text", file=path, line=line, hint=hint) from error
     if len(raw) > MAX_BYTES:
-        raise InputError(f"has {len(raw)} bytes; a YAML input may have {MAX_BYTES}", file=path)
+        raise InputError(f"has {len(raw)} bytes; at most {MAX_BYTES} are allowed in YAML", file=path)
     try:
         data = _parse(_yaml(), text)
     except Exception as error:
@@ -202,13 +202,14 @@ def load(path: str | Path) -> CommentedMap:
         problem = getattr(error, "problem", None) or getattr(error, "context", None) or first_line(error)
         if isinstance(error, DuplicateKeyError):
             twice = problem.split("with value")[0].strip()
-            raise InputError(twice, file=path, line=place, hint="keep one of them") from error
-        raise InputError(f"is not valid YAML: {problem}", file=path, line=place) from error
+            raise InputError(twice, file=path, line=place, hint="keep one of the two keys") from error
+        hint = "check the indentation, colons, brackets and quotes at this line and above"
+        raise InputError(f"is not valid YAML: {problem}", file=path, line=place, hint=hint) from error
     if data is None:
         raise InputError("is empty", file=path)
     if not isinstance(data, CommentedMap):
-        hint = "a YAML file is needed here; is this the right file?"
-        raise InputError("its top level must be 'key: value' lines", file=path, line=1, hint=hint)
+        hint = "name a YAML file whose top level has 'key: value' lines"
+        raise InputError("has no 'key: value' lines at its top level", file=path, line=1, hint=hint)
     if found := _decimal_comma(data, text):
         raise InputError(found[0], file=path, line=line_of(data, found[1]))
     _refuse_open(data, path)
@@ -225,7 +226,7 @@ def _decimal_comma(data: Any, text: str) -> tuple[str, tuple[Any, ...]] | None:
         for match in re.finditer(r"[+-]?\d+,(\d[\d.eE+-]*)", text.splitlines()[line - 1] if line else text):
             if float(match[1].rstrip("+-.eE")) == key:
                 point = match[0].replace(",", ".", 1)
-                return f"'{match[0]}' is read as two items; write {point}", (*place, key)
+                return f"'{match[0]}' is read as two values; write {point}", (*place, key)
     return None
 
 
@@ -387,7 +388,7 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
     if kind == "missing":
         place = _follow(data, location[:-1])[1]
         if isinstance(place, Mapping) and (wrote := nearest(str(location[-1]), [*map(str, place)])):
-            hint = f"you wrote '{wrote}'"
+            hint = f"the file has '{wrote}' instead"
         return f"key '{location[-1]}' is missing", hint
     if kind == "value_error":
         return problem["msg"].removeprefix("Value error, "), None

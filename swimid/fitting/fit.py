@@ -203,7 +203,7 @@ def _fit_parameters(
         origin = provenance.collect(inputs, settings=settings)
         file = fit_common.parameter_file(result, robot=robot, provenance=origin)
         tested = fit_common.assess(result)
-    fit_common.insist_identified(result, "use more trials, and such as differ more")
+    fit_common.insist_identified(result, "use more trials with more different settings, or fix parameters")
     title = f"Fit of {model.name}"
     if robot:
         title += f" of {robot}"

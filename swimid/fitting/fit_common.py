@@ -546,21 +546,26 @@ def score_checks(
         Whether the trials were held out of the fit. The names of the checks then say so.
     """
     where = held_out * "held-out "
-    found = []
+    found, large = [], {}
     for name, score in scores.items():
         check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
-            text = "noise alone is left"
+            text = "the residuals are noise alone"
             check = ev.make_check(check.name, check.value, None, text=text)
+        elif check.verdict != "pass":
+            large[name] = check
         found.append(check)
+    errors = numbers.join_names([f"{check.value} in {name}" for name, check in large.items()])
+    for check in large.values():
+        check.reason = f"the {where}error over the measured range is {errors}, above {100 * GOOD:g} %"
     for name in (name for name in fitted if name in scores):
         vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
         least = 0.0 if name in set(noise) else MIN_VAF
         if vaf is not None and vaf < least:
             shown = numbers.percent(vaf)
-            reason = f"the simulated {name} accounts for {shown} of the variance of the measurement"
+            reason = f"the simulated {name} accounts for only {shown} of the variance of the measurement"
             if vaf < 0.0:
-                reason = f"the simulated {name} is farther from the measurement than a constant is"
+                reason = f"the error of the simulated {name} is larger than that of a constant"
             needed = f"≥ {100 * least:g} %"
             found.append(ev.make_check(said, shown, False, needed, otherwise="fail", reason=reason))
     return found
@@ -575,7 +580,7 @@ def share_check(
     value = math.nan if share is None else share
     otherwise = VERDICTS[not value <= usable]
     limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
-    reason = f"the {name} is {shown} of the {of}"
+    reason = f"the {name} is {shown} of the {of}, above {100 * good:g} %"
     return ev.make_check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
 
 
@@ -629,10 +634,11 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     said = sentences(result)
     for sentence in said:
         warn("SWM010", sentence)
-    for label, status in result.status.items():
-        if status == "at-bound":
-            bounds = numbers.bounds_text(result.parameter(label).bounds)
-            warn("SWM012", f"{label} lies at its bound ({bounds}): the best value for the data is outside")
+    ends = {label: numbers.bounds_text(result.parameter(label).bounds) for label in result.labels}
+    stuck = [f"{name} ({ends[name]})" for name, status in result.status.items() if status == "at-bound"]
+    if stuck:
+        text = "the best fit lies outside: widen the bounds, or search a missing effect (swimid diagnose)"
+        warn("SWM012", f"estimates at a bound: {', '.join(stuck)}; {text}")
     if correlation is None:
         return said
     for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):
@@ -819,7 +825,7 @@ def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
     parts of the data itself.
     """
     found = [*_convergence(result), *_check_identified(result)]
-    found += [_whiteness(result, channel) for channel in result.noise]
+    found += _whiteness(result)
     if result.differences is not None:
         if result.differences.trials > 1:
             found.append(_consistency(result, result.differences))
@@ -848,7 +854,7 @@ def _convergence(result: FitResult) -> list[ev.Check]:
     if result.restarts:
         value += f", after {result.restarts} restarts"
     name, text = "starts near the answer lead back to it", "points and short searches around it"
-    reason = "starts near the answer still lead to better ones"
+    reason = "restarts near the best fit still find better fits"
     return [*found, ev.make_check(name, value, result.settled, "yes", text, reason=reason)]
 
 
@@ -895,7 +901,7 @@ def step_check(trials: Sequence[str], changes: Sequence[Mapping[str, float]]) ->
         "largest change of a sample when the step is halved, over the allowed change: "
         f"{STEP_ERROR:g} of the noise, or if that is unknown {STEP_LIMIT:g} of the range"
     )
-    reason = f"halving the integration step changes {name} by {size} times what is allowed"
+    reason = f"halving the integration step changes {name} by {size} times the allowed change"
     return [warn_check("SWM016", "integration step", size, change <= 1.0, "≤ 1", text, reason)]
 
 
@@ -925,7 +931,7 @@ def _consistency(result: FitResult, differ: Differences) -> ev.Check:
     reason = f"the trials differ: {sizes or 'it is not clear in which parameter'}"
     if differ.are_likely:
         value = f"{sizes or 'differences'} (probability {share})"
-        text = "standard deviations between the trials, which the standard errors include"
+        text = "these are standard deviations between the trials, which the standard errors include"
     limit = f"≤ {numbers.percent(DIFFERENT)}"
     return warn_check("SWM014", "trials agree", value, not differ.are_likely, limit, text, reason)
 
@@ -939,7 +945,7 @@ def _visibility(result: FitResult, differ: Differences) -> ev.Check:
     value, named = f"not of {', '.join(hidden)}", hidden[:MAX_LISTED_PARAMETERS]
     if len(hidden) > MAX_LISTED_PARAMETERS:
         named.append(f"{len(hidden) - MAX_LISTED_PARAMETERS} more")
-    reason = f"differences of {numbers.join_names(named)} between these trials would not show"
+    reason = f"these trials would not show whether {numbers.join_names(named)} differ between them"
     if differ.trials == 1:
         value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
     share = numbers.percent(ASSUMED_DIFFERENCE)
@@ -979,18 +985,28 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
         f"{count} of {len(values)} samples",
         False,
         f"within {OUTLIER:g} robust standard deviations",
-        f"{named}; they are fitted like all others: blank the cells if the sensor failed there",
+        f"{named}; outliers are fitted like all other samples: blank the cells if the sensor failed there",
         f"{count} of {len(values)} samples of {channel} are outliers",
     )
 
 
-def _whiteness(result: FitResult, channel: str) -> ev.Check:
-    """Return a check whether the residuals of a channel are white."""
-    test = ljung_box(_join_residuals(result, channel))
-    p = ev.p_text(test.p_value)
-    name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
-    text = "" if test.is_passed else "the model may miss an effect; the standard errors account for it"
-    return warn_check("SWM013", name, p, test.is_passed, f"p ≥ {SIGNIFICANCE:g}", text, reason)
+def _whiteness(result: FitResult) -> list[ev.Check]:
+    """Return a check for each channel whether its residuals are white, and warn once of all that are not."""
+    tests = {channel: ljung_box(_join_residuals(result, channel)) for channel in result.noise}
+    coloured = {channel: test.p_value for channel, test in tests.items() if not test.is_passed}
+    largest = ev.p_text(max(coloured.values(), default=1.0))
+    if len(coloured) > 1:
+        largest = largest.replace("=", "≤")
+    reason = f"residuals are not white in {numbers.join_names(list(coloured))} ({largest})"
+    text = "the model may miss an effect; the standard errors account for it"
+    if coloured:
+        warn("SWM013", f"{reason}; {text}")
+    found = []
+    for channel, test in tests.items():
+        name, shown = f"white residuals, {channel}", ev.p_text(test.p_value)
+        limit, text = f"p ≥ {SIGNIFICANCE:g}", text * (not test.is_passed)
+        found.append(ev.make_check(name, shown, test.is_passed, limit, text, reason=reason))
+    return found
 
 
 def _validation(result: FitResult, channel: Channel) -> ev.Check:
@@ -1053,7 +1069,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
         not wrong,
         f"within {100 * FREQUENCY_RTOL:g} %",
         "found in the heading of each log",
-        reason=f"the beat found in {', '.join(wrong)} is not the stated one",
+        reason=f"the beat frequency measured in {', '.join(wrong)} differs from the stated frequency",
     )
 
 

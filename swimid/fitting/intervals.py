@@ -48,10 +48,10 @@ LOG2_SIZES = (4, 7, 8)
 #: Maximum number of parameters that differ together. Only the most probable ones are combined.
 MAX_TOGETHER = 3
 #: Smallest and largest standard deviation between trials, in standard errors of the parameter in the most
-#: informative trial. A smaller one changes no interval.
+#: informative trial. A smaller standard deviation changes no interval.
 SMALLEST_SIZE, LARGEST_SIZE = 0.3, 1e5
-#: Maximum ratio of the standard errors with and without differences of a size that one contrast just shows,
-#: for which the differences of a parameter are visible.
+#: Differences of a parameter between trials count as visible up to this ratio of standard errors: the error
+#: with differences of the smallest size that a contrast of the trials shows, divided by that without.
 MAX_ENLARGEMENT = 3.0
 #: Memory of the noise, as a fraction of the duration of a trial, above which the distribution of the scores
 #: over the trials also counts. The forms of the noise then hardly determine the error.

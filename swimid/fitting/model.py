@@ -573,7 +573,7 @@ class Acting:
 
 
 class RobotFacts:
-    """Facts about the robot of a model and about its drive. A model overrides those that apply to it.
+    """Facts about the robot of a model and about its drive. A model overrides the facts that it knows.
 
     Attributes
     ----------

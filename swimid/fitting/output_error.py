@@ -51,8 +51,8 @@ NEGLIGIBLE_MOVE = 0.03
 #: returned unfinished (UNFINISHED_ITERATIONS). The second is three times the number that fits of correct
 #: models need (6 to 25; 52 if simulations diverge at the start).
 MAX_ITERATIONS, UNFINISHED_ITERATIONS = 200, 75
-#: Maximum number of times that the integration step is halved because simulations break down at the start of
-#: a fit. Simulations with wrong parameters may break down with every step.
+#: Maximum number of times that the integration step is halved because simulations diverge at the start of
+#: a fit. Simulations with wrong parameters may diverge with every step.
 MAX_START_HALVINGS = 3
 #: Relative tolerance of the cost when the initial state of a held-out trial is estimated.
 START_RTOL = 1e-8
@@ -296,14 +296,15 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
             if not settled or (gain < SMALL_GAIN and not near.rough):
                 break
     except KeyboardInterrupt:
-        return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
+        text = "interrupted during the restarts that test the minimum"
+        return replace(result, interrupted=True, converged=False, message=text)
     result = replace(result, restarts=count, settled=settled, evaluations=spent)
     if _objective(first) - _objective(result) > NEEDED_GAIN:
-        doubt = "" if settled else ", and the last still did: the answer may not be the best one"
+        doubt = "" if settled else "; the last restart still did, so that a better fit may exist"
         warn(
             "SWM073",
-            f"the search had stopped short of the best fit: restarts near its answer ({count}) lowered "
-            f"the mean squared residual by {100 * (1 - result.cost / first.cost):.3g} %{doubt}",
+            f"the first search stopped before the best fit: {count} restarts near its end lowered the mean "
+            f"squared residual by {100 * (1 - result.cost / first.cost):.3g} %{doubt}",
         )
     return result
 
@@ -457,8 +458,9 @@ class NoiseSearch:
             warn(
                 "SWM026",
                 f"the search converged slowly along a flat valley and was ended after {self.iterations} "
-                f"iterations: {STRIDE} of them together lowered the squared residuals by less than "
-                f"{MIN_DECREASE:.0e} of their sum",
+                f"iterations, because {STRIDE} iterations lowered the squared residuals by less than "
+                f"{MIN_DECREASE:.0e} of their sum: fix a parameter with --fix, or search a missing effect "
+                "with swimid diagnose",
             )
         self._estimate_noise()
         result = _make_result(self)
@@ -505,7 +507,7 @@ class NoiseSearch:
         broken = self.problem.find_broken(self.theta)
         if broken:
             raise NoTrustworthyResult(
-                f"the simulation breaks down at the best point found, in {', '.join(broken)}",
+                f"the simulation diverges at the best point found, in {', '.join(broken)}",
                 hint="check units and trial settings, or start from other values",
             )
 
@@ -585,13 +587,13 @@ def _explain_unfinished(search: NoiseSearch, result: FitResult) -> str | None:
     if search.converged and not still:
         return None
     if search.message == KINKED:
-        said = f"kinks: after {search.iterations} iterations no step lowers the cost as its slope promises"
+        said = f"after {search.iterations} iterations no step lowers the cost as its slope predicts (kinks)"
     elif lowered <= MIN_DECREASE * result.samples:
-        said = f"a flat valley: after {search.iterations} iterations steps hardly lower the cost"
+        said = f"after {search.iterations} iterations steps hardly lower the cost (a flat valley)"
     else:
         said = f"after {search.iterations} iterations steps still lower the cost"
     if still and math.isfinite(moves[worst]):
-        said += f", and the last {STRIDE} moved {worst} by {moves[worst]:.2g} standard errors"
+        said += f", and the last {STRIDE} steps moved {worst} by {moves[worst]:.2g} standard errors"
     bound = [label for label in result.common_labels if result.status[label] == "at-bound"]
     if bound:
         said += f"; {', '.join(bound)} at a bound"

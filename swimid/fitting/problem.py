@@ -526,7 +526,7 @@ MAX_SECANT_STEPS = 5
 #: the cost, and the predicted decrease is not negligible; such a search has failed.
 NO_CHANGE = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
-KINKED = "no step lowers the cost though the gradient does not vanish"
+KINKED = "no step lowers the cost, although its gradient is not zero"
 
 #: Type of a function that watches a search. It is called with parameters, cost and iteration at the start and
 #: after each step that lowers the cost. It returns a reason to end the search, or None.
@@ -645,7 +645,7 @@ class _Descent:
         self.r = self.residuals(self.x)
         self.cost = float(self.r @ self.r)
         if not np.isfinite(self.cost):
-            text = "the model cannot be simulated at the starting values"
+            text = "the simulation diverges at the starting values"
             return Solution(self.x, self.cost, False, text, 0)
         self.watch(self.x, self.cost, 0)
         for iteration in range(1, max_iterations + 1):
@@ -668,7 +668,7 @@ class _Descent:
         # Compute the cosine of the angle between the residuals and each column of the Jacobian.
         slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(self.cost, 1e-300)))
         if not free.any() or self.cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
-            return "the gradient vanishes"
+            return "the gradient of the cost is zero"
         for _ in range(40):
             tried, predicted = self._try_step(gradient, normal, blocked, size)
             small = np.abs(tried.step) <= self.tolerance * (np.abs(self.x / scale) + self.tolerance)
@@ -800,8 +800,8 @@ STRIDE, CREEPING = 10, 40
 #: Relative decrease of the cost by the last :data:`STRIDE` steps below which a search is ended as too slow.
 MIN_DECREASE = 2e-4
 #: Messages of a search that ended because its steps are below the noise, or because its progress is slow.
-HIDDEN = "cost and estimates change by less than noise shows"
-STALLED = "the search creeps"
+HIDDEN = "cost and estimates change by less than the noise"
+STALLED = "the cost decreases too slowly"
 
 
 @dataclass
@@ -954,7 +954,7 @@ class StepChoice(NamedTuple):
     model : Model
     changes : list of dict of str to float
         Maximum change of a sample when the step is halved, divided by the maximum allowed change, for each
-        simulation and channel. It is infinite if the simulation breaks down. It is empty if the model does
+        simulation and channel. It is infinite if the simulation diverges. It is empty if the model does
         not integrate.
     halvings: int
         Number of times that the step was halved.
@@ -977,11 +977,11 @@ def choose_step(
     *,
     halvings: int = MAX_REFINEMENTS,
 ) -> StepChoice:
-    """Halve the integration step of a model until its simulations are accurate and do not break down.
+    """Halve the integration step of a model until its simulations are accurate and do not diverge.
 
     A simulation is accurate if no sample changes by more than a tenth of its noise when the step is halved. A
     channel of unknown noise may change by a thousandth of its range. If a trial has measured channels, only
-    those count. A simulation that breaks down with every step has no effect on the choice.
+    those count. A simulation that diverges with every step has no effect on the choice.
 
     Parameters
     ----------
@@ -1019,7 +1019,7 @@ def _largest(changes: Mapping[str, float]) -> float:
 
 
 def is_broken_down(trial: Trial, simulated: Mapping[str, Array]) -> bool:
-    """Return whether a simulation breaks down before the inputs of its trial end."""
+    """Return whether a simulation diverges before the inputs of its trial end."""
     lost = any(not np.isfinite(values[-1]) for values in simulated.values())
     return lost and all(np.isfinite(values[-1]) for values in trial.inputs.values())
 

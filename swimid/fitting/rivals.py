@@ -204,7 +204,7 @@ def compute_gain(before: Iterable[Series], after: Iterable[Series]) -> float:
     """Return the decrease of minus twice the log-likelihood from one set of simulations to another.
 
     The samples have the weights of ``before`` in both. If the measured values differ, the errors are compared
-    with the measured range of the channel, or of the position. A simulation that breaks down has no
+    with the measured range of the channel, or of the position. A simulation that diverges has no
     likelihood.
     """
     first = {(s.trial, s.channel): s for s in before}

@@ -761,11 +761,11 @@ def combinations(result: FitResult) -> list[Combination]:
 
 def sentences(result: FitResult) -> list[str]:
     """Return sentences for the report on parameters that are not identifiable and on their known sums."""
-    known = {c.members: f"; known is {c.text}" for c in combinations(result)}
+    known = {c.members: f", which determine only {c.text}" for c in combinations(result)}
     said, grouped = [], set()
     for group in find_confounded(result):
         grouped |= set(group)
-        named, rest = list(group), known.get(group, ", and no sum of them is known")
+        named, rest = list(group), known.get(group, ", which determine no sum of these parameters")
         if len(group) > MAX_GROUP_NAMES:
             # A sum of many terms is not readable. The parameter file has their correlations.
             named, rest = [label for label in group if "[" not in label], ""

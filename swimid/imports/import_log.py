@@ -282,8 +282,10 @@ def _sort_rows(source: MappedLog) -> Order:
     channels = {name: values for name, values in source.columns.items() if name != TIME}
     order = mapping.in_order(source.time_s, channels)
     if len(order.index) < 2:
-        text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
-        hint = "is the time complete, with enough digits?"
+        text = (
+            f"only {len(order.index)} of {len(source)} rows have a time that no other row has; 2 are needed"
+        )
+        hint = "check that the column of the time is complete and has enough digits"
         raise InputError(text, file=source.path, column=TIME, hint=hint)
     if order.reset_row is not None:
         last = np.nanmax(source.time_s[: order.reset_row])
@@ -295,7 +297,7 @@ def _sort_rows(source: MappedLog) -> Order:
         warn("SWM057", f"{source.path.name}: {note}")
     if order.summary:
         _keep(source.columns, order.index)
-        warn("SWM057", f"{source.path.name}: rows {order.summary}")
+        warn("SWM057", f"{source.path.name}: {order.summary}")
     return order
 
 
@@ -569,11 +571,11 @@ def _amount_checks(found: Examined) -> list[Check]:
     counted, notes = found.order.counts, found.mapped.notes
     odd, dropped = sum(counted.values()), counted["untimed"] + counted["clashing"]
     many = dropped > MAX_DROPPED * rows
-    remarks = "; ".join([f"rows {found.order.summary}"] * (odd > 0) + notes)
+    remarks = "; ".join([found.order.summary] * (odd > 0) + notes)
     if many:
-        remarks = f"{dropped} of {rows} rows have no time of their own: is the time complete?"
+        remarks = f"{dropped} of {rows} rows have no time, or that of another row: is the time complete?"
     names = ", ".join(found.mapped.unknown)
-    open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
+    open_ = f"the quantity of {names} is not stated: map each to a name with a unit, or to unit: '1'"
     least, longest = str(min(counts.values())), numbers.format_number(pause_s, 3, "s")
     checks = [
         _check(
@@ -590,7 +592,7 @@ def _amount_checks(found: Examined) -> list[Check]:
     ]
     # Fail the check of the sample rate if the metadata of a mapping say that the rate is assumed.
     if found.log.metadata.get("sample_rate") == "assumed":
-        why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
+        why = "the sample rate is assumed, and its error is an error of all speeds and frequencies"
         checks.append(_check("Sample rate", False, "stated", why, "assumed", fails=True))
     for name, count in found.mapped.unlikely.items():
         why = f"{count} of {rows} samples are left empty for their {name}"
@@ -632,9 +634,9 @@ def _all_rows_checks(all_rows: RowStatistics) -> list[Check]:
     """Return the checks that ran on all rows of a recording whose rows were averaged."""
     rows, odd = all_rows.rows, all_rows.backwards + all_rows.repeated + all_rows.untimed
     counts = f"{all_rows.backwards} go back, {all_rows.repeated} repeat, {all_rows.untimed} are missing"
-    times, lost = f"of the time stamps of all {rows} rows, {counts}", odd > MAX_DROPPED * rows
+    times, lost = f"of the {rows} time stamps before averaging, {counts}", odd > MAX_DROPPED * rows
     faults = "; ".join(f"{name} {text}" for name, text in all_rows.faults().items())
-    faulty = f"channels look faulty in all rows: {faults}"
+    faulty = f"channels look faulty in the rows before averaging: {faults}"
     return [
         _check("Time stamps of all rows", not odd, "increase", times, counts, fails=lost),
         _check("Values of all rows", not faults, "no outlier, not cut off", faulty, faults),

@@ -113,8 +113,8 @@ class Time(yamlio.Document):
         of_file = not any(given) and "offset_s" in self.model_fields_set
         if given not in ((True, False, False), (False, False, True), (False, True, True)) and not of_file:
             raise ValueError(
-                "give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz', or, if the file states "
-                "its times, 'offset_s' alone"
+                "the time is not stated, or stated twice: give 'source' (a column), or 'rate_hz', or 'frame' "
+                "and 'rate_hz', or, if the file states its times, 'offset_s' alone"
             )
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
             raise ValueError(
@@ -202,6 +202,7 @@ class TableSource(yamlio.Document):
     #: Track, individual, topic, message type, struct or group to read, if the file holds several.
     select: str | int | None = None
     reader: ReaderOptions = ReaderOptions()
+    #: Source of the sample times, if the file does not state its times.
     time: Time | None = None
     #: Condition for the rows that are read: they have one of the given values in each named column.
     where: dict[str, str | float | int | list[str | float | int]] = {}
@@ -218,6 +219,7 @@ class Joined(TableSource):
     #: Path of another file, relative to the folder of the foreign log, or else of the mapping; by default the
     #: same file. ``{stem}`` is the name of the recording without its ending.
     file: str | None = None
+    #: Columns that are added to the log, each with its source.
     columns: Annotated[list[Column], Field(min_length=1)]
     #: Value between two samples: on the line through them, or that of the first, as of a command.
     between: Literal["line", "hold"] = "line"
@@ -236,6 +238,7 @@ class Mapping(TableSource):
     #: empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
     quaternion: Quaternion = Quaternion()
+    #: Columns of the log, each with its source.
     columns: list[Column] = []
     #: Further topics, structs or files whose columns are added to the log.
     join: list[Joined] = []
@@ -255,7 +258,7 @@ class Mapping(TableSource):
         if not self.columns:
             raise ValueError("'columns' is missing: it assigns columns of the file to those of the log")
         if (self.time is None) == (TIME not in targets):
-            raise ValueError(f"give the time once: as 'time:', or as a column with the target {TIME}")
+            raise ValueError(f"the time is missing or given twice: give 'time:' or the target {TIME}")
         if targets == [TIME]:
             raise ValueError("the mapping has a time only: add a column of a measured quantity")
         return self
@@ -474,8 +477,8 @@ def _offset(
     found = clocks.clock_offset(*pair, slow_s=slow_s, near_s=(-near_s, near_s))
     explained = 0.0 if found is None else found.explained
     if found is None or explained < clocks.MIN_EXPLAINED:
-        text = f"'{align.that}' explains {100 * explained:.0f} % of '{align.this}': they do not move together"
-        hint = "align other columns, or state the offset: time: {offset_s: ...}"
+        text = f"'{align.that}' explains only {100 * explained:.0f} % of '{align.this}'"
+        hint = "align columns that move together, or state the offset: time: {offset_s: ...}"
         raise InputError(text, file=place, hint=hint)
     name, total_s = str(joined.select or place.name), -found.value_s
     if joined.time is not None:
@@ -484,7 +487,10 @@ def _offset(
     log.metadata.setdefault("clock_offsets", {})[name] = stated
     target = targets[align.that]
     if SET.fullmatch(target) and target.removeprefix("cmd") != align.this.removeprefix("joint"):
-        text = f"the offset of {name} includes the lag of {align.this} behind {target}, its error does not"
+        text = (
+            f"the clock offset of {name} includes the lag of {align.this} behind {target}, but the standard "
+            "error of the offset does not"
+        )
         log.notes.append(f"{text}: a fit estimates the lag with --free clock_offset")
     if found.rivals:
         others = ", ".join(f"{total_s + found.value_s - rival:.3f}" for rival in found.rivals[:3])
@@ -1144,12 +1150,12 @@ LATE_SHARE, LATE_RUN = 0.01, 20
 MIN_DISTANCE = 0.5
 #: Text of the import summary for each kind of row that is left out or moved. A number precedes this text.
 ODD_ROWS = {
-    "unfilled": "at the end, which repeat one row without a later time, left out",
-    "untimed": "without a time left out",
-    "misdated": "with a time far from all others left out",
-    "repeated": "repeated left out",
-    "clashing": "with the time of the row before but other values left out",
-    "late": "that came late put in their place",
+    "unfilled": "rows at the end, which repeat one row without a later time, are left out",
+    "untimed": "rows without a time are left out",
+    "misdated": "rows with a time far from all other times are left out",
+    "repeated": "repeated rows are left out",
+    "clashing": "rows with the time of the row before but other values are left out",
+    "late": "late rows are sorted by their time",
 }
 
 

@@ -54,8 +54,8 @@ def align(
     if not good:
         best = max((one.explained for one in found), default=0.0)
         raise NoTrustworthyResult(
-            f"the two logs do not move together (the inertial one explains {100 * best:.0f} % of the other); "
-            "the offset between their clocks cannot be estimated",
+            f"the two logs do not move together (the inertial log explains only {100 * best:.0f} % of the "
+            "other log), so that the offset between their clocks cannot be estimated",
             hint="check that both are of the same trial, and check units and axes; or give the offset with "
             "--clock-offset-s",
         )

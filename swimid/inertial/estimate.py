@@ -214,11 +214,11 @@ def _with_rests(setup: ImuSetup, attempt: Callable[[ImuSetup], MotionEstimate]) 
     if doubts:
         return replace(first, setup=setup, impossible=wrong)
     classes = [name for name, sensor in recording.CLASSES.items() if sensor == found.smoothed.sensor]
-    text = "the log shows the errors of {}; the error bands are computed for one"
+    text = "the log shows the errors of {}; the error bands are computed for such a sensor"
     findings = [Finding("sensor class", "noted", text.format(name)) for name in classes]
     if wrong:
         count = len(setup.rests)
-        text = f"{'; '.join(reasons)}: {count - len(used.rests)} of {count} not used"
+        text = f"{'; '.join(reasons)}: {count - len(used.rests)} of {count} rests are not used"
         findings.append(Finding("rests", "handled", text))
     return replace(found, setup=used, findings=findings)
 

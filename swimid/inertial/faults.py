@@ -97,12 +97,12 @@ def find_stamps(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         hint = "was the clock reset or wrapped? cut the log there, one file for each piece"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
     if gone > MAX_MISSING_SHARE * len(record):
-        text = f"{gone} of {len(record)} samples have no time of their own"
+        text = f"{gone} of {len(record)} samples have no time, or that of another sample"
         hint = "the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
     if not order.summary:
         return record, None
-    text = f"{gone} samples without a time of their own left out, {late} out of order put in place"
+    text = f"{gone} samples with a missing or repeated time left out, {late} late samples sorted by time"
     return record.take(order.index), Finding("repeated stamps", "handled", text, gone + late)
 
 
@@ -341,7 +341,7 @@ def find_dropped(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         hint = "the motion in between is unknown: cut the log there, one file for each piece"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
     count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
-    text = f"{count} samples missing in {wide.sum()} places, up to {steps[row]:.3f} s; integrals span them"
+    text = f"{count} samples missing in {wide.sum()} gaps of up to {steps[row]:.3f} s, which are bridged"
     return record, Finding("dropped samples", "handled", text, count)
 
 

@@ -302,8 +302,8 @@ def _drop_impossible(run: ImuRun) -> ImuRun:
     band = BAND * np.sqrt(squares) / np.maximum(speed, 1e-9)
     fast, impossible = (speed - band > top_m_s) | (speed > GATE * 0.5 * top_m_s), run.impossible
     if fast.any():
-        text = f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be"
-        impossible = [f"{text}, {top_m_s:g} m/s (up to {speed.max():.1f} m/s)"]
+        text = f"the speed of {100 * fast.mean():.0f} % of the samples, up to {speed.max():.1f} m/s,"
+        impossible = [f"{text} exceeds the maximum speed of the robot, {top_m_s:g} m/s"]
         hidden = np.where(fast[:, None], np.nan, 0.0)
         moved = moved | {name: moved[name] + hidden for name in smoother.EMPTIED}
     until_s = find_trust(run.setup.record.time_s, moved["position"], moved["position_sd"])
@@ -550,9 +550,11 @@ def _motion_tests(run: ImuRun) -> Iterator[Test]:
     # sensor class.
     share = BAND * float(np.hypot(setup.sensor.acceleration_bias_sd / GRAVITY_M_S2, setup.sensor.scale_sd))
     value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
-    yield "", "Gravity", value, limit, abs(size / GRAVITY_M_S2 - 1) <= share, f"gravity is {value}"
+    reason = f"the measured gravity at rest is {value}, outside {limit}"
+    yield "", "Gravity", value, limit, abs(size / GRAVITY_M_S2 - 1) <= share, reason
     if run.by_paper:
-        yield "", "Uncertainty", "none", "a stated band", False, "this method states no uncertainty"
+        reason = "the method of the paper states no uncertainty"
+        yield "", "Uncertainty", "none", "a stated band", False, reason
     if run.impossible:
         yield "SWM086", "Possible motion", "no", "else left empty", False, "; ".join(run.impossible)
     if run.alone:
@@ -562,7 +564,7 @@ def _motion_tests(run: ImuRun) -> Iterator[Test]:
         yield "SWM081", "Path trusted until", value, limit, until is None, reason
     if run.rest_score is not None:
         value, passed = f"{run.rest_score:.2f} sd (rms)", run.rest_score <= MAX_REST_SCORE
-        reason = f"the motion between rests does not close within its band ({value})"
+        reason = f"the integrated motion between rests contradicts the rests by more than its band ({value})"
         yield "SWM084", "Innovations at rests", value, f"below {MAX_REST_SCORE:g}", passed, reason
     stroke = run.stroke
     if stroke.beat is not None and run.stated_hz is not None:
@@ -599,7 +601,7 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
     value, prior = f"{factor:.4f} ± {BAND * sd:.4f} (w{axis})", fused.smoothed.sensor.scale_sd
     reason = (
         f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} of the turn rate w{axis} in the other log: "
-        f"give its unit or the factor {1 / factor:.4f} in a mapping (--map); the motion allows for it"
+        f"give its unit or the factor {1 / factor:.4f} in a mapping (--map); the motion is corrected for it"
     )
     limit = MAX_SCALE * np.hypot(prior, sd)
     yield "SWM087", "Gyroscope scale", value, f"1 ± {limit:.3g}", bool(abs(factor - 1) <= limit), reason
@@ -621,19 +623,19 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
     most = f"at most {100 * MAX_STRAY:.0f} %"
     yield "SWM087", "Stray fixes", f"{stray}", most, stray <= MAX_STRAY * count, reason
     reason = (
-        "many successive fixes of the other log have the same error: the logs contradict each other, or its "
-        f"scale or marker is wrong; every band is widened by {fused.lasting:.1f}"
+        "many successive fixes of the other log have the same error: the logs contradict each other, or the "
+        f"scale or marker of the other log is wrong; every band is widened by {fused.lasting:.1f}"
     )
     value, passed = f"band widened by {fused.lasting:.2f}", fused.lasting <= MAX_LASTING
     yield "SWM087", "Lasting errors of fixes", value, f"below {MAX_LASTING:g}", passed, reason
     held = fused.held_out
     if held is None:
-        reason = "too few fixes to hold some out and predict them"
+        reason = "the other log has too few fixes to test the motion on held-out fixes"
         yield "", "Fixes predicted", "none", limit, False, reason
         return
     deviations = f"{held['deviations']:.2f} sd (rms)"
     value, passed = f"{deviations} of {held['fixes']}", held["deviations"] <= MAX_HELD_OUT
-    reason = f"held-out fixes are predicted to {deviations} only"
+    reason = f"the errors of predicted held-out fixes are {deviations}, not {limit}"
     yield "", "Fixes left out", value, limit, passed, reason
 
 

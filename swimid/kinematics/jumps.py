@@ -230,7 +230,7 @@ def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[n
         # runs of L samples is n times the L-th power of the share of spikes.
         most = max(most, np.ceil(np.log(MIN_RUNS / n) / np.log(share)))
     excess = np.log(np.minimum(strength[back[:, 0] - 1], strength[back[:, 1] - 1]) / usual)
-    # Leave out excursions beside longer ones, because they belong to one motion, such as that of an impact.
+    # Leave out excursions beside longer excursions: together they are one motion, such as an impact.
     long = np.zeros(n, dtype=bool)
     for first, end in back[lengths > most]:
         long[max(first - WINDOW, 0) : end + WINDOW] = True

@@ -100,7 +100,7 @@ def plot(
     if isinstance(logs, str) or not isinstance(logs, Sequence):
         logs = [logs]
     if not logs:
-        raise UsageError("name at least one log to draw")
+        raise UsageError("no log is given", hint="name at least one log to draw")
     if output is not None:
         paths = [one for one in logs if isinstance(one, str | Path)]
         output = atomic.check_writable(_picture(output), inputs=paths)
@@ -115,7 +115,7 @@ def plot(
     proof = Evidence(
         command="plot",
         title=options.title or " and ".join(record.name for record in records),
-        verdict=Verdict(level="good", text="Drawn as logged, nothing judged."),
+        verdict=Verdict(level="good", text="The logs are drawn as recorded. They were not checked."),
         facts={record.name: f"{len(record)} samples" for record in records},
         figures=figures,
         notices=list(notices),

@@ -144,7 +144,7 @@ class TrialSet:
 
     @classmethod
     def read(cls, path: str | Path, own: Sequence[type[Trials]] = ()) -> TrialSet:
-        """Read the trials of a trials file, whose experiment may be one of those of the user in ``own``.
+        """Read the trials of a trials file. ``own`` are the experiments of the user.
 
         Raises
         ------
@@ -228,9 +228,9 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
 def _not_allowed(
     data: Any, path: Path, names: list[str], command: str, commands: Sequence[str]
 ) -> InputError:
-    """Return the error for a trials file without an experiment, or with one that is none of ``names``.
+    """Return the error for a trials file whose experiment is missing, or is not in ``names``.
 
-    ``commands`` are the commands that fit the experiment of the file; ``command`` is none of them.
+    ``commands`` are the commands that fit the experiment of the file. ``command`` is another command.
     """
     hint, what = None, "is missing"
     if "experiment" in data:
@@ -289,7 +289,8 @@ def check_apart(one: TrialEntry, other: TrialEntry, file: Path, line: int | None
     ends = [f" {word} {end:g} s" for word, end in (("from", low), ("to", high)) if math.isfinite(end)]
     text = f"the trials '{one.id}' and '{other.id}' are of the same log and share its rows{''.join(ends)}"
     if one.role != other.role:
-        hint = "part them with start_s and end_s, or hold out another log"
-        raise InputError(f"{text}: what is held out must not be fitted", file=file, line=line, hint=hint)
+        hint = "separate the trials with start_s and end_s, or hold out another log"
+        raise InputError(f"{text}: held-out rows must not be fitted", file=file, line=line, hint=hint)
     if one.role == "fit":
-        warn("SWM074", f"{file.name}: {text}, which count twice: standard errors are too small")
+        text += ", which count twice, so that standard errors are too small"
+        warn("SWM074", f"{file.name}: {text}: separate the trials with start_s and end_s")

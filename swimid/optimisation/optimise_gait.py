@@ -137,7 +137,7 @@ def optimise_gait(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        If every simulation breaks down, or if no gait satisfies the limits.
+        If every simulation diverges, or if no gait satisfies the limits.
 
     References
     ----------
@@ -171,7 +171,8 @@ def optimise_gait(
 
 def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> GaitProblem:
     if not options.vary:
-        raise UsageError("nothing is varied", hint="give the ranges: --vary NAME=LOW,HIGH")
+        hint = "give the range of each: --vary NAME=LOW,HIGH"
+        raise UsageError("no parameter of the gait is varied", hint=hint)
     performance.check_gaits(options.vary, "--vary")
     turn = "yaw" if performance.model.in_space else performance.turn
     quantity, sign = {
@@ -324,7 +325,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     agree = sum(abs(end - file.ends[0]) <= AGREE_RTOL * abs(file.ends[0]) for end in file.ends)
     text = "a better gait may be elsewhere: look for more with --starts" * (agree <= 1)
     value = f"{agree} of {len(file.ends)}"
-    name, reason = "starts that end at the best gait", f"{value} starts end at it"
+    name, reason = "starts that end at the best gait", f"only {value} starts end at the best gait"
     checks = [ev.make_check(name, value, agree > 1, "two or more", text, reason=reason)]
     bound = ", ".join(file.at_bound)
     text = f"a better gait may lie beyond the range of {bound}" * bool(bound)

@@ -211,7 +211,7 @@ def optimise_stiffness(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        If every simulation breaks down, or if the robot never moves.
+        If every simulation diverges, or if the robot never moves.
 
     References
     ----------
@@ -356,7 +356,7 @@ def _front_at(
 def _optimum(problem: GaitProblem, front: Array) -> Optimum:
     if not len(front):
         raise NoTrustworthyResult(
-            f"every simulation breaks down at {problem.fixed}",
+            f"every simulation diverges at {problem.fixed}",
             hint="narrow the ranges, or take a smaller --dt",
         )
     ((low, high),) = problem.vary.values()
@@ -428,17 +428,23 @@ def make_rule_evidence(file: RuleFile, notices: Sequence[Notice], origin: dict[s
 def _checks(file: RuleFile) -> list[ev.Check]:
     count, inside = len(file.optima), sum(not one.at_bound for one in file.optima)
     name, text = "optima within the range searched", "a better stiffness may lie beyond the range"
-    checks = [studies.count_check(name, inside, count, text)]
+    fault = "had its best stiffness at the edge of the range searched"
+    checks = [studies.count_check(name, inside, count, text, "point", fault)]
     worst = float(np.nanmax(_loss(file)))
-    text = "the optima do not follow a quadratic function there" * (worst > MAX_LOSS)
+    text = "the optima do not follow a quadratic function of the frequency" * (worst > MAX_LOSS)
     value, limit = f"at most {numbers.percent(worst, 2)}", f"≤ {numbers.percent(MAX_LOSS)}"
     name = "loss of the rule against its own optima"
-    checks.append(ev.make_check(name, value, worst <= MAX_LOSS, limit, text))
+    reason = f"the rule loses up to {numbers.percent(worst, 2)} of the objective against its own optima"
+    checks.append(ev.make_check(name, value, worst <= MAX_LOSS, limit, text, reason=reason))
     if file.objective == "speed":
         ruled, fixed = _column(file, "ruled"), _column(file, "reference")
         name = f"the rule is as fast as {numbers.format_number(file.reference, 3, file.unit)}"
         as_fast = int((ruled >= (1.0 - MAX_LOSS) * fixed).sum())
-        checks.append(studies.count_check(name, as_fast, count, "use the fixed stiffness at the others"))
+        text, fault = (
+            "use the fixed stiffness there",
+            "was slower with the rule than with the fixed stiffness",
+        )
+        checks.append(studies.count_check(name, as_fast, count, text, "point", fault))
         checks += studies.forwards_check([one.best["mean_surge_from_start_m_s"] for one in file.optima])
     checks.append(
         studies.steady_check(sum(one.best["settling_time_s"] is not None for one in file.optima), count)
@@ -448,8 +454,11 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     checks.append(studies.region_check(file.identified, grid))
     if not file.uncertain:
         return [*checks, studies.make_undefined_check("uncertainty of the rule")]
-    name, text = "uncertainty of the rule", "optimise gait gives the interval of the stiffness at one gait"
-    reason = "the standard errors of the coefficients are not in the rule"
+    name, text = (
+        "uncertainty of the rule",
+        "swimid optimise gait gives the interval of the stiffness of one gait",
+    )
+    reason = "the rule does not include the standard errors of the coefficients"
     return [*checks, ev.make_check(name, "not computed", False, text=text, reason=reason)]
 
 

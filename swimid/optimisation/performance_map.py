@@ -77,7 +77,7 @@ class MapFile(StudyFile):
     format: Literal["swimid-map/1"] = "swimid-map/1"
     axes: list[MapAxis]
     quantities: dict[str, Mapped]
-    #: Number of simulations that broke down, and number of simulations in which the speed still changes at
+    #: Number of simulations that diverged, and number of simulations in which the speed still changes at
     #: the end.
     broken: int
     unsettled: int
@@ -138,7 +138,7 @@ def performance_map(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        If every simulation breaks down.
+        If every simulation diverges.
 
     References
     ----------
@@ -282,7 +282,7 @@ def _checks(file: MapFile) -> list[ev.Check]:
     broken = f"{file.broken} of {len(points)}"
     checks = [
         ev.make_check(
-            "runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"
+            "runs that diverged", broken, not file.broken, "none", reason=f"{broken} runs diverged"
         ),
         studies.steady_check(len(points) - file.unsettled, len(points)),
         studies.region_check(region, points),

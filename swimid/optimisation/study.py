@@ -40,7 +40,7 @@ from swimid.swimmer.model import Swimmer
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
 #: Number of gaits that are simulated in one batch.
 BATCH_GAITS = 8
-#: Maximum number of times that the integration step is halved for a single gait that breaks down.
+#: Maximum number of times that the integration step is halved for a single gait that diverges.
 MAX_STEP_HALVINGS = 2
 
 Point = Mapping[str, float]
@@ -186,7 +186,7 @@ class Performance:
         return swim_input(self.model, self.options, {**self.drive, **varied})
 
     def run(self, point: Point) -> SwimRun:
-        """Return the simulation of a gait from rest, before it is computed."""
+        """Return the request for the simulation of a gait from rest."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
         return SwimRun.simulate_drive(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
@@ -237,7 +237,7 @@ class Performance:
         )
 
     def insist(self, table: Array) -> None:
-        """Raise an error if every simulation in a table broke down, or if the robot never moves.
+        """Raise an error if every simulation in a table diverged, or if the robot never moves.
 
         Parameters
         ----------
@@ -249,14 +249,14 @@ class Performance:
         """
         if not np.isfinite(table).any():
             raise NoTrustworthyResult(
-                "every simulation breaks down",
+                "every simulation diverges",
                 hint="check the parameters' signs and units, narrow the ranges, or take a smaller --dt",
             )
         units = list(self.units)
         if "mean_speed_m_s" in units and not np.nanmax(table[:, units.index("mean_speed_m_s")]) > 0:
             raise NoTrustworthyResult(
-                "the robot does not swim with any of these beats",
-                hint="give a beat with which it swims, for example another --amplitude-deg",
+                "the robot does not swim with any of the beats that were simulated",
+                hint="give a beat with which the robot swims, for example another --amplitude-deg",
             )
 
 
@@ -403,17 +403,24 @@ def make_evidence(
     )
 
 
-def count_check(name: str, passed: int, count: int, text: str, reason: str = "") -> ev.Check:
-    """Return a check that passes if all of ``count`` items pass. ``text`` is shown if some do not."""
+def count_check(name: str, passed: int, count: int, text: str, noun: str, fault: str) -> ev.Check:
+    """Return a check that passes if all of ``count`` runs, gaits or points pass.
+
+    ``text`` is shown if some do not. The reason says how many of them, named by ``noun``, have the ``fault``.
+    """
+    which = f"{count - passed} of {count} {noun}s"
+    if count == 1:
+        which = f"the {noun}"
     value, text = f"{passed} of {count}", text * (passed < count)
-    return ev.make_check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
+    return ev.make_check(name, value, passed == count, "all", text, reason=f"{which} {fault}")
 
 
 def draws_check(inside: float) -> ev.Check:
     """Check that most random samples of the coefficients lie within the bounds of the coefficients."""
     value, passed = numbers.percent(inside, 2), inside >= MIN_INSIDE
     text = "the coefficients have large standard errors: add trials that identify them" * (not passed)
-    name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
+    name = "draws within the coefficients' bounds"
+    reason = f"only {value} of the random draws of the coefficients lie within their bounds"
     return ev.make_check(name, value, passed, "half or more", text, reason=reason)
 
 
@@ -424,8 +431,9 @@ def make_undefined_check(name: str) -> ev.Check:
 
 def steady_check(steady: int, count: int) -> ev.Check:
     """Check that the speed is steady at the end of each simulation."""
-    text = "speeds are those after --duration-s from rest, not steady ones"
-    return count_check("steady at the end of the run", steady, count, text, "runs are steady at their end")
+    text = "the speeds are those after --duration-s from rest, not steady speeds: raise --duration-s"
+    fault = "did not become steady before the end"
+    return count_check("steady at the end of the run", steady, count, text, "run", fault)
 
 
 def region_check(
@@ -437,10 +445,10 @@ def region_check(
         return ev.make_check(name, "not known", None, text="give the parameter file of a fit: --params")
     outside = [find_outside(region, at) for at in points]
     names = ", ".join(name for name in region if any(name in one for one in outside))
-    text = f"the other gaits are extrapolations in {names}: the coefficients were not identified there"
+    text = "gaits outside the range are extrapolations: the coefficients were not identified there"
     inside = sum(not one for one in outside)
-    reason = "gaits lie inside the range of the identification trials"
-    return count_check(name, inside, len(points), text, reason)
+    fault = f"lay outside the range of the identification trials in {names}"
+    return count_check(name, inside, len(points), text, "gait", fault)
 
 
 def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, float]) -> list[str]:
@@ -471,8 +479,8 @@ def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
     if not known:
         return []
     backwards = sum(surge <= 0 for surge in known)
-    text = "with the other gaits the robot moves tail first"
-    check = count_check("swims nose first", len(known) - backwards, len(known), text, "gaits swim nose first")
+    fault = "moved the robot tail first"
+    check = count_check("swims nose first", len(known) - backwards, len(known), "", "gait", fault)
     if backwards == len(known):
         check.verdict = "fail"
     return [check]

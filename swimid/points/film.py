@@ -19,7 +19,7 @@ HALF_NORMAL = float(special.ndtri(0.75))
 #: standard deviation, and step of a global quantity in standard errors, at which they have converged.
 MAX_ROBUST, MAX_ITERATIONS, NOISE_RTOL, STEP_SE = 12, 25, 0.005, 0.05
 #: Number of values that the prior of the noise of a point is worth. Its mean is that of all points. It acts
-#: only where the residuals cannot tell the noise of one point from that of another.
+#: only where the residuals do not determine the noise of single points.
 PRIOR_VALUES = 4.0
 #: Minimum noise of a point, relative to the length of the linkage.
 MIN_NOISE = 1e-5

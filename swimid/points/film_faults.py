@@ -69,7 +69,7 @@ def find_faults(estimate: FilmEstimate) -> None:
 
 
 def exchange_labels(estimate: FilmEstimate, linkage: Linkage) -> bool:
-    """Start anew from two labels that are exchanged in the whole film, if that reduces the noise.
+    """Repeat the fit with two labels exchanged in the whole film, and keep it if it reduces the noise.
 
     Return whether this was done.
 

@@ -45,7 +45,7 @@ def choose_states(estimate: FilmEstimate) -> Flags:
         excess = (off / np.maximum(MAX_SPIKE * np.quantile(off, 0.95, axis=0), 1e-300)).max(axis=1)
         peak = np.maximum(np.r_[0.0, excess[:-1]], np.r_[excess[1:], 0.0])
         whole[at[1:-1]] = (excess <= 1.0) | (excess < peak)
-    # If a second state fits all points of a frame, no frame tells which of them is right.
+    # If a second state fits all points of each frame, the film does not show which state is correct.
     if (whole & estimate.sample).any() and _choose(estimate, whole & estimate.sample, ~seen)[0].any():
         whole[:] = False
     rows = seen & ~whole
@@ -76,7 +76,7 @@ def _choose(estimate: FilmEstimate, rows: Flags, whole: Flags) -> tuple[Flags, S
     off = links.differences(values, near) / size
     best = np.argmin(np.where(same, np.sum(off**2, axis=2), np.inf), axis=0)
     chosen = values[best, np.arange(len(best))]
-    # Two minima differ by more than the sum of squares allows within one of them.
+    # Two minima are distinct if they differ by more than the uncertainty of one minimum.
     other: Flags = np.asarray(np.abs(links.differences(values, chosen)) > 4.0 * sd + 1e-3 * size)
     other &= same[:, :, None]
     reach = _reach(estimate, rows, whole) + 4.0 * sd

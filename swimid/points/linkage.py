@@ -398,7 +398,7 @@ def residuals(linkage: Linkage, seen: Complex, weight: Array, variance: Array, s
 
 
 def _inverses(linkage: Linkage, normal: Array) -> tuple[Array, Array, Flags]:
-    """Return pseudo-inverses of normal matrices, projectors on their null spaces, and what is known."""
+    """Return pseudo-inverses of normal matrices, projectors on null spaces, and flags of known states."""
     scale = np.ones(normal.shape[1])
     scale[2:] = 1.0 / (linkage.scale * linkage.size)
     values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)

@@ -62,7 +62,7 @@ def checks(posed: Posed) -> Iterator[Check]:
     for kind, _, count, _ in posed.faults:
         kinds[kind] += count
     named = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
-    reason = f"points at fault in frames: {named}"
+    reason = f"tracked points have faults: {named}"
     yield ev.make_check("Points at fault", named or "0", not named, "0", reason=reason)
     text = ", ".join(f"{name} in {count}" for name, count in posed.empty.items() if count)
     value, reason = f"{rows - max(posed.empty.values())} of {rows}", f"the points leave frames empty: {text}"
@@ -75,7 +75,7 @@ def checks(posed: Posed) -> Iterator[Check]:
             if one.wrong
         ]
         limit = f"no bias above {MAX_BIAS:g} sd at {WRONG_DISTANCE:.0%}"
-        reason = f"distances differ from the stated ones: {', '.join(wrong)}"
+        reason = f"measured distances of points differ from the stated distances: {', '.join(wrong)}"
         if not posed.robot:
             reason = f"distances on the chain change within the film: {', '.join(wrong)}"
         value = f"{len(wrong)} of {len(posed.distances)} wrong"
@@ -84,15 +84,15 @@ def checks(posed: Posed) -> Iterator[Check]:
     limit, reason = f"<= {100 * MAX_PERSPECTIVE:g} %", posed.perspective_text
     yield ev.make_check("Distances along the path", value, passed, limit, reason=reason)
     if posed.robot:
-        reason = "the picture is mirrored: its mirror image fits the places of the points better"
+        reason = "the picture is mirrored: its mirror image fits the points on the robot better"
         value, passed = ("no", "yes")[int(posed.fit.mirrored)], not posed.fit.mirrored
         yield ev.make_check("Mirrored picture", value, passed, "no", otherwise="fail", reason=reason)
         names = ", ".join(posed.misplaced)
-        reason = f"points are not at their stated places: {names}"
+        reason = f"points are not at their stated positions on the robot: {names}"
         yield ev.make_check("Places of points", names or "as stated", not names, "as stated", reason=reason)
     if "places" in posed.fit.linkage.free:
         names = posed.free_coordinates_text
-        reason = f"the film does not determine the places of {names}"
+        reason = f"the film does not determine the positions {names} on the robot"
         yield ev.make_check("Places not determined", names or "none", not names, "none", reason=reason)
 
 

@@ -62,6 +62,7 @@ class PointsFile(yamlio.Document):
     points: dict[str, planar.TrackedPoint] = {}
     #: Points from front to rear of a body without a robot file.
     chain: list[str] = []
+    #: Scale; by default that of the lengths of the links.
     scale: PointScale | None = None
     camera: Camera | None = None
     #: Direction in the picture in which a robot in the vertical plane faces. x of the log increases in this
@@ -190,7 +191,7 @@ def _order_joints(body: planar.MultilinkRobot, where: str) -> list[planar.Planar
     while waiting:
         joint = next((joint for joint in waiting if joint.parent in reached and joint.child in names), None)
         if joint is None:
-            text = "the joints connect no tree of links with the first link"
+            text = f"no joints connect the link '{waiting[0].parent}' with the first link"
             raise InputError(text, file=where, column=f"multilink.joints.{waiting[0].name}")
         waiting.remove(joint)
         reached.add(joint.child)

@@ -411,7 +411,7 @@ def _columns(
     sd = np.sqrt(np.maximum(variance, 0.0))
     limit = np.full(sd.shape[1], MAX_ANGLE_SD)
     limit[:2] *= linkage.scale * linkage.size
-    # An unknown place of a point shifts the zero of an angle in all frames. It leaves none of them empty.
+    # An unknown position of a point shifts the zero of an angle in all frames, but leaves no frame empty.
     sharp = np.sqrt(np.maximum(found.alone, 0.0)) < limit
     known: Flags = np.array(found.known & fit.used.any(axis=1, keepdims=True) & sharp & ~fit.ambiguous)
     for k in np.flatnonzero(known.any(axis=0)).tolist():
@@ -531,10 +531,10 @@ MIN_FRAMES = 24
 
 #: Text of the warning of each kind of fault.
 LEFT_OUT = {
-    "exchanged": "labels exchanged back",
-    "merged": "two labels on one place, left out",
-    "stray": "labels astray, left out",
-    "lost": "frames in which no more than half of the points agree, left out",
+    "exchanged": "exchanged labels, corrected",
+    "merged": "two labels at one position, left out",
+    "stray": "labels far from their points, left out",
+    "lost": "frames in which half of the points or fewer agree, left out",
 }
 
 
@@ -550,23 +550,23 @@ def _warn(posed: Posed, path: Path) -> None:
         total = sum(count for _, count, _ in found)
         warn("SWM120", f"{path.name}: {word} {total} ×: {'; '.join(parts)}")
     if posed.fit.mirrored:
-        text = "the picture is mirrored: its mirror image fits the places of the points better. Export pixels"
+        text = "the picture is mirrored: its mirror image fits the points on the robot better. Export pixels"
         warn("SWM121", f"{path.name}: {text} with y downwards, or give scale as four points_px with points_m")
     if posed.perspective > MAX_PERSPECTIVE:
         warn("SWM042", f"{path.name}: {posed.perspective_text}")
     if posed.free_coordinates:
-        text = f"the film does not determine the places of {posed.free_coordinates_text}"
+        text = f"the film does not determine the positions {posed.free_coordinates_text} on the robot"
         warn("SWM121", f"{path.name}: {text}: bend the joints more, or track two points on a link")
     for one in posed.distances:
         if one.wrong:
             text = f"{' and '.join(one.names)} are {one.measured:.4g} ± {one.stderr:.1g} {posed.unit} apart"
             given = f"{one.stated:.4g} {posed.unit}"
             if posed.robot:
-                warn("SWM121", f"{path.name}: {text}; on {one.link} {given} is stated")
+                warn("SWM121", f"{path.name}: {text}; the robot file states {given} on {one.link}")
             else:
-                text += f" in the second half of the film, and {given} in the first: no rigid link"
+                text += f" in the second half of the film and {given} in the first: they are on no rigid link"
                 warn("SWM121", f"{path.name}: {text}")
     for name in posed.misplaced * (not posed.fit.mirrored):
         at = 1e3 * posed.offsets[posed.fit.linkage.names.index(name)]
-        text = f"'{name}' lies {at.real:+.3g} mm forward and {at.imag:+.3g} mm to port of its place"
+        text = f"'{name}' lies {at.real:+.3g} mm forward and {at.imag:+.3g} mm to port of its stated position"
         warn("SWM121", f"{path.name}: {text}")

@@ -199,7 +199,7 @@ def _match_films(recordings: list[SurveyedFile]) -> tuple[set[Path], dict[Path, 
 
 
 def _namesake(table: SurveyedFile, others: Iterable[SurveyedFile]) -> SurveyedFile | None:
-    """Return the recording with whose name that of a table begins; of several, the one beside the table."""
+    """Return the recording whose name begins the name of a table; if several, that in the same folder."""
     name, found = table.path.stem, []
     for other in others:
         stem = other.path.stem
@@ -446,7 +446,7 @@ def _add_plan(project: Project) -> None:
 
 
 def _patterns(project: Project, group: RecordingGroup) -> list[str]:
-    """Return the patterns of the files of a group: one for a folder all of whose files belong to it."""
+    """Return the patterns of the files of a group, with one pattern for each folder inside the group."""
     members = {one.path for one in group.recordings}
     patterns: dict[str, None] = {}
     for path in sorted(members):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import shutil
+import textwrap
 from pathlib import Path
 
 from swimid.errors import InputError, UsageError, suggestion
@@ -11,8 +12,7 @@ from swimid.files import atomic, download, yamlio
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.projects.options import SampleOptions
-from swimid.results.evidence import Table
-from swimid.results.result import Result, table_text
+from swimid.results.result import WIDTH, Result
 
 #: File that lists the samples, and name by which all of them are copied.
 INDEX, ALL = "samples.yaml", "all"
@@ -101,9 +101,11 @@ def _find_samples() -> Path:
 
 
 def _list_samples(index: dict[str, dict[str, str]]) -> Sample:
-    rows = [[name, entry["about"]] for name, entry in index.items()]
-    table = Table(id="samples", title="Samples", columns=["name", "content"], rows=rows)
-    return Sample("sample", table_text(table), {"samples": index})
+    width = max(map(len, index))
+    start = {name: f"  {name:{width}}  " for name in index}
+    wrap = textwrap.TextWrapper(WIDTH, subsequent_indent=" " * (width + 4), break_on_hyphens=False)
+    lines = [wrap.fill(start[name] + entry["about"]) for name, entry in index.items()]
+    return Sample("sample", "\n".join(lines), {"samples": index})
 
 
 def _copy(origin: Path, folder: Path, *, everything: bool) -> list[Path]:

@@ -33,7 +33,7 @@ MIN_ROWS = 10
 
 @dataclass(frozen=True)
 class SurveyedFile:
-    """File, or folder of pictures, and what it is.
+    """File, or folder of pictures, with its kind and description.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def _paths(folder: Path, left_out: Path | None) -> Iterator[Path]:
 
 
 def recognise(path: Path, kinds: Mapping[str, type[Trials]]) -> SurveyedFile:
-    """Return what a file or a folder of pictures is."""
+    """Return the kind and the description of a file or a folder of pictures."""
     ending = path.suffix.lower()
     readable = {end for form in formats().values() for end in form.endings} | {*TABLES}
     try:

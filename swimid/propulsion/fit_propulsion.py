@@ -387,8 +387,8 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
         warn(
             "SWM030",
             f"the runs at {d['frequency_hz']:g} Hz are {abs(100 * d['share']):.1f} % {word} than the law "
-            f"fitted to the other frequencies ({abs(d['z']):.1f} standard errors, {d['runs']} runs); they "
-            "are left out of the fit. Fins that flex at high frequency do this (source, section 4.2)",
+            f"fitted to the other frequencies ({abs(d['z']):.1f} standard errors, {d['runs']} runs) and are "
+            "left out of the fit. A fin that flexes at high frequency may be the cause (source, section 4.2)",
         )
     off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
     values = []
@@ -398,7 +398,7 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
     fitted = "; ".join(values)
     limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
     text = f"left out of the fit; with these frequencies {fitted}" * bool(departures)
-    reason = f"the law does not hold for the runs at {off}, which are left out"
+    reason = f"the runs at {off} depart from the law and are left out"
     name = "every frequency follows the law"
     return ev.make_check(name, off or "all", not departures, limit, text, reason=reason)
 
@@ -444,8 +444,8 @@ def _free_exponents(
         if status == "estimated" and stderr:
             shown, agrees = numbers.format_estimate(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
         if agrees is False:
-            warn("SWM031", f"set free, the {words} of {of} is {shown}, the law says {law:g}")
-        reason = f"the {words} of {of} is {shown}, not {law:g}"
+            warn("SWM031", f"the estimated {words} of {of} is {shown}, but {law:g} in the law")
+        reason = f"the estimated {words} of {of} is {shown}, not {law:g}"
         text = f"exponent of the {of}, estimated together with the other parameters"
         checks.append(ev.make_check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))
     return exponents, checks

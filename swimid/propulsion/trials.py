@@ -180,7 +180,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     else:
         names, text = [str(name) for name in source.columns], source.to_csv(index=False)
         held = InputInMemory("table", hashlib.sha256(text.encode()).hexdigest())
-    speed, what = "time_s", "neither time_s nor mean_speed_m_s is there"
+    speed, what = "time_s", "one of the columns time_s and mean_speed_m_s is needed, and both are missing"
     if "mean_speed_m_s" in names:
         speed = "mean_speed_m_s"
     for column in ("fin", *NUMBERS, speed):
@@ -200,7 +200,8 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     none = np.isinf(speeds) | (speeds == 0)
     if none.any():
         row = int(np.argmax(none))
-        raise InputError(f"the speed is {speeds[row]:g} m/s", file=path, line=rows[row][0], column=speed)
+        text = f"the speed is {speeds[row]:g} m/s; it must be positive and finite"
+        raise InputError(text, file=path, line=rows[row][0], column=speed)
     missing = int(np.isnan(speeds).sum())
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")

@@ -95,7 +95,7 @@ def report(
     """
     sources = list(dict.fromkeys(source for given in inputs for source in _sources(given)))
     if not sources:
-        raise UsageError("name at least one result file")
+        raise UsageError("no result is given", hint="name at least one result file")
     paths = [source for source in sources if isinstance(source, Path)]
     target, kind = None, options.format or "html"
     if output not in (None, "-", Path("-")):
@@ -229,7 +229,7 @@ def _worst(contents: Sequence[ev.Evidence]) -> ev.Verdict:
         return ev.Verdict(level=worst, text=f"This result {verb}.", word=contents[0].verdict.word)
     which = f"{count} of {len(levels)} results"
     if count == len(levels):
-        which = f"All {count} results"
+        which = {2: "Both results"}.get(count, f"All {count} results")
     if count > 1:
         verb = verb.replace("needs", "need")
     return ev.Verdict(level=worst, text=f"{which} {verb}.")

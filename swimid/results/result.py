@@ -322,10 +322,11 @@ class Result:
 
     @classmethod
     def _read(cls, path: str | Path) -> Any:
-        raise UsageError(f"{path} cannot be read as {cls.__name__}")
+        raise UsageError(f"{path} cannot be read as {cls.__name__}, which has no file format")
 
     def _write(self, path: Path) -> list[Path]:
-        raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
+        hint = "use its text, .summary()"
+        raise UsageError(f"the result of {self.command} cannot be written to a file", hint=hint)
 
     def _list_evidence(self, what: str) -> Sequence[Any]:
         """Return all checks, tables, figures or notices of the evidence, whichever ``what`` names.

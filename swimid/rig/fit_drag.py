@@ -64,11 +64,11 @@ OF_SENSOR = ("force_offset", "force_drift")
 #: Maximum number of omitted parameters that one warning names.
 MAX_OMITTED = 3
 #: Parameters of the initial state of a trial. Each has the text of a warning on how the trials then start.
-STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
+STARTS = {"initial_speed": "in motion", "clock_offset": "at another time than their first sample"}
 #: Per-trial parameter that gives each trial a pulley friction of its own.
 OWN_FRICTION = "friction_deviation"
 #: Reason that messages give if the two-point method has no result.
-NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
+NO_ANSWER = "the speeds do not rise with the pulling mass as Eq 13 requires"
 #: Names of the parameters that the two-point method estimates. The units of the estimates are 1, kg and N.
 NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
 #: Default displacements of the two-point method, as fractions of the largest displacement that every drop
@@ -372,7 +372,8 @@ def _suggest(stated: FitResult, omitted: Judged) -> str:
     if not acting.free:
         choice = f"--fix {name}={acting.start:g}"
     change = numbers.percent(omitted.fit.cost / max(stated.cost, 1e-300) - 1.0, 2)
-    return f"{_describe(omitted)} would change the squared residuals by {change}: use {choice}{held}"
+    left_out = f"the fit leaves out {_describe(omitted)}"
+    return f"{left_out}, which changes the squared residuals by {change}: use {choice}{held}"
 
 
 def find_moved(stated: FitResult, other: FitResult) -> list[str]:
@@ -421,7 +422,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
     limit = f"score ≤ {rivals.STRONG:g}, and no other law explains as much"
     if not omitted:
         held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
-        return ev.make_check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
+        return ev.make_check(name, "none", True, limit, f"tested, each in a separate fit: {held or 'none'}")
     failed = [
         o
         for o in omitted
@@ -434,12 +435,12 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
         f"{_format_estimate(stated, one)} becomes {_format_estimate(best.fit, one)}"
         for one in stated.common_labels
     ]
-    reason = f"the fit lacks {_describe(best)}"
+    reason = f"the fit leaves out {_describe(best)}"
     if explains_differences(stated, best.fit):
         reason += ", which explains why the trials differ"
     elif not find_material(stated, best.fit):
         reason += ", which changes no estimate materially"
-    text = f"score {best.score:.3g}; with it " + "; ".join(shifts)
+    text = f"score {best.score:.3g}; with this parameter " + "; ".join(shifts)
     check = ev.make_check(name, _describe(best), False, limit, text, reason=reason)
     if failed:
         check.verdict = "fail"
@@ -458,8 +459,8 @@ def _warn_of_start(fit: FitResult, name: str) -> None:
     )
     warn(
         "SWM017",
-        f"the trials start {STARTS[name]}; {name} is estimated for each ({values} "
-        f"{fit.parameter(name).unit}). Use --start-state rest to insist on rest at the first sample",
+        f"the trials start {STARTS[name]}; {name} is estimated for each trial ({values} "
+        f"{fit.parameter(name).unit}). Use --start-state rest to hold the trials at rest at the first sample",
     )
 
 
@@ -487,8 +488,8 @@ def trial_checks(stated: FitResult, result: FitResult, judged: Sequence[Judged])
     name = odd.rival.name
     without = "; ".join(_format_estimate(odd.fit, label) for label in odd.fit.common_labels)
     text = (
-        f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
-        "out of the fit with role: validate"
+        f"without this trial: {without}. Check the entry of the trial in the trials file (pulling mass, "
+        "force, unit), or leave the trial out of the fit with role: validate"
     )
     size, limit = f"{name}: score {odd.score:.3g}", f"score ≤ {rivals.STRONG:g}"
     reason = f"{name} contradicts the other trials"
@@ -552,9 +553,12 @@ def sign_check(result: FitResult) -> ev.Check:
     if len(turned) == len(fitted):
         where = "all trials"
     change = math.sqrt(found.fit.cost / result.cost) - 1.0
-    reason = f"with force_N times -1 in {where} the error of {channel} falls by {-100 * change:.3g} %"
+    reason = (
+        f"force_N has the wrong sign in {where}: with force_N times -1 the error of {channel} falls by "
+        f"{-100 * change:.3g} %"
+    )
     text = (
-        "force_N must be the force on the body, positive along x_m: turn its sign in the log, or with "
+        "force_N must be the force on the body, positive along x_m: change its sign in the log, or with "
         "factor: -1 in the mapping of an import"
     )
     check = ("SWM110", name, f"wrong in {where}", False, limit, text, reason)
@@ -706,7 +710,7 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
             name.replace("_", " "),
             f"check {inputs}, their units, and effects that the model lacks",
         )
-        reason = f"{words} {size} is more than {basis} can have ({limit})"
+        reason = f"{words} {size} is physically impossible: {basis} has at most {limit}"
         check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
         checks.append(fit_common.warn_check(*check, failed=value - 1.96 * (error or 0.0) > most))
     coordinate = result.model.channels[0].name
@@ -715,8 +719,8 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
         swings = {n: float(np.nanmax(np.abs(a - np.nanmedian(a)))) for n, a in angles.items()}
         name = max(swings, key=lambda trial: swings[trial])
         size, limit = f"{numbers.format_number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
-        text = "a body that swings farther in roll or pitch turns over: are these degrees?"
-        reason = f"the body swings by {size}, which no body does"
+        text = "a body that swings farther in roll or pitch turns over: is the column in degrees?"
+        reason = f"the body swings by {size}, which is physically impossible"
         check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
         checks.append(fit_common.warn_check(*check, failed=True))
     forces = _force_ratios(experiment)
@@ -726,8 +730,8 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
             f"{numbers.format_number(force, 3, 'N')} in {name}",
             f"≤ {numbers.format_number(most, 3, 'N')}",
         )
-        text = "check its unit and the mass; only another kind of drive has a larger force"
-        reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
+        text = "check the unit of the force and the mass; a weight or buoyancy cannot drive with more force"
+        reason = f"the driving force of {size} exceeds the weight and the buoyancy of the body"
         check = ("SWM072", "driving force possible", size, force <= most, limit, text, reason)
         checks.append(fit_common.warn_check(*check))
     return checks
@@ -746,9 +750,9 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
     areas = [2.0 * t.rig.area_factor / density for t in result.trials]
     inputs = "masses, forces"
     if "added_inertia" in known and box:
-        yield "added_inertia", max_added_inertia(*box, density), "a body in its box", inputs
+        yield "added_inertia", max_added_inertia(*box, density), "a body of this size", inputs
     if "added_mass" in known and box:
-        yield "added_mass", max_added_mass_in_box(*box, density, along=along), "a body in its box", inputs
+        yield "added_mass", max_added_mass_in_box(*box, density, along=along), "a body of this size", inputs
     elif "added_mass" in known:
         displaced, area = max(_max_displaced(experiment, t) for t in result.trials), max(areas) * along
         if displaced > 0:
@@ -1000,7 +1004,7 @@ class TwoPointResult:
     def text(self) -> str:
         """Estimates of the two-point method as a sentence."""
         if not self.is_valid:
-            return f"The two-point method has no answer: {NO_ANSWER}."
+            return f"The two-point method has no result: {NO_ANSWER}."
         parts = [f"{n} {numbers.format_estimate(value, self.stderr[n])}" for n, value in self.values.items()]
         return f"The two-point method gives {', '.join(parts)}."
 

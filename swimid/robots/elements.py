@@ -92,7 +92,7 @@ class Propeller(OnLink):
     kind: Literal["propeller"]
     input: str
     diameter_m: PositiveFloat
-    #: Coefficients k_0, k_1, k_2 of ``K_T = k_0 + k_1 J + k_2 J^2``. The last ones may be omitted.
+    #: Coefficients k_0, k_1, k_2 of ``K_T = k_0 + k_1 J + k_2 J^2``. The last coefficients may be omitted.
     thrust_coefficients: Annotated[list[Quantity], Field(min_length=1, max_length=3)]
     #: Wake fraction w: the water behind a hull moves with the hull by this share of its velocity.
     wake_fraction: Quantity = 0.0
@@ -149,7 +149,7 @@ class MovingMass(OnLink):
     kind: Literal["moving-mass"]
     input: str
     mass_kg: Quantity
-    #: Whether the weight of the mass acts, which moves with it. In a plane only if it is vertical.
+    #: Whether the weight of the mass acts at the mass; in a plane only if the plane is vertical.
     weighs: bool = False
 
 

@@ -182,6 +182,7 @@ class SpatialDrag(InSpace, elements.Drag):
     """
 
     area_m2: Vector = ZERO_VECTOR
+    #: Drag coefficient along each axis of the link.
     coefficient: Vector = (1.0, 1.0, 1.0)
     linear_N_s_m: Vector = ZERO_VECTOR
     #: Quadratic drag in addition to that of the areas: force divided by the square of the velocity.
@@ -315,6 +316,7 @@ class SpatialPropeller(InSpace, elements.Propeller):
     """Propeller at a point of a link, which pushes along its axis."""
 
     at_m: Vector
+    #: Direction of a positive thrust, in the axes of the link.
     axis: AxisDirection = (1.0, 0.0, 0.0)
 
     @property

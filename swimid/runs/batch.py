@@ -170,9 +170,7 @@ def _do(run: Path, mine: list[Item], options: BatchOptions, progress: Progress) 
                         future.cancel()
     except KeyboardInterrupt:
         finished = sum(count for state, count in counts.items() if state not in ("missing", "before"))
-        text = (
-            f"interrupted; {finished} of {len(todo)} items are finished: the same command goes on from there"
-        )
+        text = f"interrupted; {finished} of {len(todo)} items are finished: the same command continues"
         raise Interrupted(text) from None
     return problems
 

@@ -213,7 +213,7 @@ def _p_value(known: Sequence[Metric]) -> float | None:
 
 
 def _differences(runs: Sequence[Mapping[str, _Found]], names: Sequence[str]) -> dict[str, list[str]]:
-    """Return for each item what is not the same in all runs: presence, state, version, steps, inputs."""
+    """Return the differences between the runs for each item: presence, state, version, steps, inputs."""
     differences = {}
     for item in dict.fromkeys(name for run in runs for name in run):
         entries = {name: run[item] for name, run in zip(names, runs, strict=True) if item in run}
@@ -244,7 +244,7 @@ def _item_differences(entries: Mapping[str, _Found]) -> list[str]:
 
 
 def _answer(file: RunComparison) -> ev.Verdict:
-    """Return the verdict on a comparison: number of estimates that changed, and of equal ones."""
+    """Return the verdict on a comparison, with the numbers of changed and of equal estimates."""
     changed, tested = _count_changes(file)
     equal = sum(len(set(quantity.values)) == 1 for quantity in file.quantities)
     sentences = []

@@ -85,12 +85,12 @@ def run_item(run: str, ident: str) -> str:
     status = states.read(folder)
     if code == 0 and status is not None:
         return status.state
-    message = f"it ended with status {code}"
+    message = f"the command ended with exit status {code}"
     if code is None:
-        message = f"it took longer than the limit of {limits.time_s:g} s"
+        message = f"the command took longer than the limit of {limits.time_s:g} s"
     elif code < 0:
         with suppress(ValueError):
-            message = f"{signal.Signals(-code).name} ended it"
+            message = f"the signal {signal.Signals(-code).name} ended the command"
     error = {"type": "Failed", "message": message, "log": "\n".join(log.splitlines()[-MAX_LINES:])}
     with reading.record():
         _status(item, folder, "failed", [], error).write(folder)
@@ -268,7 +268,8 @@ def _command(argv: list[str]) -> tuple[int, dict[str, Any]]:
         code = ended.code if isinstance(ended.code, int) else 1
     with suppress(ValueError):
         return code, json.loads(out.getvalue())
-    return code or 1, {"error": {"type": "UsageError", "message": "the command gave no answer; see log.txt"}}
+    message = "the command printed no result: read log.txt in the folder of the item"
+    return code or 1, {"error": {"type": "UsageError", "message": message}}
 
 
 def _end_with_parent() -> None:

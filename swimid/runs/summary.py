@@ -126,9 +126,9 @@ def _entry_of(item: Item, folder: Path, problem: str | None) -> Entry:
     if status is not None:
         entry.version = status.version
     if state == "outdated":
-        entry.reason = "its steps or inputs have changed; its results are not used"
+        entry.reason = "the steps or inputs have changed since the results were made; they are not used"
         if entry.version != swimid.__version__:
-            entry.reason = f"done by swimid {entry.version}; its results are not used"
+            entry.reason = f"the results were made by swimid {entry.version} and are not used"
     elif status is not None and state != "missing":
         entry.level, entry.metrics = status.level, status.metrics
         entry.reason = status.reason.replace(f"{item.root}/", "")
@@ -140,7 +140,7 @@ def _entry_of(item: Item, folder: Path, problem: str | None) -> Entry:
         if holder := atomic.holder_of(lock):
             entry.state = "busy"
             name = f"items/{item.id}/{lock.name}"
-            entry.reason = f"is done by {holder}; if there is no such process, delete {name}"
+            entry.reason = f"the item is processed by {holder}; if there is no such process, delete {name}"
         if problem is not None:
             entry.state, entry.reason = "failed", problem
     for name in ("reason", "hint", "log"):

@@ -105,12 +105,12 @@ class OutputIndices(yamlio.Document):
 
 
 class Simulations(yamlio.Document):
-    """Number of simulated points of the Sobol design, and number of those that broke down."""
+    """Number of simulated points of the Sobol design, and number of those that diverged."""
 
     evaluated: int
     broken: int
     #: Number of rows of the Sobol design that were left out because the simulation of one of their points
-    #: broke down.
+    #: diverged.
     left_out: int
 
 
@@ -194,7 +194,7 @@ class StudyRun:
     values: Array
 
     def outputs(self, model: Model, values: Array, columns: Mapping[str, Array]) -> dict[str, Quantity]:
-        """Return the outputs of the simulated trial by name. They are NaN if the simulation breaks down."""
+        """Return the outputs of the simulated trial by name. They are NaN if the simulation diverges."""
         outputs: dict[str, Quantity] = {}
         if self.swim is not None:
             swimmer: Swimmer = model.swimmer
@@ -251,7 +251,7 @@ class SensitivityStudy:
         """Simulate all trials at n points in the space of the coefficients, and return their outputs.
 
         The points have the shape (n, d), the outputs the shape (n, s). The outputs of a point are NaN if its
-        coefficients are impossible, or if a simulation breaks down.
+        coefficients are impossible, or if a simulation diverges.
         """
         vectors = np.repeat(np.array([run.values for run in self.runs])[None], len(points), axis=0)
         vectors[:, :, [self.model.index(name) for name in self.ranges]] = points[:, None]
@@ -329,7 +329,7 @@ def sensitivity(
     UsageError, InputError
         If a file or an option is invalid.
     NoTrustworthyResult
-        If more than one in a hundred simulations breaks down.
+        If more than one in a hundred simulations diverges.
 
     Examples
     --------
@@ -527,7 +527,7 @@ def _find_correlation(applied: Applied, over: Mapping[str, Range]) -> tuple[floa
 def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> SensitivityStudy:
     """Return the setup of an analysis: the trials with their initial states, and the outputs of each trial.
 
-    An error is raised if a simulation with the given coefficients breaks down.
+    An error is raised if a simulation with the given coefficients diverges.
     """
     model = applied.model
     runs, columns = [], []
@@ -537,7 +537,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
         broken = any(not math.isfinite(q.value) for q in quantities.values())
         if broken or not is_possible(model, run.values):
             raise NoTrustworthyResult(
-                f"the simulation of '{trial.id}' breaks down with the given coefficients",
+                f"the simulation of '{trial.id}' diverges with the given coefficients",
                 hint="check the parameters and the drive, or take a smaller --dt",
             )
         runs.append(run)
@@ -635,11 +635,11 @@ def _checks(
     change, steady = f"{numbers.format_number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
     halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
     none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
-    lost = f"{broken} simulations broke down"
-    unclear = f"the interval of the index of {where} is {numbers.format_number(width, 2)} wide"
+    lost = f"{broken} simulations diverged"
+    unclear = f"the interval of the index of {where} is too wide, {numbers.format_number(width, 2)}"
     coarse = f"halving the integration step changes an output by {change} over the ranges"
     checks = [
-        ev.make_check("simulations that broke down", broken, not runs.broken, none, left_out, reason=lost),
+        ev.make_check("simulations that diverged", broken, not runs.broken, none, left_out, reason=lost),
         ev.make_check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples, reason=unclear),
         ev.make_check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved, reason=coarse),
     ]
@@ -647,9 +647,9 @@ def _checks(
         size, one, other = strongest
         value = f"correlation up to {numbers.format_number(size, 2)} ({one}, {other})"
         sound = abs(size) <= MAX_ESTIMATE_CORRELATION
-        text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
+        text = "independent ranges contain values that the correlated estimates exclude" * (not sound)
         limit = f"≤ {MAX_ESTIMATE_CORRELATION:g} in size"
-        reason = f"the estimates of {one} and {other} are correlated, and their ranges are not"
+        reason = f"the estimates of {one} and {other} are correlated, but their ranges are independent"
         checks.append(ev.make_check("ranges independent", value, sound, limit, text, reason=reason))
     return checks
 
@@ -717,7 +717,7 @@ def _method(file: SensitivityFile) -> str:
     return (
         f"First-order and total Sobol indices of the outputs of {trials} to {', '.join(file.ranges)}, "
         f"independent and uniform over their ranges, were estimated from {file.samples} rows of a scrambled "
-        f"Sobol sequence ({runs.evaluated} points, {runs.broken} of which broke down) by the estimators of "
+        f"Sobol sequence ({runs.evaluated} points, {runs.broken} of which diverged) by the estimators of "
         "Saltelli et al. (2010), with intervals by the jackknife over "
         "independently scrambled parts of the design; those of all trials together "
         "are shares of their summed variance (Gamboa et al. 2014)."
@@ -727,7 +727,7 @@ def _method(file: SensitivityFile) -> str:
 # ---------------------------------------------------------------- Sobol indices
 
 
-#: Maximum fraction of the model evaluations that may break down. The analysis is refused above it.
+#: Maximum fraction of the model evaluations that may diverge. The analysis is refused above it.
 MAX_BROKEN_SHARE = 0.01
 #: Number of points of the Sobol design that are evaluated in one call of the model function.
 ROWS_PER_BATCH = 8
@@ -735,7 +735,7 @@ ROWS_PER_BATCH = 8
 MAX_PARTS = 8
 
 #: Type of the model function. Its argument is an array of n points in the space of the d parameters, shape
-#: (n, d). It returns s outputs for each point, shape (n, s), which are NaN if the model breaks down.
+#: (n, d). It returns s outputs for each point, shape (n, s), which are NaN if the model diverges.
 Evaluate = Callable[[Array], Array]
 
 
@@ -748,7 +748,7 @@ class Sobol:
     mean, sd : ndarray, shape (s,)
         Mean and standard deviation of each output over the ranges of the parameters.
     evaluations, broken, left_out : int
-        Number of evaluations, number of evaluations that broke down, and number of rows of the design that
+        Number of evaluations, number of evaluations that diverged, and number of rows of the design that
         were left out.
     first, total : ndarray, shape (s + g, d)
         First-order and total indices.
@@ -804,14 +804,14 @@ def sobol(
     -------
     Sobol
         Indices of the whole design, with intervals from the jackknife over its parts. Rows with a point that
-        breaks down are left out.
+        diverges are left out.
 
     Raises
     ------
     UsageError
         If there are fewer than two parameters, or the number of samples is not a power of two.
     NoTrustworthyResult
-        If more than :data:`MAX_BROKEN_SHARE` of the evaluations break down.
+        If more than :data:`MAX_BROKEN_SHARE` of the evaluations diverge.
     """
     from scipy import stats
 
@@ -856,7 +856,7 @@ def _make_design(lower: Array, upper: Array, samples: int, parts: int, seed: int
 def _evaluate_design(
     evaluate: Evaluate, points: Array, jobs: int, keep: Checkpoint, progress: Progress
 ) -> tuple[Array, int]:
-    """Return the outputs at all points of the design, and how many evaluations broke down."""
+    """Return the outputs at all points of the design, and how many evaluations diverged."""
     parts = [points[k : k + ROWS_PER_BATCH] for k in range(0, len(points), ROWS_PER_BATCH)]
     broken, done = 0, list[Array]()
 
@@ -873,7 +873,7 @@ def _evaluate_design(
             broken += int((~np.isfinite(outputs).all(axis=1)).sum())
             if broken > MAX_BROKEN_SHARE * len(points):
                 raise NoTrustworthyResult(
-                    f"{broken} of the first {sum(map(len, done))} simulations break down, more than "
+                    f"{broken} of the first {sum(map(len, done))} simulations diverge, more than "
                     f"{100 * MAX_BROKEN_SHARE:g} % of all",
                     hint="narrow the ranges (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
                 )

@@ -275,8 +275,9 @@ def check_drive(options: DriveOptions, varied: Collection[str] = (), option: str
         return
     for name in ("frequency_hz", "amplitude_deg"):
         if name not in varied and getattr(options, name) is None:
-            others = f", or {name} among what is varied ({option})" * bool(option)
-            raise UsageError(f"the drive needs --{name.replace('_', '-')}{others}")
+            others = f", or vary {name} ({option})" * bool(option)
+            hint = f"give --{name.replace('_', '-')}{others}"
+            raise UsageError(f"the beat has no {name}", hint=hint)
     if "asymmetry" in stated and options.waveform != "a-cpg":
         raise UsageError("asymmetry is valid only with --waveform a-cpg: omit it, or choose this waveform")
 

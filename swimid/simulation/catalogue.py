@@ -242,7 +242,7 @@ class Applied:
         Notes
         -----
         Derivatives are central differences. A standard error is NaN if no parameter has one, or if the
-        quantity is undefined for one of the displaced parameter vectors, because the simulation breaks down
+        quantity is undefined for one of the displaced parameter vectors, because the simulation diverges
         or never becomes steady. A change of the size of a rounding error counts as none.
         """
         names, covariance = self.uncertain()

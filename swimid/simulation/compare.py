@@ -114,7 +114,7 @@ def compare(
     UsageError, InputError
         If a file or an option is invalid.
     NoTrustworthyResult
-        If a simulation breaks down, or no channel can be compared.
+        If a simulation diverges, or no channel can be compared.
 
     Examples
     --------
@@ -427,7 +427,7 @@ def _checks(file: ComparisonFile, fitted: Iterable[str], still: Iterable[str]) -
 
 def _speed_check(name: str, share: float, text: str) -> ev.Check:
     limits = (fit_common.GOOD_SPEED, fit_common.USABLE_SPEED)
-    return fit_common.share_check(name, share, *limits, "measured", text)
+    return fit_common.share_check(name, share, *limits, "measured speeds", text)
 
 
 def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
@@ -438,10 +438,10 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
     never = ", ".join(t.id for t, cruise in begun if cruise.settled is None)
     if never:
         text = (
-            f"under the drive of {never} the speed of the model never settles: without drag, nothing slows "
-            "it down. The simulated speed is the start speed, which comes from the trial itself"
+            f"the speed of the model never becomes steady with the gait of {never}, because a model without "
+            "drag is not slowed down. Its speed is the start speed, which is taken from the same trial"
         )
-        reason = f"the model has no steady speed under the drive of {never}"
+        reason = f"the model has no steady speed with the gait of {never}"
         limit = "a steady speed"
         return [ev.make_check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
     rows = [
@@ -450,8 +450,8 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         if cruise.steady and t.mean_speed is not None and t.mean_speed.measured
     ]
     text = (
-        "the start speeds of these trials come from the trials themselves; the speed at which the model "
-        "settles is compared with the measured speed of the last beats"
+        "each simulation starts with a speed taken from its own trial; therefore the steady speed of the "
+        "model is compared with the measured speed of the last beats"
     )
     if not rows:
         reason = "no trial swims steadily, so the cruising speed of the model is not tested"

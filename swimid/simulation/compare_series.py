@@ -240,7 +240,7 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
     UsageError
         If the trial does not have one of the channels.
     NoTrustworthyResult
-        If the simulation breaks down.
+        If the simulation diverges.
     """
     model = applied.model
     values, start, start_values = start_of(applied, trial, refit)
@@ -302,7 +302,7 @@ def _pair_logged(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> 
     Raises
     ------
     NoTrustworthyResult
-        If the simulation breaks down.
+        If the simulation diverges.
     """
     logged = {name: v for name, v in trial.inputs.items() if name in simulated} | dict(trial.measured)
     for channel in model.list_input_channels(trial):
@@ -319,12 +319,11 @@ def _pair_logged(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> 
             continue
         if trial.swim.steady and (lost == known).all():
             raise NoTrustworthyResult(
-                f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
-                hint="without drag nothing slows it down; --start-state estimate starts from the trial's own "
-                "speed",
+                f"the speed of the model never becomes steady with the gait of '{trial.id}'",
+                hint="check the drag of the model, or use --start-state estimate",
             )
         raise NoTrustworthyResult(
-            f"the simulation of '{trial.id}' breaks down at t = {trial.time_s[int(np.argmax(lost))]:.4g} s",
+            f"the simulation of '{trial.id}' diverges at t = {trial.time_s[int(np.argmax(lost))]:.4g} s",
             hint="check the parameters' signs and units and the drive, or take a smaller --dt",
         )
     return pairs
@@ -389,7 +388,7 @@ def _replace_values(model: Model, values: Array, start: Mapping[str, float]) -> 
 def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) -> float:
     """Return the sum of squared residuals of a trial, in units of the noise.
 
-    It is infinite if the simulation breaks down.
+    It is infinite if the simulation diverges.
     """
     simulated = model.run(values, trial)
     residuals = [(trial.measured[name] - simulated[name]) / size for name, size in sd.items()]

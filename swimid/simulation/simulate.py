@@ -73,7 +73,7 @@ def simulate_case(case: Case) -> Simulated:
     Raises
     ------
     NoTrustworthyResult
-        If the simulation breaks down.
+        If the simulation diverges.
     """
     chosen = choose_step(case.applied.model, [(case.values, case.trial)], [case.applied.noise()])
     case, model, (step,) = case.at_step(chosen.model), chosen.model, chosen.changes
@@ -97,7 +97,7 @@ def simulate_case(case: Case) -> Simulated:
 
 
 def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
-    """Raise an error if a simulation breaks down before its inputs end."""
+    """Raise an error if a simulation diverges before its inputs end."""
     if not is_broken_down(case.trial, simulated):
         return
     lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
@@ -106,7 +106,7 @@ def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
     if len(whole) and not case.applied.model.timed_runs:
         where = f"at t = {case.trial.time_s[min(whole[-1] + 1, len(lost) - 1)]:.4g} s"
     raise NoTrustworthyResult(
-        f"the simulation of '{case.id}' breaks down {where}, with every integration step that was tried",
+        f"the simulation of '{case.id}' diverges {where}, with every integration step that was tried",
         hint="check the parameters' signs and units and the drive, or take a smaller step with --dt",
     )
 
@@ -118,8 +118,8 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
             turned = math.degrees(float(np.nanmax(np.abs(values))))
             warn(
                 "SWM054",
-                f"{case.id}: {name.removesuffix('_rad')} turns by {turned:.0f} degrees: beyond 180 its link "
-                "has passed through the one ahead of it, which no body does",
+                f"{case.id}: {name.removesuffix('_rad')} turns by {turned:.0f} degrees; more than 180 is "
+                "impossible, because the link would pass through the link ahead: check the amplitude",
             )
 
 
@@ -291,7 +291,7 @@ def simulate(
     UsageError, InputError
         If options exclude each other, or a file is invalid.
     NoTrustworthyResult
-        If the simulation breaks down.
+        If the simulation diverges.
 
     Examples
     --------

@@ -200,7 +200,7 @@ def mujoco() -> Any:
         import mujoco.batch
     except ImportError as error:
         raise UsageError("models of MuJoCo need mujoco", hint="pip install 'swimid[mujoco]'") from error
-    # a simulation that breaks down is stated in the result, and not by MuJoCo on the terminal
+    # a simulation that diverges is stated in the result, and not by MuJoCo on the terminal
     module.set_mju_user_warning(lambda text: None)
     return module
 
@@ -424,7 +424,7 @@ class MjcfModel(SimulatorModel):
         """
         begin = float(trial.time_s[0])
         grid = begin + self.step_s * np.arange(len(data))
-        # a simulation that breaks down stops, and its clock with it
+        # a simulation that diverges stops, and its clock with it
         stopped = np.append(np.diff(time) <= 0.5 * self.step_s, False) | ~np.isfinite(data).all(axis=-1)
         at = np.clip(hooks.compute_event_times(trial.time_s), grid[0], grid[-1])
         found = {}
@@ -644,7 +644,7 @@ def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[ArrayEnt
 
 
 def base_joints(compiled: Any) -> list[int]:
-    """Return the joints by which the robot moves in the world: free ones, and several of one first body."""
+    """Return the joints by which the robot moves in the world: free joints, or several of one first body."""
     found = []
     for k in range(compiled.njnt):
         body = compiled.jnt_bodyid[k]

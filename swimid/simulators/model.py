@@ -35,6 +35,7 @@ class SimulatorParameter(yamlio.Document):
 
     #: Lower and upper bound.
     bounds: tuple[float, float] | None = None
+    #: Start value of a fit; by default that of the simulator, or the middle of the bounds.
     start: float | None = None
     unit: str = ""
     #: Typical size of the parameter. By default it is the start value, or a tenth of the range of the bounds.

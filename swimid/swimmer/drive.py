@@ -389,7 +389,7 @@ class DrivenJoints:
                 "SWM077",
                 f"in the trial '{trial.id}' the actuator '{name}' moves from {least:.4g} to {most:.4g} deg, "
                 f"beyond the table of the joint '{axis.name}', {low:.4g} to {high:.4g} deg: the tangent at "
-                "the last row continues the table; add rows to 'table_deg', or reduce the drive",
+                "the last row continues the table; add rows to 'table_deg', or reduce the amplitude",
             )
 
     def _is_like_last(self, k: int, swim: SwimInput) -> bool:

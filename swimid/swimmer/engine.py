@@ -19,7 +19,7 @@ from swimid.files.kernels import numba
 from swimid.fitting.model import MOST_FORCES, ExternalForce, no_force
 from swimid.robots.elements import MAX_FACTORS
 
-#: Magnitude of an entry of the state vector from which a simulation has broken down.
+#: Magnitude of an entry of the state vector from which a simulation has diverged.
 MAX_STATE = 1e6
 PASSIVE = (
     "stiffness",
@@ -121,7 +121,7 @@ class Engine:
         and ``right`` are scratch arrays (:meth:`shapes`).
     integrate : function ``(start, step, table, tables, forced, begin)``
         Returns the states and their rates at every step, shape (steps + 1, k), by a fourth-order Runge-Kutta
-        method with fixed steps. They are NaN from the step at which the simulation breaks down. ``table`` has
+        method with fixed steps. They are NaN from the step at which the simulation diverges. ``table`` has
         the rows of the driven joints on the half-step grid, and ``begin`` is the time of the first state.
     compute_torques : function ``(states, rates, table, tables, forced, begin, step)``
         Returns by inverse dynamics the moment that its parent exerts on each link, shape (m, links), and the
@@ -358,7 +358,7 @@ def solve_accelerations(matrix, right, first):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def has_diverged(state, rate):  # type: ignore[no-untyped-def]
-    """Return whether a simulation has broken down: a state is too large, or its rate is not finite."""
+    """Return whether a simulation has diverged: a state is too large, or its rate is not finite."""
     largest = 0.0
     for j in range(len(state)):
         largest = max(largest, abs(state[j]))

@@ -359,16 +359,16 @@ def _require_result(
             raise Interrupted(f"{reason}; nothing was written")
         raise Interrupted(
             f"{reason}; the best point so far is in {output}",
-            hint=f"--start-from {output} goes on from there",
+            hint=f"continue with --start-from {output}",
         )
     if not result.converged:
         kept = params = ""
         if output is not None:
-            kept, params = f"; the result so far is in {output}, marked so", f" --params {output}"
+            kept = f"; the result so far is in {output}, marked as not converged"
+            params = f" --params {output}"
         hint = (
-            "the model may lack an effect; to find it: swimid diagnose "
-            f"{trials_format.place(source)}{params} -o gap.yaml; if it lacks none, check units and trial "
-            "settings"
+            "check units and trial settings, or search an effect that the model lacks: swimid diagnose "
+            f"{trials_format.place(source)}{params} -o gap.yaml"
         )
         if explanation is not None:
             hint = explanation.sentence
@@ -392,9 +392,8 @@ def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parame
         cruises = [model.cruise(point, trial) for point in points]
         if all(c is not None and not np.isfinite(c.speed_m_s) for c in cruises):
             raise NoTrustworthyResult(
-                f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
-                hint="without drag nothing slows it down: free a drag coefficient, or use "
-                "--start-state estimate",
+                f"the speed of the model never becomes steady with the gait of '{trial.id}'",
+                hint="the model may have no drag: free a drag coefficient, or use --start-state estimate",
             )
 
 
@@ -543,7 +542,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
     if asked:
         passed = agree == count
     reason = f"only {agree} of {count} starts end in the reported minimum"
-    value = f"{agree} of {count} starts end in it"
+    value = f"{agree} of {count} starts end in the reported minimum"
     return ev.make_check("one minimum", value, passed, "every start", text, reason=reason)
 
 

@@ -85,7 +85,7 @@ def distance(
     -------
     float
         Square root of (minimum sum of squared scaled errors / n). NaN if no sample is left or the simulation
-        broke down.
+        diverged.
 
     >>> late = {"x_m": np.array([0.0, 0.0, 1.0, 2.0, 2.0])}
     >>> distance({"x_m": np.array([0.0, 1.0, 2.0, 2.0, 2.0])}, late, ["x_m"], [0.05], band=0.2)
@@ -189,7 +189,7 @@ class Profiles:
         Returns
         -------
         ndarray, shape (n, m)
-            Distances relative to the scales; NaN if a simulation breaks down.
+            Distances relative to the scales; NaN if a simulation diverges.
         """
         members = self._members(profile)
         runs = iter(self.problem.simulate_points([(self.theta(p), k) for p in points for k in members]))
@@ -311,7 +311,7 @@ def fit_front(
         For a front file that does not belong to these trials, and for a chosen point that is not on the
         front.
     NoTrustworthyResult
-        If the search is interrupted, or if every simulation breaks down.
+        If the search is interrupted, or if every simulation diverges.
     """
     profiles, options = posed.profiles, posed.options
     searches: dict[str, Front] = {}
@@ -375,9 +375,9 @@ def _search(
                     advance=partial(advance, name),
                 )
     except KeyboardInterrupt:
-        kept, hint = "nothing was written", "with -o it can be continued"
+        kept, hint = "nothing was written", "give an output with -o, so that the search can be continued"
         if checkpoint.path:
-            kept, hint = f"{checkpoint.path} keeps them", "the same command goes on from there"
+            kept, hint = f"they are kept in {checkpoint.path}", "run the same command to continue"
         raise Interrupted(
             f"interrupted after {len(done)} of {total} generations; {kept}", hint=hint
         ) from None
@@ -387,7 +387,7 @@ def _search(
 def _join_fronts(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
     """Return the points of all Pareto fronts with their objectives in every motion profile.
 
-    Points at which a simulation breaks down are left out.
+    Points at which a simulation diverges are left out.
     """
     points = np.concatenate([f.points for f in searches.values()])
     owners = [name for name, f in searches.items() for _ in f.points]
@@ -395,11 +395,12 @@ def _join_fronts(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFr
     sound = np.asarray((values < global_search.BROKEN_OBJECTIVE).all(axis=1))
     if not sound.any():
         raise NoTrustworthyResult(
-            "the simulation breaks down at every point of the front",
+            "the simulation diverges at every point of the front",
             hint="check units and trial settings, or narrow the bounds",
         )
     if not sound.all():
-        warn("SWM027", f"{int((~sound).sum())} points of the front break down in another motion profile")
+        text = f"{int((~sound).sum())} points of the front are left out, because their simulation diverges"
+        warn("SWM027", f"{text} in another motion profile: narrow the bounds")
     table = pd.DataFrame(np.hstack([points, values]), columns=[*profiles.labels, *profiles.columns])
     table.insert(0, "profile", owners)
     return _number_points(table[sound])
@@ -425,7 +426,8 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     except FileNotFoundError as error:
         raise InputError("there is no such file", file=path) from error
     except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"is no table: {error}", file=path) from error
+        hint = "give the .front.csv of an earlier fit"
+        raise InputError(f"is no table: {error}", file=path, hint=hint) from error
     expected = [*profiles.labels, *profiles.columns]
     others = {str(column) for column in table.columns} ^ {"index", "profile", *expected}
     if others or table.empty:

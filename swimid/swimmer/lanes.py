@@ -519,7 +519,7 @@ def _write_rates(
 
 
 def _write_check(size: int, blocks: tuple[int, int, int]) -> Program:
-    """Return the program that sets a simulation to NaN if it has broken down.
+    """Return the program that sets a simulation to NaN if it has diverged.
 
     ``blocks`` are the places of the state before the step, of the state after it, and of the rates.
     """

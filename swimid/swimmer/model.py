@@ -513,7 +513,7 @@ class Swimmer(Model, ABC):
         Returns
         -------
         list of (channels, Energetics)
-            If a simulation breaks down, its channels are NaN and its energetics are None.
+            If a simulation diverges, its channels are NaN and its energetics are None.
         """
         asked = [self._arguments(*run, measured=False) for run in runs]
         found: dict[int, tuple[dict[str, Array], Energetics | None]] = {}
@@ -648,7 +648,7 @@ class Swimmer(Model, ABC):
     def _simulate_many(self, runs: Sequence[Request]) -> Iterator[tuple[int, SimulationRequest, Trajectory]]:
         """Simulate trials with effects, and yield the index, the request and the trajectory of each.
 
-        A simulation that breaks down before its first step is left out. Only a few requests are in memory at
+        A simulation that diverges before its first step is left out. Only a few requests are in memory at
         a time, because each of them may have a joint motion of its own.
         """
         for first in range(0, len(runs), MAX_REQUESTS):

@@ -81,7 +81,7 @@ def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
         first = first or frame.shape
         if frame.shape != first:
             here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, first))
-            text = f"is {here} pixels, those before it are {before}"
+            text = f"has {here} pixels, but the pictures before have {before}"
             hint = "all pictures of a film have one size; name them by a pattern (%05d.png)"
             raise InputError(text, file=file, hint=hint)
         yield position, math.nan, np.asarray(frame, np.uint8)

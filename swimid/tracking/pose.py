@@ -500,8 +500,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         segment[start:end] = number
     if not segments:
         raise NoTrustworthyResult(
-            f"the markers are seen together in {int(measured.sum())} frames, never in {MIN_SEGMENT} "
-            f"with gaps of {setup.max_gap_s:g} s or less, which a speed needs",
+            f"the markers are detected together in {int(measured.sum())} frames, but a speed needs "
+            f"{MIN_SEGMENT} such frames without a gap of more than {setup.max_gap_s:g} s",
             hint="raise max_gap_s, or correct hsv and area_px in the setup",
         )
     measured &= segment > 0

@@ -201,7 +201,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> MarkerCandida
             middle = frames.chroma(frame)[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2]
             found.append((area, x, y, fill, np.mean(middle)))
     if len(found) < max(3, 0.05 * count):
-        reason = f"does not move (but for {len(found)} of {count} samples)"
+        reason = f"moves in only {len(found)} of {count} samples"
         return MarkerCandidate(name, hue, colours, reason=reason)
     areas, *place, compact, purity = np.array(found).T
     spread = 1.4826 * float(np.median(np.abs(np.log(areas / np.median(areas)))))
@@ -216,7 +216,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> MarkerCandida
         * min(way / (2.0 * math.sqrt(float(np.median(areas)))), 1.0)
     )
     if score < MIN_SCORE:
-        reason = f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
+        reason = f"is scattered, uneven or hardly moves (score {score:.3f})"
         return MarkerCandidate(name, hue, colours, reason=reason)
     low, high = samples.factor**2 * np.percentile(areas, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))

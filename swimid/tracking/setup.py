@@ -109,6 +109,7 @@ class Setup(Document):
     #: Robot file that states the position of each marker without ``at_m``. The robot file must have a marker
     #: of the same name.
     robot: str | None = None
+    #: Scale; without it positions are in pixels.
     scale: Scale | None = None
     camera: Camera | None = None
     #: Frame rate of the film, Hz. It replaces the time stamps in the container.
@@ -128,7 +129,7 @@ class Setup(Document):
             if chosen is not None and chosen not in names:
                 raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
         if self.tail is not None and self.head in (None, self.tail):
-            raise ValueError(f"tail '{self.tail}' needs another marker as head")
+            raise ValueError(f"tail '{self.tail}' is given without another marker as head")
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
             raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:

@@ -239,7 +239,7 @@ def _checks(count: int, tilt: float, parts: int, rms: float, each: list[float]) 
         ("Pictures", f"{count}", count >= GOOD_PICTURES, f">= {GOOD_PICTURES}", "warn",
          f"only {count} different pictures show the board"),
         ("Parts of the picture", f"{parts} of 16", parts >= MIN_PARTS, f">= {MIN_PARTS}", "warn",
-         f"the board covers {parts} of 16 parts of the picture; the others are not known"),
+         f"the board covers only {parts} of 16 parts of the picture, and the lens is unknown in the others"),
         ("Reprojection error", error, rms <= MAX_ERROR_PX, f"<= {MAX_ERROR_PX:g} px", "warn",
          f"the corners fit no camera within {MAX_ERROR_PX:g} px: {error}"),
     ]  # fmt: skip

@@ -257,7 +257,7 @@ def _from_film(
             hint="pick the markers by hand: --marker name@x,y with --frame",
         )
     names, first = _choose_names(run, scores, reasons)
-    weaker = f"less like a marker than {first}"
+    weaker = f"has a lower score than {first}"
     left = {name: c for name, c in tried.items() if name not in names}
     rejected += [replace(c, reason=reasons[name] or weaker) for name, c in left.items()]
     rejected += [replace(c, reason=weaker) for c in found[MAX_TRIALS:]]
@@ -297,10 +297,10 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
     for name in scores:
         change = changes.get((first, name), changes.get((name, first), 0.0))
         if change is None:
-            reasons[name] = f"is hardly seen together with {first}"
+            reasons[name] = f"is rarely detected together with {first}"
         elif change > limits[0]:
             text = f"its distance to {first} changes by {100 * change:.1f} %"
-            reasons[name] = f"{text}: they are on no rigid part"
+            reasons[name] = f"{text}: the two are not on one rigid part"
     if len(names) > 1 and (run.track.head_first(*names) or 0.0) < 0.5:
         names.reverse()
     return names, first

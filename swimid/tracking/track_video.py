@@ -294,8 +294,8 @@ def _demand_markers(run: FilmTrack) -> None:
     """Raise an error if a marker that the pose needs is found too rarely."""
     track, total = run.track, len(run.track.times)
     if total < 2:
-        hint = "is it a picture? Name its folder, or a pattern as %05d.png"
-        raise InputError(f"has {total} frame; a track needs several", hint=hint)
+        hint = "for a series of pictures name the folder, or a pattern such as %05d.png"
+        raise InputError(f"has {total} frame; at least 2 are needed", hint=hint)
     for name in run.setup.roles:
         row = track.row(name)
         count, cut = int(track.is_whole[row].sum()), int(track.at_edge[row].sum())
@@ -305,7 +305,7 @@ def _demand_markers(run: FilmTrack) -> None:
         if count:
             text = f"in {count} of {total} frames only"
         if cut:
-            text += f" (in {cut} the edge of the picture cuts it)"
+            text += f" (in {cut} frames the edge of the picture cuts the marker)"
         raise NoTrustworthyResult(
             f"marker '{name}' was found {text}, which is too few for a track. "
             f"{frames.describe_colours(list(run.kept.values()))}",
@@ -472,7 +472,7 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
     bridged, empty = int((pose.is_interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
     reason = (
-        f"{total - count} of {total} frames show no marker (not all of them, or not whole): {bridged} are "
+        f"{total - count} of {total} frames do not show all markers whole: {bridged} of these frames are "
         f"bridged and flagged interpolated, {empty} are empty"
     )
     if count < total:
@@ -482,15 +482,15 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     yield _judge("", "Frames found", value, ">= 95 %", passed, reason, fails=fails)
     reasons = []
     if t[first] - t[0] > setup.max_gap_s:
-        before = "cut by the edge of the picture before" if enters else "nothing of it before"
+        before = "cut by the edge of the picture before" if enters else "not detected before"
         place = f"frame {first}, at {track.x[head, first]:.0f}, {track.y[head, first]:.0f} px"
-        reasons.append(f"first seen at {t[first]:.2f} s ({place}; {before})")
+        reasons.append(f"the markers are first detected at {t[first]:.2f} s ({place}; {before})")
     if t[-1] - t[last] > setup.max_gap_s:
-        after = "then it left the picture" if leaves else "then it is lost for good"
+        after = "then they left the picture" if leaves else "not detected afterwards"
         place = f"frame {last}, at {track.x[head, last]:.0f}, {track.y[head, last]:.0f} px"
-        reasons.append(f"last seen at {t[last]:.2f} s of {t[-1]:.2f} s ({place}; {after})")
+        reasons.append(f"the markers are last detected at {t[last]:.2f} of {t[-1]:.2f} s ({place}; {after})")
     value, limit = f"{t[first]:.2f} s and {t[last]:.2f} s", f"within {setup.max_gap_s:g} s of the ends"
-    yield _judge("SWM065", "First and last sight", value, limit, not reasons, "; ".join(reasons))
+    yield _judge("SWM065", "First and last detection", value, limit, not reasons, "; ".join(reasons))
     longest, segments = max((end - start for start, end in pose.gaps), default=0.0), int(pose.segment.max())
     reason = f"the track has {segments} segments: gaps over max_gap_s = {setup.max_gap_s:g} s are left empty"
     limit = f"<= {setup.max_gap_s:g} s"
@@ -512,7 +512,7 @@ def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
     extent = f"{away:.2g} px of one place, {radii:.2g} of its radius"
     reason = f"marker '{name}' stays within {extent}"
     if still:
-        reason += ", which is its noise"
+        reason += ", which is not above the noise"
     reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
     turns = swum is not None and "turn" in swum.amplitudes and not swum.stroke.doubt
@@ -543,7 +543,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
     yield _grade("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
     still = [n for n in shares if shares[n] > 0 and track.measure_range(n)[1] < frames.MIN_RADII]
-    reason = f"{', '.join(still)}: within one radius of one place, maybe another object of the same colour"
+    reason = f"{', '.join(still)} stayed within one radius of one position: another object of this colour?"
     value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {frames.MIN_RADII:g} radius"
     yield _judge("SWM067", "Other markers move", value, limit, not still, reason)
 
@@ -645,7 +645,7 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
     innovations = [one.innovation for one in (pose.path, pose.angle) if one is not None]
     far = np.nanmax(np.abs(np.concatenate(innovations)), axis=0, initial=0.0) > JUMP_SIGMA
     count, limit = int(far.sum()), f"0 beyond {JUMP_SIGMA:g} sigma"
-    reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: is it the marker?"
+    reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: check the overlay there"
     yield _grade("", "Jumps", f"{count} frames", limit, count / measured, (0.0, 0.02), reason)
 
 

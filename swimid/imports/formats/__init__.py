@@ -31,7 +31,7 @@ def formats() -> dict[str, Format]:
 
 
 def find_format(path: Path, name: str | None) -> Format:
-    """Return the file format of a given name, or, without a name, the one that fits a file's content.
+    """Return the file format of a given name, or, without a name, the format that fits a file's content.
 
     Without a name, the format is the profile that recognises the content of the file. If there is none, the
     first bytes and then the ending of the file determine the format. If the name is None, no profile is

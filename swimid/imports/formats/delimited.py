@@ -274,7 +274,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _decimal(table: list[list[str]], delimiter: str) -> str:
-    """Return the decimal mark of a file. Commas that may separate groups of digits show none."""
+    """Return the decimal mark of a file. A comma that may separate groups of digits is no decimal mark."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
     dots = sum(parse_number(cell) is not None and "." in cell for cell in cells)

@@ -44,7 +44,7 @@ def _read_trackpy(path: Path, options: ReaderOptions, select: str | None) -> For
         raise InputError("is no table of trackpy", file=path, hint=hint)
     particle = table.columns["particle"].astype(float)
     numbers, counts = np.unique(particle[np.isfinite(particle)], return_counts=True)
-    # List the longest tracks first, because a table holds many short ones.
+    # List the longest tracks first, because a table holds many short tracks.
     names = [f"{numbers[k]:.0f}" for k in np.argsort(-counts, kind="stable")]
     table = rows(table, particle == float(choose(select, names, "particle", path)))
     order = np.argsort(table.columns["frame"], kind="stable")

@@ -119,9 +119,9 @@ class PlanarTree(Tree):
         far = np.where(powers > 0, MAX_EXTENT * span**powers, np.inf)
         sound = (np.abs(numbers) < MAX_QUANTITY) & (np.abs(numbers) <= far) & ~(one_sign & (numbers < 0))
         for k in np.flatnonzero(~sound)[:1]:
-            text, hint = f"{numbers[k]:g} is negative; it must not be", None
+            text, hint = f"{numbers[k]:g} is negative; it must be zero or positive", None
             if not abs(numbers[k]) < MAX_QUANTITY:
-                text = f"{numbers[k]:g} is out of all proportion"
+                text = f"{numbers[k]:g} is too large; it must be below {MAX_QUANTITY:g} in magnitude"
             elif abs(numbers[k]) > far[k]:
                 unit, small = {1: ("m", "mm"), 2: ("m2", "cm2")}[powers[k]]
                 text = f"{numbers[k]:g} {unit} is out of proportion to a robot {span:g} m long"

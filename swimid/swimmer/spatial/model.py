@@ -336,6 +336,6 @@ class MultibodyModel(Swimmer):
 
 
 def _sound(quaternions: Array) -> Array:
-    """Return quaternions in which the NaN rows of a simulation that broke down are the identity."""
+    """Return quaternions in which the NaN rows of a simulation that diverged are the identity."""
     broken = ~np.isfinite(quaternions).all(axis=1, keepdims=True)
     return np.where(broken, [0.0, 0.0, 0.0, 1.0], quaternions)
