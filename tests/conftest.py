@@ -20,7 +20,7 @@ for _library in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "sample_logs"
@@ -52,18 +52,29 @@ class Ran:
         return json.loads(self.out)
 
 
-@pytest.fixture
-def swimid() -> Callable[..., Ran]:
-    """Run the command line in this process: ``swimid("fit-drag", path, "-o", out)``."""
+def command(*words: str | Path) -> Ran:
+    """Run the command line in this process: ``command("fit-drag", path, "-o", out)``."""
     from swimid.cli.main import main
 
-    def run(*words: str | Path) -> Ran:
-        result = CliRunner().invoke(main, [str(w) for w in words], prog_name="swimid")
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        return Ran(result.exit_code, result.stdout, result.stderr)
+    result = CliRunner().invoke(main, [str(w) for w in words], prog_name="swimid")
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return Ran(result.exit_code, result.stdout, result.stderr)
 
-    return run
+
+def track(*words: Any, status: int = 0) -> Result:
+    """Run ``swimid track``, which must end with a status."""
+    from swimid.cli.main import track_group
+
+    result = CliRunner().invoke(track_group, [str(w) for w in words])
+    assert result.exit_code == status, result.output
+    return result
+
+
+@pytest.fixture
+def swimid() -> Callable[..., Ran]:
+    """Return `command`."""
+    return command
 
 
 @pytest.fixture

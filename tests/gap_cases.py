@@ -155,10 +155,7 @@ CURRENT = replace(
     sources=[],
     probability=0.81,
     equivalent=["tether", "linear-drag"],
-    parameters={
-        "east_m_s": number(0.012, 0.002, "m/s"),
-        "north_m_s": number(-0.1, None, "m/s", "at-bound"),
-    },
+    parameters={"east_m_s": number(0.012, 0.002, "m/s"), "north_m_s": number(-0.1, None, "m/s", "at-bound")},
     gain=812.0,
     gain_stderr=150.0,
 )
@@ -205,12 +202,7 @@ def _scores(first: str = "servo-backlash") -> list[EffectRow]:
         replace(s, gain=3062.4, stderr=410.0, probability=0.94) if s.effect == first else s for s in scores
     ]
     weak = EffectRow(
-        effect="wall",
-        stage="environment",
-        variant="+x",
-        gain=None,
-        absorbed=0.97,
-        probability=0.0,
+        effect="wall", stage="environment", variant="+x", gain=None, absorbed=0.97, probability=0.0
     )
     return [weak, *scores]
 
@@ -271,7 +263,7 @@ EXPLAINED = GapFile(
             separates=["servo-backlash", "amplitude-loss"],
             difference=41.0,
             now=12.0,
-        ),
+        )
     ],
     model="multilink",
     robot="tfish",
@@ -402,12 +394,7 @@ PARTIAL = replace(
         EXPLAINED.waterfall[-1],
     ],
     closed=Closed(
-        before=54.0,
-        refitted=17.0,
-        after=7.4,
-        share=46.6 / 53.0,
-        by_refit=37.0 / 53.0,
-        by_causes=9.6 / 16.0,
+        before=54.0, refitted=17.0, after=7.4, share=46.6 / 53.0, by_refit=37.0 / 53.0, by_causes=9.6 / 16.0
     ),
     remaining=_remaining(0.4, "yaw moment", False),
     facts=facts("servo-backlash", outside=0.6, after=740.0),

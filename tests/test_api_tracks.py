@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -147,33 +146,11 @@ def test_a_setup_may_be_a_dictionary(film: tuple[Path, Path], tmp_path: Path) ->
         track_video(video, setup=keys | {"markrs": []})
 
 
-@pytest.mark.slow
-def test_a_wrong_scale_is_told_of_the_film(film: tuple[Path, Path], swimid: Run, tmp_path: Path) -> None:
-    """Speeds that no swimmer reaches are warned of, with the film and the column."""
-    video, setup = film
-    keys = yamlio.plain(yamlio.load(setup)) | {"scale": {"metres_per_pixel": 1.0}}
-    yamlio.write(tmp_path / "setup.yaml", keys)
-    path = tmp_path / "run.csv"
-    assert swimid("track", "video", video, "--setup", tmp_path / "setup.yaml", "-o", path).status == 0
-    assert f"{video.name}, 'u_m_s': " in ev.sidecar(path).read_text()
-    made = track_video(video, setup=keys)
-    assert made.verdict == "caution"
-    saved_alike(made, path, tmp_path / "saved")
-
-
 def test_an_overlay_is_written_without_a_log(film: tuple[Path, Path], tmp_path: Path) -> None:
     video, setup = film
     made = track_video(video, setup=setup, overlay_path=tmp_path / "overlay.mp4")
     assert [p.name for p in made.outputs] == ["overlay.mp4"]
     assert [p.name for p in tmp_path.glob("*.*")] == ["overlay.mp4"]
-
-
-def test_a_track_has_figures_and_a_title(film: tuple[Path, Path]) -> None:
-    made = track_video(film[0], setup=film[1])
-    assert made.figure_names == list(made.figures()) == ["path", "pose", "speed"]
-    assert made.content().title == "Track of pool.mp4"
-    assert made.pose is not None
-    assert made.pose.raw.shape == (2, len(made.log))
 
 
 def test_a_saved_track_is_read_back(film: tuple[Path, Path], tmp_path: Path) -> None:
@@ -362,13 +339,6 @@ def test_figures_are_written_on_request(
         plot([])
 
 
-def test_two_sensors_over_each_other(vehicle: tuple[pd.DataFrame, pd.DataFrame]) -> None:
-    readings, seen = vehicle
-    drawn = plot([Log.from_frame(readings, name="imu"), Log.from_frame(seen, name="camera")])
-    assert drawn.data["logs"] == ["imu", "camera"]
-    assert drawn.summary().startswith("imu: ")
-
-
 # ---------------------------------------------------------------- tables
 
 
@@ -403,12 +373,3 @@ def test_the_digest_is_that_of_the_samples() -> None:
     assert found.digest() != Log.from_frame(good.assign(x_m=[0.0, np.nan, 2.5])).digest()
     assert found.digest() != Log.from_frame(good.rename(columns={"x_m": "y_m"})).digest()
     assert provenance.digests_of([found]) == {"trial": found.digest()}
-
-
-@pytest.mark.parametrize("verb", [track_video, track_setup, track_imu, import_log, guess_mapping, plot])
-def test_every_parameter_is_documented(verb: Callable[..., Any]) -> None:
-    told = inspect.getdoc(verb) or ""
-    for part in ("Parameters", "Returns", "Raises", "Examples"):
-        assert f"{part}\n{'-' * len(part)}" in told, part
-    for name in inspect.signature(verb).parameters:
-        assert name in told, name

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -339,13 +337,6 @@ def test_two_groups_with_one_file_need_names(lab: Path, swimid: Run) -> None:
     assert {entry["id"] for entry in ran.json["result"]["items"]} >= {"a_logs_log0.csv", "b_logs_log0.csv"}
 
 
-@pytest.mark.slow
-def test_a_long_file_name_makes_a_short_folder(lab: Path, swimid: Run) -> None:
-    shutil.copy(lab / "logs/log0.csv", lab / "logs" / f"{'x' * 240}.csv")
-    ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--json")
-    assert list(states(ran).values()).count("done") == 3
-
-
 def test_a_folder_of_others_is_not_a_run(lab: Path, swimid: Run) -> None:
     ran = swimid("batch", lab / "plan.yaml", "-o", lab / "logs")
     assert ran.status == 2
@@ -373,33 +364,6 @@ def test_shards_do_all_items(lab: Path, swimid: Run) -> None:
     assert swimid("batch", lab / "plan.yaml", "-o", lab / "new", "--collect").status == 4
     table = pd.read_csv(lab / "new/summary.csv", comment="#")
     assert sorted(table.state) == ["done", "done", "refused"]
-
-
-@pytest.mark.slow
-def test_an_item_of_another_process_is_left_to_it(lab: Path, swimid: Run) -> None:
-    folder = lab / "run/items/logs_log0.csv"
-    (folder / "status.json").unlink()
-    before = {path.name for path in folder.iterdir()}
-    holder = (
-        "import sys, time; from pathlib import Path; from swimid.files import atomic\n"
-        f"with atomic.hold_lock(Path({str(folder / 'status.json')!r})):\n"
-        "    print('locked', flush=True); time.sleep(60)\n"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", holder], stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
-    try:
-        assert process.stdout is not None
-        process.stdout.readline()
-        ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--json")
-        assert {path.name for path in folder.iterdir()} - {"status.json.lock"} == before
-    finally:
-        process.kill()
-        process.wait()
-    assert states(ran)["logs_log0.csv"] == "busy"
-    assert ran.status == 4
-    ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--json")
-    assert states(ran)["logs_log0.csv"] == "done"
 
 
 @pytest.mark.slow

@@ -70,10 +70,7 @@ def test_a_step_of_another_kind_is_refused(lab: Path, swimid: Run, step: str) ->
     assert "a step is a command" in ran.err
 
 
-@pytest.mark.parametrize(
-    "limits",
-    ["time_s: 1e18", "time_s: .inf", "time_s: .nan", "time_s: -1"],
-)
+@pytest.mark.parametrize("limits", ["time_s: 1e18", "time_s: .inf", "time_s: .nan", "time_s: -1"])
 def test_limits_are_bounded(lab: Path, swimid: Run, limits: str) -> None:
     ran = planned(swimid, f"limits: {{{limits}}}\n" + PLAN % "logs/*.csv", "--dry-run")
     assert ran.status == 3

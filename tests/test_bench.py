@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from swimid.results import parameters
 from swimid.swimmer.trials import robot_model
+from tests.generators.files import write_log, write_trials
 
 #: Mass (kg), distance of its centre from the axis (m) and central inertia (kg m2) of the plate.
 MASS, CENTRE, INERTIA = 0.12, 0.05, 1.0e-4
@@ -86,7 +87,7 @@ def write(
     folder: Path, rng: np.random.Generator, frequencies: tuple[float, ...], *, added: float = ADDED
 ) -> Path:
     (folder / "plate.yaml").write_text(ROBOT)
-    rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: plate.yaml", "trials:"]
+    rows = []
     time = np.arange(0.0, 4.0, 0.005)
     for k, frequency in enumerate(frequencies):
         omega, size = 2.0 * np.pi * frequency, np.radians(22.0)
@@ -109,13 +110,11 @@ def write(
             force + offset + drift * time + rng.normal(0.0, sd, len(time))
             for force, offset, drift, sd in zip(seen, offsets, drifts, noise, strict=True)
         ]
-        table = np.column_stack([time, *seen])
-        header = "t_s,force_x_N,force_y_N,torque_yaw_N_m"
-        np.savetxt(folder / f"run{k}.csv", table, delimiter=",", header=header, comments="", fmt="%.7g")
+        names = ("t_s", "force_x_N", "force_y_N", "torque_yaw_N_m")
+        write_log(folder / f"run{k}.csv", dict(zip(names, (time, *seen), strict=True)), "%.7g")
         beat = f"waveform: sine, frequency_hz: {frequency}, amplitude_deg: 22, ramp_s: 1"
-        rows.append(f"  - {{log: run{k}.csv, drive: {{{beat}}}}}")
-    (folder / "trials.yaml").write_text("\n".join(rows) + "\n")
-    return folder / "trials.yaml"
+        rows.append(f"log: run{k}.csv, drive: {{{beat}}}")
+    return write_trials(folder / "trials.yaml", "free-swim", "plate.yaml", rows)
 
 
 def test_reaction_is_that_of_the_closed_form(tmp_path):
@@ -201,11 +200,9 @@ def test_static_law_of_a_thruster(swimid, tmp_path):
     speed = rng.uniform(-3.0, 3.0, 120)
     size = 0.8 * np.clip(np.abs(speed) - 0.3, 0.0, None) ** 1.9
     force = np.where(speed < 0.0, -0.7 * size, size) + rng.normal(0.0, 0.02, len(speed))
-    table = np.column_stack([np.arange(len(speed)), speed, force])
-    np.savetxt(tmp_path / "bench.csv", table, delimiter=",", header="t_s,speed_1,force_x_N", comments="")
-    rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: thruster.yaml", "trials:"]
-    (tmp_path / "trials.yaml").write_text(
-        "\n".join([*rows, "  - {log: bench.csv, start_state: rest}"]) + "\n"
+    write_log(tmp_path / "bench.csv", {"t_s": np.arange(len(speed)), "speed_1": speed, "force_x_N": force})
+    write_trials(
+        tmp_path / "trials.yaml", "free-swim", "thruster.yaml", ["log: bench.csv, start_state: rest"]
     )
 
     ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "law.yaml")

@@ -37,6 +37,14 @@ def parameters(folder: Path, other: Mapping[str, float] | None = None, /, **stde
     return folder / "p.yaml"
 
 
+def applied_to(path: Path) -> Applied:
+    """Return the model with the values and errors of a parameter file."""
+    given = package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
+    found = Performance.of_options(given).applied
+    assert isinstance(found, Applied)
+    return found
+
+
 class TestDescent:
     @pytest.mark.parametrize("seed", range(5))
     def test_quadratic_bowls(self, seed: int) -> None:
@@ -130,11 +138,7 @@ def test_draws_have_the_covariance(tmp_path: Path) -> None:
     path = parameters(tmp_path, c_d1=0.3, c_f0=0.039)
     text = path.read_text() + "correlation: {names: [c_d1, c_f0], matrix: [[1.0, 0.6], [0.6, 1.0]]}\n"
     path.write_text(text)
-    performance = Performance.of_options(
-        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
-    )
-    applied = performance.applied
-    assert isinstance(applied, Applied)
+    applied = applied_to(path)
     vectors, inside = draw_parameters(applied, 4000, 1)
     table = np.array(vectors)
     drag, friction = (table[:, applied.model.index(n)] for n in ("c_d1", "c_f0"))
@@ -153,11 +157,7 @@ def test_draws_of_coefficients_with_large_errors(tmp_path: Path) -> None:
     path.write_text(
         path.read_text() + "correlation: {names: [c_d1, c_f0], matrix: [[1.0, 0.6], [0.6, 1.0]]}\n"
     )
-    performance = Performance.of_options(
-        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
-    )
-    applied = performance.applied
-    assert isinstance(applied, Applied)
+    applied = applied_to(path)
     vectors, inside = draw_parameters(applied, 400, 1)
     assert inside < 0.5
     model, table = applied.model, np.array(vectors)
@@ -177,22 +177,16 @@ def test_draws_of_coefficients_with_large_errors(tmp_path: Path) -> None:
 def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
     """Two estimates are at their lower bounds and one at its upper, so that few draws are inside."""
     path = parameters(tmp_path, c_f0=0.004, c_f1=0.004, c_f2=0.004)
-    performance = Performance.of_options(
-        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
-    )
-    assert isinstance(performance.applied, Applied)
-    names, known = ("c_f0", "c_f1", "c_f2"), {p.name: p for p in performance.applied.model.parameters}
+    applied = applied_to(path)
+    names, known = ("c_f0", "c_f1", "c_f2"), {p.name: p for p in applied.model.parameters}
     corner = {"c_f0": known["c_f0"].lower, "c_f1": known["c_f1"].lower, "c_f2": known["c_f2"].upper}
     path = parameters(tmp_path, corner, c_f0=0.004, c_f1=0.004, c_f2=0.004)
     matrix = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
     path.write_text(path.read_text() + f"correlation: {{names: [{', '.join(names)}], matrix: {matrix}}}\n")
-    performance = Performance.of_options(
-        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
-    )
-    assert isinstance(performance.applied, Applied)
-    vectors, inside = draw_parameters(performance.applied, 400, 2)
+    applied = applied_to(path)
+    vectors, inside = draw_parameters(applied, 400, 2)
     assert inside < 0.05
-    model = performance.applied.model
+    model = applied.model
     away = np.array(vectors)[:, [model.index(name) for name in names]] - np.array(list(corner.values()))
     # the density on a grid of six standard deviations into the corner
     steps = np.linspace(0.0, 6.0, 121)
@@ -207,14 +201,9 @@ def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
 
 def test_impossible_coefficients_cannot_be_drawn(tmp_path: Path) -> None:
     """The estimate is far beyond its upper bound."""
-    performance = Performance.of_options(
-        package.optimise_gait.options.of(
-            {"params": parameters(tmp_path, {"c_f0": 50.0}, c_f0=0.001), "vary": {"K_s": (0.1, 1.0)}}
-        )
-    )
-    assert isinstance(performance.applied, Applied)
+    applied = applied_to(parameters(tmp_path, {"c_f0": 50.0}, c_f0=0.001))
     with pytest.raises(NoTrustworthyResult, match="hardly a draw"):
-        draw_parameters(performance.applied, 20, 1)
+        draw_parameters(applied, 20, 1)
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,18 +9,15 @@ import numpy as np
 import pytest
 
 from swimid.fitting.fit_common import load_experiment
-from swimid.results import parameters as parameter_format
 from tests.generators import swimmer
 from validation.blind import swim_actuation as actuation
-from validation.blind import swim_body, swim_gap, swimmers
+from validation.blind import swim_body, swimmers
 from validation.blind.swim_case import Act, Trial
 from validation.blind.swim_tables import Water
 
 #: They test the generators of blind cases, not the package.
 pytestmark = pytest.mark.slow
 
-#: Of a case that comes with an earlier calibration.
-SEED_WITH_PRIOR = 5
 ROBOTS = ("tfish", "dolphin")
 DRIVE = {
     "tfish": {"frequency_hz": 1.4, "amplitude_deg": 25.0, "bias_deg": 8.0},
@@ -57,15 +53,6 @@ def joints(kind: str, t: np.ndarray) -> np.ndarray:
     return actuation.command(DRIVE[kind], robot.gain, t)
 
 
-def test_nothing_comes_from_the_package_under_test() -> None:
-    for path in (Path(__file__).parent / "blind").glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            assert not any(name.split(".")[0] == "swimid" for name in names), path
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ROBOTS)
 def test_agrees_with_the_adaptive_generator(kind: str) -> None:
@@ -79,26 +66,6 @@ def test_agrees_with_the_adaptive_generator(kind: str) -> None:
         np.testing.assert_allclose(poses[::10, column], known[name], atol=2e-6)
     last = f"joint{angles.shape[1]}_rad"
     np.testing.assert_allclose(angles[::10, -1], known[last], atol=2e-5)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ROBOTS)
-def test_steps_are_short_enough(kind: str) -> None:
-    fine, coarse = (swimmers.swim(trial(kind), {}, step_s=h) for h in (0.001, 0.002))
-    assert furthest(fine, coarse) < 2e-5
-
-
-@pytest.mark.slow
-def test_without_water_momentum_stays() -> None:
-    body = swim_body.of("tfish", {})
-    body.along, body.across = 0.0 * body.along, 0.0 * body.across
-    t = np.arange(1001) * 0.001
-    table = np.ascontiguousarray(joints("tfish", t).transpose(2, 0, 1))
-    poses, angles = swim_body.run(body, Water(), table, 0.002, (0.0, 0.0, 0.0))
-    turned = poses[:, 2:3] + np.concatenate([np.zeros((len(poses), 1)), np.cumsum(angles, axis=1)], axis=1)
-    chain = body.chain()
-    centre = poses[:, 0] + 1j * poses[:, 1] - np.exp(1j * turned) @ chain.moment / chain.mass
-    assert np.abs(centre - centre[0]).max() < 1e-8
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -138,25 +105,6 @@ def _broken(act: Act, index: int, channels: dict[str, np.ndarray]) -> bool:
     return any(not np.array_equal(after[name], log[name], equal_nan=True) for name in names)
 
 
-def test_a_second_order_servo_lags_as_it_says() -> None:
-    t = np.arange(8001) * 0.001
-    ramp = np.array([t, np.ones_like(t), np.zeros_like(t)])[:, None, :]
-    lagged = actuation.second_order(t, ramp, 20.0, 0.9)
-    assert ramp[0, 0, -1] - lagged[0, 0, -1] == pytest.approx(2 * 0.9 / 20.0, rel=1e-6)
-    held = actuation.delayed(t, ramp, 0.05)
-    assert ramp[0, 0, -1] - held[0, 0, 4000:].mean() - (t[-1] - t[4000:].mean()) == pytest.approx(
-        0.05, abs=2e-3
-    )
-
-
-def test_the_play_is_as_wide_as_it_says() -> None:
-    t = np.arange(20001) * 0.0005
-    wave = np.array([np.sin(t), np.cos(t), -np.sin(t)])
-    angle = actuation.follow_with_play(wave, t[1], 0.05, 0.3)[0]
-    assert np.abs(wave[0] - angle).max() == pytest.approx(0.05, rel=1e-2)
-    assert angle[t > 3].max() == pytest.approx(0.95, rel=5e-3)
-
-
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.usefixtures("brief")
 def test_a_case_is_read_and_its_clean_channels_are_the_models(robot: str, tmp_path: Path) -> None:
@@ -177,68 +125,3 @@ def test_a_case_is_read_and_its_clean_channels_are_the_models(robot: str, tmp_pa
         seen = model.simulate(values, one)
         for name in label["channels"][:3]:
             assert np.abs(seen[name] - clean[name]).max() < 0.3 * label["noise_sd"][name]
-
-
-@pytest.mark.usefixtures("brief")
-def test_a_pair_has_both_and_a_prior_is_read(tmp_path: Path) -> None:
-    folder, rng = tmp_path, np.random.default_rng(SEED_WITH_PRIOR)
-    label = swimmers.make_case(folder, robot="tfish", effect=("current", "imu-bias"), size=0.5, rng=rng)
-    assert "yaw_rate_rad_s" in label["channels"]
-    assert label["stages"] == ["environment", "sensing"]
-    prior = parameter_format.read(folder / "params_prior.yaml", model="multilink")
-    assert prior.robot == "tfish"
-    for name, value in label["coefficients"].items():
-        assert prior.value(name) == pytest.approx(value, rel=0.35)
-    text = "".join(path.read_text(encoding="utf-8") for path in folder.iterdir())
-    assert "current" not in text
-    assert "bias:" not in text
-
-
-@pytest.mark.usefixtures("brief")
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_a_changed_spring_stands_in_the_file_as_it_was(robot: str, tmp_path: Path, brief: None) -> None:
-    spring, published, _, _ = swimmers.SPRING[robot]
-    label = swimmers.make_case(
-        tmp_path, robot=robot, effect=f"parameter:{spring}", size=-0.2, rng=np.random.default_rng(4)
-    )
-    file = parameter_format.read(tmp_path / "params_prior.yaml")
-    estimate = file.parameters[spring]
-    assert abs(estimate.value - published) < 4.0 * estimate.stderr
-    assert file.correlation is not None
-    assert file.correlation.names == [*swimmers.FITTED[robot], spring]
-    assert label["factors"] == {spring: pytest.approx(0.8)}
-    softer = {**label["coefficients"], spring: 0.8 * published}
-    trial = label["trials"][0]
-    assert furthest(label["with"][trial.id], swimmers.swim(trial, softer)) == 0.0
-    found = swim_gap.refit_gap(label)
-    assert found["noncentrality"] > 25.0
-    assert set(found["singles"]) == {f"parameter:{name}" for name in swimmers.FITTED[robot]}
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_the_noise_free_data_exclude_each_effect_of_a_visible_pair(
-    robot: str, tmp_path: Path, brief: None
-) -> None:
-    pair = ("camera-scale", "joint-stiffness")
-    label = swimmers.make_case(tmp_path, robot=robot, effect=pair, size=3.0, rng=np.random.default_rng(4))
-    left = swim_gap.refit_gap(label)["singles"]
-    assert set(pair) <= set(left)
-    assert 0.0 < min(left.values()) < swim_gap.refit_gap(label)["noncentrality"]
-
-
-def test_the_same_seed_makes_the_same_case(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        rng = np.random.default_rng(3)
-        swimmers.make_case(tmp_path / name, robot="dolphin", effect="waves", size=1.0, rng=rng)
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
-
-
-@pytest.mark.usefixtures("brief")
-def test_a_change_that_the_nominal_model_imitates_is_no_gap(tmp_path: Path) -> None:
-    label = swimmers.make_case(tmp_path, robot="dolphin", effect=None, size=1.0, rng=np.random.default_rng(5))
-    other = {k: v * 1.02 for k, v in label["coefficients"].items()}
-    moved = {t.id: swimmers.swim(t, other) for t in label["trials"]}
-    left = swim_gap.Refit(label).left(moved, label["without"])
-    assert left["raw"] > 50.0
-    assert left["noncentrality"] < 5.0

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from swimid.diagnosis.posterior import Candidate, DataSize, PosteriorConstants
+from swimid.diagnosis.posterior import Candidate, PosteriorConstants
 from validation import calibrate
-
-RECORD = DataSize(1000.0, 3, 20)
 
 
 def _rows(null: float, **deviances: float) -> list[Candidate]:
@@ -20,24 +18,6 @@ def _rows(null: float, **deviances: float) -> list[Candidate]:
         return Candidate(names=names, deviances=np.full(5, deviance / 5), numbers=len(names))
 
     return [made(frozenset(), null), *(made(frozenset(n.split("_")), d) for n, d in deviances.items())]
-
-
-def test_a_single_effect_is_judged_once_more_without_it() -> None:
-    seen, hidden = calibrate.truths(_rows(5000.0, lag=1000.0, delay=3000.0), "single", ["lag"], RECORD)
-    assert (seen.true, hidden.true) == ((frozenset({"lag"}),), ())
-    assert [c.names for c in hidden.candidates] == [frozenset({"delay"})]
-
-
-def test_without_a_twin_it_would_still_be_explained() -> None:
-    (only,) = calibrate.truths(_rows(5000.0, lag=1000.0, delay=1005.0), "single", ["lag"], RECORD)
-    assert only.true == (frozenset({"lag"}),)
-
-
-def test_what_cannot_be_seen_may_as_well_be_none() -> None:
-    (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], RECORD)
-    assert only.small
-    known = PosteriorConstants(7.0, 0.1, -2.0)
-    assert only.probability(known) > 0.5
 
 
 @pytest.mark.slow
@@ -85,9 +65,3 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
     assert likelihood(known) > likelihood(start) + 5.0
     assert all(case.probability(known) > 0.5 for case in cases)
     assert sum(count for *_, count in calibrate.bins(cases, known)) == len(cases)
-
-
-@pytest.mark.parametrize("kind, true", [("clean", (frozenset(),)), ("outside", ())])
-def test_other_truths(kind: str, true: tuple[frozenset[str], ...]) -> None:
-    (only,) = calibrate.truths(_rows(5000.0, lag=4000.0), kind, [], RECORD)
-    assert only.true == true

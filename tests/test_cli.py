@@ -26,7 +26,7 @@ from swimid.commands import COMMAND_SPECS, TABLE
 from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
 from swimid.results.result import Result, list_result_formats
-from tests.conftest import ROOT, SAMPLES, Ran
+from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
 
@@ -115,18 +115,6 @@ def test_debug_shows_where(swimid: Run) -> None:
     assert "Traceback" in swimid("fit-drag", "absent.yaml", "--debug").err
 
 
-def test_results_of_others_are_not_overwritten(swimid: Run, samples: Path, tmp_path: Path) -> None:
-    out = tmp_path / "drag.yaml"
-    out.write_text("my own notes\n")
-    ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out)
-    assert ran.status == 2
-    assert "not written by swimid" in ran.err
-    assert out.read_text() == "my own notes\n"
-    assert swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out, "--force").status == 0
-    # its own result may be replaced by a rerun
-    assert swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out).status == 0
-
-
 def test_a_bug_is_reported_as_one(swimid: Run, samples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a / b")
@@ -213,15 +201,6 @@ def test_doctor(swimid: Run, tmp_path: Path) -> None:
     assert list(ran.json["result"]["packages"]) == plain
 
 
-def test_unwritable_and_unreadable(swimid: Run, samples: Path, tmp_path: Path) -> None:
-    ran = swimid("fit-drag", tmp_path)
-    assert ran.status == 3
-    assert "is a folder; a file is needed here" in ran.err
-    ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", tmp_path)
-    assert ran.status == 2
-    assert "is a folder" in ran.err
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
 def test_full_disk(swimid: Run, samples: Path) -> None:
     ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", "/dev/full")
@@ -292,33 +271,6 @@ class TestTerminal:
         for quiet in (["-q"], ["--json"], []):
             words = [*quiet, "-o", str(out)] if quiet else []
             assert "next:" not in swimid("fit-drag", trials, *words).stderr
-
-
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """The lines that the quick commands of ``make demo`` print, by command."""
-    out = tmp_path_factory.mktemp("demo")
-    recipe = (ROOT / "Makefile").read_text().split("\ndemo:")[1].split("\n\n")[0]
-    recipe = recipe.replace("\\\n", " ").replace("$(SAMPLES)", str(SAMPLES))
-    recipe = recipe.replace("$(OUT)/tfish.yaml", str(SAMPLES / "gap" / "params.yaml"))
-    printed = {}
-    for line in re.findall(r"^\t\$\(BIN\)/swimid (.*)$", recipe.replace("$(OUT)", str(out)), re.M):
-        words = [word for word in shlex.split(line) if word not in (f"{out}/gap.yaml", f"{out}/run.csv")]
-        if words[0] not in ("fit-graybox", "diagnose", "track"):
-            ran = CliRunner().invoke(main, words, prog_name="swimid")
-            assert ran.exit_code == 0, ran.stderr
-            printed[words[0]] = [*ran.stdout.splitlines(), *ran.stderr.splitlines()]
-    return printed
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["fit-drag", "fit-propulsion", "compare", "simulate", "rwls", "report"],
-)
-def test_the_demo_fits_a_terminal(demo: dict[str, list[str]], name: str) -> None:
-    """No line is longer than 100 characters, unless it names a file or is a command."""
-    free = re.compile(r"wrote |next: |.*\w\.(yaml|csv|html)\b")
-    assert [line for line in demo[name] if len(line) > 100 and not free.match(line)] == []
 
 
 class TestInterrupts:
@@ -423,14 +375,3 @@ def test_a_decimal_comma_elsewhere_is_named_too(swimid: Run, tmp_path: Path) -> 
     robot.write_text("format: swimid-robot/1\nname: a\nbody: {inertial_mass_kg: 1,2}\n")
     ran = swimid("simulate", "--robot", robot, "--frequency-hz", "1", "--amplitude-deg", "2")
     assert "robot.yaml, line 3: '1,2' is read as two values; write 1.2" in ran.err
-
-
-@pytest.mark.parametrize("command", ["fit-drag", "diagnose"])
-def test_a_misspelt_robot_is_named_with_its_place(swimid: Run, tmp_path: Path, command: str) -> None:
-    path = tmp_path / "trials.yaml"
-    text = (SAMPLES / "rig" / "trials.yaml").read_text().replace("robot: boxfish", "robot: boxfsh")
-    path.write_text(text)
-    ran = swimid(command, path)
-    assert ran.status == 3
-    assert "trials.yaml, line 4, 'robot': there is no robot 'boxfsh'" in ran.err
-    assert "did you mean 'boxfish'?" in ran.err

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import GapFile
-from tests.conftest import ROOT, SAMPLES, Ran
+from tests.conftest import ROOT, SAMPLES, Ran, command
 from tests.generators import gap_trials
+from tests.generators.files import write_trials
 from validation.blind import cruises, swim_actuation, swim_effects
 from validation.blind.swim_case import Act, Channels, Trial
 
@@ -26,14 +26,6 @@ EEL = ROOT / "docs" / "examples"
 #: Frequency (Hz), amplitude (deg) and bias (deg) of a dolphin's trials, and of slow ones of a tendon fish.
 DOLPHIN = ((1.5, 20, 0), (1.5, 20, 0), (1.5, 28, 0), (2.0, 24, 0), (2.5, 18, 0), (2.5, 26, 0))
 SLOW = ((0.6, 25, 0), (0.6, 25, 0), (0.6, 32, 8), (0.8, 25, 0), (0.8, 32, -8), (1.0, 28, 0))
-
-
-def command(*words: str | Path) -> Ran:
-    """The command line, for fixtures that live longer than a test."""
-    from swimid.cli.main import main
-
-    result = CliRunner().invoke(main, [str(w) for w in words], prog_name="swimid", catch_exceptions=False)
-    return Ran(result.exit_code, result.stdout, result.stderr)
 
 
 def diagnosed(folder: Path, *options: str | Path, params: str = "params.yaml") -> GapFile:
@@ -368,10 +360,7 @@ def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Pa
 
 def test_a_black_box_model_needs_a_parameter_file(swimid: Run, tmp_path: Path) -> None:
     path = tmp_path / "trials.yaml"
-    path.write_text(
-        "format: swimid-trials/1\nexperiment: arma\nrobot: long-fin\n"
-        f"input: cmd1_rad\noutput: u_m_s\ntrials:\n  - {{log: {tmp_path / 'a.csv'}}}\n"
-    )
+    write_trials(path, "arma", "long-fin", [f"log: {tmp_path / 'a.csv'}"], input="cmd1_rad", output="u_m_s")
     ran = swimid("diagnose", path)
     assert ran.status == 2
     assert "give those of a fit with --params" in ran.err

@@ -24,10 +24,10 @@ from swimid.robots import file as robot_format
 from swimid.simulation.compare_series import ComparisonFile
 from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.model import Swimmer
-from tests.conftest import Ran
+from tests.conftest import Ran, command
 from tests.diagnosis_models import PLAIN, Hooked, Seen, plainly, ring, rise
 from tests.generators import gap_trials, swimmer
-from tests.test_diagnose import command, diagnosed, held_responsible
+from tests.test_diagnose import diagnosed, held_responsible
 from validation.blind import swim_effects
 
 Run = Callable[..., Ran]

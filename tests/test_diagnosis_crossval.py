@@ -111,9 +111,7 @@ def refit(blocks: list[np.ndarray], at: list[int], weights: np.ndarray) -> np.nd
 
 @pytest.mark.parametrize("chosen, weights", [((), ()), ((0,), (0.5,)), ((1, 0), (0.5, 2.0))])
 def test_held_out_residuals_equal_those_of_a_refit_without_the_fold(
-    blocks: list[np.ndarray],
-    chosen: tuple[int, ...],
-    weights: tuple[float, ...],
+    blocks: list[np.ndarray], chosen: tuple[int, ...], weights: tuple[float, ...]
 ) -> None:
     """The information of the full fit on the shared parameters counts as prior, by a known fraction."""
     at = [0, 1, 2, *(3 + c for c in chosen)]

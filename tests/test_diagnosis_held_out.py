@@ -165,10 +165,7 @@ def test_random_effects_are_expected_in_held_out_trials(rng: np.random.Generator
         ]
         last = replace(trials[-1], role="validate", id="last")
         study = plain_study(trials[:-1], 0.1)
-        known = replace(
-            noise_of(study.shape, 0.1),
-            random_effects=(differing(Seen("ring", ring), 0.2),),
-        )
+        known = replace(noise_of(study.shape, 0.1), random_effects=(differing(Seen("ring", ring), 0.2),))
         for p in predicted(study.with_noise(known), (), [last]):
             ratios[p.trial.role].append(p.squared / p.expected)
     for found in ratios.values():

@@ -11,7 +11,7 @@ from swimid.diagnosis import crossval, noise
 from swimid.diagnosis.noise import NoiseModel
 from swimid.diagnosis.study import START_PRIOR, GapStudy, Hypothesis
 from swimid.fitting.model import Trial
-from swimid.fitting.noise import Autoregression, NoiseForm
+from swimid.fitting.noise import NoiseForm
 from swimid.fitting.problem import Problem
 from tests.diagnosis_models import (
     Hooked,
@@ -52,9 +52,7 @@ def level(known: NoiseModel) -> float:
 # ---------------------------------------------------------------- whitening
 
 
-def test_whitened_white_and_slow_noise_is_independent_and_has_unit_variance(
-    rng: np.random.Generator,
-) -> None:
+def test_whitened_white_and_slow_noise_is_independent_and_has_unit_variance(rng: np.random.Generator) -> None:
     """The samples have uneven times. Ten thousand variances have a mean within five standard errors."""
     time = np.cumsum(STEP_S * rng.uniform(0.2, 1.8, 10_000))
     x = 0.3 * (rng.normal(size=len(time)) + slow(rng, time, 2.0, 0.5))
@@ -80,9 +78,6 @@ def test_whitened_products_are_those_with_the_covariance_of_the_noise(rng: np.ra
     whole[:n, :n] = 2.0 * np.eye(n)
     whole[n:, n:] = 0.25 * (np.eye(n) + 3.0 * np.exp(-lag / 0.7))
     np.testing.assert_allclose(seen.T @ seen, columns.T @ np.linalg.solve(whole, columns), rtol=1e-8)
-
-
-FIRST_ORDER = Autoregression.of(np.array([-0.8]))
 
 
 # ---------------------------------------------------------------- estimate
@@ -369,10 +364,7 @@ def test_a_fit_with_random_effects_is_that_of_their_marginal_covariance(rng: np.
     """Fit and products of the folds equal those of generalised least squares."""
     given = line_study(rng)
     sd, slopes = 0.3, [np.r_[t.time_s, np.zeros(len(t.time_s))] for t in given.trials]
-    known = replace(
-        noise_of(given.shape, 0.5),
-        random_effects=(differing(Tilt(), sd),),
-    )
+    known = replace(noise_of(given.shape, 0.5), random_effects=(differing(Tilt(), sd),))
     study = given.with_noise(known)
     fit = study.fit((), [study.problem(()).start])
     folded = crossval.form_normal_equations(study, fit)

@@ -10,16 +10,7 @@ import pytest
 from swimid.diagnosis import screening
 from swimid.diagnosis.study import GapStudy
 from swimid.fitting.model import Hooks, Model, Parameter, Trial
-from tests.diagnosis_models import (
-    Apart,
-    Hooked,
-    Seen,
-    nothing,
-    plain_study,
-    ring,
-    trial,
-    with_sd,
-)
+from tests.diagnosis_models import Apart, Hooked, Seen, nothing, plain_study, ring, trial, with_sd
 from tests.toy_models import parameter
 
 

@@ -30,10 +30,7 @@ def drawn(*traces: Trace, **panel: object) -> Axes:
 
 def test_measured_points_lie_above_the_pale_line_of_their_model() -> None:
     x = np.linspace(0, 1, 30)
-    axes = drawn(
-        Trace(x=x, y=x**2, style="points", label="w10", group=4),
-        Trace(x=x, y=x**2 + 0.01, group=4),
-    )
+    axes = drawn(Trace(x=x, y=x**2, style="points", label="w10", group=4), Trace(x=x, y=x**2 + 0.01, group=4))
     points, line = axes.lines
     np.testing.assert_allclose(points.get_ydata(), x**2)
     np.testing.assert_allclose(line.get_ydata(), x**2 + 0.01)

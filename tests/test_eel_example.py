@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swimid.results import parameters as parameters_format
-from tests.conftest import ROOT, Ran
+from tests.conftest import ROOT, Ran, command
 from tests.generators import eel_logs
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -25,10 +25,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Ran]]:
     """The folder in which every command of the page ran, and what each said."""
-    from click.testing import CliRunner
-
-    from swimid.cli.main import main
-
     folder = tmp_path_factory.mktemp("examples")
     shutil.copy(EXAMPLES / "eel.yaml", folder)
     shutil.copytree(EXAMPLES / "eel", folder / "eel")
@@ -36,8 +32,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Ra
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for line in COMMANDS:
-            result = CliRunner().invoke(main, shlex.split(line), prog_name="swimid", catch_exceptions=False)
-            said[line] = Ran(result.exit_code, result.stdout, result.stderr)
+            said[line] = command(*shlex.split(line))
     return folder, said
 
 

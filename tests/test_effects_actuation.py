@@ -11,17 +11,9 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from swimid.effects import actuation
-from swimid.effects.base import for_every_joint
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Hooks, Stroke, SurgeInput, SwimInput, Trial
-from swimid.propulsion.model import (
-    SPEED,
-    RecoilModel,
-    SurgeModel,
-    compute_cruise_speed,
-    compute_mean_speed,
-    velocity_ratio,
-)
+from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
@@ -131,41 +123,12 @@ class TestOperators:
         assert np.abs(np.diff(found)).max() <= rate * 0.0025 * (1 + 1e-9)
         assert 0.5 * np.ptp(found) == pytest.approx(rate / (4 * 1.5), rel=5e-3)
 
-    def test_a_limit_above_every_rate_does_nothing(self):
-        signal = np.sin(OMEGA * TIME)
-        np.testing.assert_array_equal(actuation.limit_rate(TIME, signal, OMEGA), signal)
-
     @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.55, 0.7, 0.85, 0.97])
     def test_describing_function_is_the_fundamental(self, ratio):
         time = np.arange(80_000) / 10_000
         found = actuation.limit_rate(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
         fundamental = 2 * abs(np.mean(found * np.exp(-2j * np.pi * time[40_000:])))
         assert float(actuation.compute_fundamental_gain(ratio)) == pytest.approx(fundamental, abs=5e-4)
-
-    def test_describing_function_begins_smoothly(self):
-        ratio = np.linspace(0.5, 1.0, 2001)
-        gain = actuation.compute_fundamental_gain(ratio)
-        assert np.all(np.diff(gain) > 0)
-        assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
-
-
-def test_joints_with_one_command_share_one_result() -> None:
-    """The change is computed once, and no joint can alter the result of another."""
-    calls = []
-
-    def doubled(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        calls.append(len(time))
-        return 2.0 * angle
-
-    command, time, angle = for_every_joint(doubled), TIME[:5], TIME[:5] + 1.0
-    first = command(time, angle, 0)
-    assert command(time, angle, 1) is first
-    assert calls == [5]
-    with pytest.raises(ValueError, match="read-only"):
-        first[0] = 0.0
-    np.testing.assert_allclose(command(time, angle.copy(), 2), 2.0 * angle)
-    np.testing.assert_allclose(command(time[:4], angle[:4], 2), 2.0 * angle[:4])
-    assert calls == [5, 5, 4]
 
 
 class TestNull:
@@ -256,15 +219,6 @@ class TestFish:
             values = np.array([p.scale for p in effect.parameters(model, [trial])])
             assert not effect.hooks(values, measured, model).command
 
-    def test_scales_follow_the_command(self, fish):
-        model, trial = fish
-        largest = max(abs(a.joint.driven.gain) for a in model.tree.driven) * 0.35
-        (p,) = EFFECTS[2].parameters(model, [trial])
-        assert p.scale == pytest.approx(0.1 * largest, rel=0.02)
-        (p,) = EFFECTS[4].parameters(model, [trial])
-        assert p.start == pytest.approx(largest * OMEGA, rel=0.01)
-        assert p.start >= np.abs(np.diff(self.told(fish, TIME[TIME < 2.5]), axis=1)).max() / 0.0025 - 1e-9
-
 
 class TestBlackBox:
     def answer(self, effect, values, column=None):
@@ -297,12 +251,6 @@ class TestBlackBox:
             np.testing.assert_array_equal(
                 np.isnan(hooks.actuate(trial.time_s, column)), np.isnan(column), repr(effect)
             )
-
-    def test_a_late_clock_shifts_the_output(self):
-        model, trial = black_box()
-        nominal = model.simulate(starts(model), trial)["u_m_s"]
-        found = model.simulate_hooked(starts(model), trial, Hooks(clock_s=0.1))["u_m_s"]
-        np.testing.assert_allclose(found[2:], nominal[:-2], atol=1e-12)
 
 
 class TestAverageModels:
@@ -384,14 +332,6 @@ class TestAverageModels:
             )
             assert speed == pytest.approx(distance / run.t_events[0][0], rel=1e-7)
 
-    def test_general_run_is_the_paper_s_without_linear_drag(self):
-        v1, x = np.array([0.05, 0.1, 0.3]), np.array([0.02, 1.15, 40.0])
-        found = compute_mean_speed(v1, x, {"mass": MASS, "quadratic": DRAG_AREA, "linear": 0.0})
-        np.testing.assert_allclose(found, v1 * velocity_ratio(DRAG_AREA / MASS, x), rtol=1e-11)
-        power = np.array([0.0, 1e-6, 1e-2])
-        found = compute_cruise_speed(power, {"quadratic": 2.0, "linear": 0.0, "dry": 0.0})
-        np.testing.assert_allclose(found, np.cbrt(power / 2.0), rtol=1e-13)
-
     def test_current_carries_both_models(self):
         def current(time_s):
             return np.outer(time_s, [0.02, 0.5]), np.tile([0.02, 0.5], (len(time_s), 1))
@@ -444,12 +384,3 @@ class TestAverageModels:
         for t, u in zip(trial.time_s, found, strict=True):
             expected = quad(lambda s, t=t: 0.035 * math.sin(2 * s) * math.exp(-0.7 * (t - s)), 0.3, t)[0]
             assert u == pytest.approx(expected, abs=1e-8)
-
-    def test_runs_apart_are_the_fin_s(self):
-        model, trial = recoil()
-        whole = model.simulate(starts(model), trial)[SPEED]
-        apart = trial.split_rows()
-        assert [t.id for t in apart] == [f"rect/{k}" for k in range(1, 6)]
-        for k, run in enumerate(apart):
-            assert model.simulate(starts(model), run)[SPEED] == pytest.approx([whole[k]], rel=1e-15)
-            assert run.value_sd[SPEED] == [k + 1]

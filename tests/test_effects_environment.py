@@ -96,11 +96,7 @@ def test_current_is_a_galilean_shift() -> None:
 
 def test_a_body_on_a_rig_drifts_with_current_and_waves() -> None:
     a, b, f = 0.12, -0.07, 0.8
-    effects: list[tuple[Effect, Any]] = [
-        (Current(), 0.1),
-        (Waves("x", f), (f, a, b)),
-        (InitialSpeed(), 0.1),
-    ]
+    effects: list[tuple[Effect, Any]] = [(Current(), 0.1), (Waves("x", f), (f, a, b)), (InitialSpeed(), 0.1)]
     seen = acted(weight_model(quadratic_drag=3.0), weight_trial(force=0.0), effects)
     w = 2 * np.pi * f
     expected = 0.1 * TIME + (a * (np.sin(w * TIME) + np.exp(-w * TIME) - 1) + b * (1 - np.cos(w * TIME))) / w

@@ -119,15 +119,6 @@ def test_a_run_that_diverges_has_no_energetics() -> None:
     assert np.isnan(columns["u_m_s"]).all()
 
 
-def test_forgotten_trials_are_simulated_again() -> None:
-    model = MultilinkModel(robot_format.read("tfish"))
-    time = np.arange(101) / 50
-    slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(TailBeat("sine", f, 0.3))) for f in (1.0, 2.0))
-    first = model.simulate(values_of(model), slow)["u_m_s"]
-    model.forget([slow])
-    assert not np.array_equal(model.simulate(values_of(model), fast)["u_m_s"], first)
-
-
 def test_settling_time_of_a_first_order_rise() -> None:
     """``1 - exp(-t / tau)`` is within 5 % at ``tau log 20``. A signal that still rises has not settled."""
     time = np.arange(64 * 60 + 1) / 64.0

@@ -149,42 +149,6 @@ def test_sound_channels_have_no_jumps(kind: str) -> None:
     assert _import(SOUND[kind]).data["jumps"] == {}
 
 
-@pytest.mark.slow
-def test_a_force_with_missing_samples_drives_a_towing_rig(tmp_path: Any) -> None:
-    """Spikes that were left out do not stop the fit: the force is taken from the line between its samples."""
-    from scipy.integrate import solve_ivp
-
-    from swimid import fit_drag
-
-    t = np.arange(160) / 20.0
-    entries = []
-    for k, size in enumerate((0.6, 1.5, 3.0)):
-        force = size * (1 - np.exp(-t / 0.3)) * (1 + 0.25 * np.sin(2 * np.pi * 0.7 * t))
-        moved = solve_ivp(
-            lambda s, y, force=force: [y[1], (np.interp(s, t, force) - 6.0 * abs(y[1]) * y[1]) / 2.8],
-            (0, t[-1]),
-            [0, 0],
-            t_eval=t,
-            rtol=1e-8,
-            atol=1e-10,
-        )
-        rng = np.random.default_rng(k)
-        force = force + 0.002 * rng.normal(size=len(t))
-        force[30::37] = 419.43
-        table = {"t_s": t, "force_N": force, "x_m": moved.y[0] + 2e-4 * rng.normal(size=len(t))}
-        import_log(pd.DataFrame(table), output=tmp_path / f"{k}.csv")
-        entries.append(f"  - {{log: {k}.csv, inertial_mass_kg: 2.0}}\n")
-    (tmp_path / "robot.yaml").write_text(
-        "format: swimid-robot/1\nname: sled\nsources: [own]\n"
-        "fluid: {density_kg_m3: 1000, gravity_m_s2: 9.81}\n"
-        "body: {inertial_mass_kg: 2.0}\n"
-    )
-    head = "format: swimid-trials/1\nexperiment: towed\nrobot: robot.yaml\ntrials:\n"
-    (tmp_path / "trials.yaml").write_text(head + "".join(entries))
-    found = fit_drag(tmp_path / "trials.yaml").data["parameters"]
-    assert found["quadratic_drag"]["value"] == pytest.approx(6.0, rel=0.01)
-
-
 # ---------------------------------------------------------------- frozen channels
 
 

@@ -22,6 +22,7 @@ from swimid.rig import model as rig_model
 from swimid.robots import file as robot_format
 from tests.conftest import Ran
 from tests.generators import rig as generator
+from tests.generators.files import write_log, write_trials
 
 TRUTH = {"drag_coefficient": 0.705, "added_mass": 0.685, "pulley_friction": 0.0308}
 WEIGHTS = range(10, 41, 5)
@@ -32,11 +33,7 @@ STEP = 0.00785
 def _known(weight: int) -> RigInput:
     mass = weight / 1000
     return RigInput(
-        inertia=1.196 + mass + 0.02,
-        force=mass * 9.8,
-        pulley=True,
-        area_factor=AREA_FACTOR,
-        release_s=0.0,
+        inertia=1.196 + mass + 0.02, force=mass * 9.8, pulley=True, area_factor=AREA_FACTOR, release_s=0.0
     )
 
 
@@ -337,51 +334,20 @@ class TestCommand:
     def test_the_rounding_of_a_sampled_encoder_is_found(
         self, swimid: Callable[..., Ran], tmp_path: Path, clicks: dict[int, np.ndarray], rounding: str
     ) -> None:
-        lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
+        lines = []
         for w, exact in clicks.items():
             t = np.arange(0, exact[-1], 0.01)
             x = np.interp(t, exact, np.arange(len(exact)) * STEP)
             x[t < exact[1]] = STEP * (t[t < exact[1]] / exact[1]) ** 2
             counts = np.floor(x / STEP) if rounding == "floor" else np.round(x / STEP)
-            np.savetxt(
-                tmp_path / f"w{w}.csv",
-                np.c_[t, counts * STEP],
-                delimiter=",",
-                header="t_s,x_m",
-                comments="",
-                fmt="%.6f",
-            )
-            lines.append(f"  - {{log: w{w}.csv, pulling_mass_kg: {w / 1000}}}")
-        (tmp_path / "trials.yaml").write_text("\n".join(lines))
+            write_log(tmp_path / f"w{w}.csv", {"t_s": t, "x_m": counts * STEP}, "%.6f")
+            lines.append(f"log: w{w}.csv, pulling_mass_kg: {w / 1000}")
+        write_trials(tmp_path / "trials.yaml", "falling-weight", "boxfish", lines)
         ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
         result = ran.json["result"]
         assert result["settings"]["encoder_rounding"] == {"floor": "floor", "round": "nearest"}[rounding]
         # linear interpolation between clicks is good to a tenth of a step
         assert result["parameters"]["added_mass"]["value"] == pytest.approx(0.685, abs=0.005)
-
-    def test_a_late_release_is_estimated(
-        self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
-    ) -> None:
-        lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
-        for w, idle in zip(WEIGHTS, rng.uniform(0.3, 1.0, 7), strict=True):
-            t = np.arange(0, 5, 0.02)
-            x, _ = equation.falling_weight_closed_form(
-                t, idle, 1.901 + w / 1000, AREA_FACTOR * 0.705, w / 1000 * 9.8 - 0.0308
-            )
-            np.savetxt(
-                tmp_path / f"w{w}.csv",
-                np.c_[t, x + rng.normal(0, 5e-4, len(t))],
-                delimiter=",",
-                header="t_s,x_m",
-                comments="",
-            )
-            lines.append(f"  - {{log: w{w}.csv, pulling_mass_kg: {w / 1000}}}")
-        (tmp_path / "trials.yaml").write_text("\n".join(lines))
-        ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
-        assert "SWM017" in ran.err
-        p = ran.json["result"]["parameters"]
-        for name, true in TRUTH.items():
-            assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"]
 
     def test_free_decay_and_towing(
         self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
@@ -399,16 +365,8 @@ class TestCommand:
             rtol=1e-10,
             atol=1e-12,
         )
-        np.savetxt(
-            tmp_path / "roll.csv",
-            np.c_[t, run.y[0] + rng.normal(0, 1e-3, len(t))],
-            delimiter=",",
-            header="t_s,roll_rad",
-            comments="",
-        )
-        (tmp_path / "decay.yaml").write_text(
-            "format: swimid-trials/1\nexperiment: free-decay\nrobot: hull.yaml\ntrials: [{log: roll.csv}]\n"
-        )
+        write_log(tmp_path / "roll.csv", {"t_s": t, "roll_rad": run.y[0] + rng.normal(0, 1e-3, len(t))})
+        write_trials(tmp_path / "decay.yaml", "free-decay", "hull.yaml", ["log: roll.csv"])
         p = swimid("fit-drag", tmp_path / "decay.yaml", "--json").json["result"]["parameters"]
         for name, true in (("added_inertia", 0.2), ("linear_damping", 0.04), ("quadratic_damping", 0.3)):
             assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name
@@ -422,16 +380,10 @@ class TestCommand:
             atol=1e-11,
             max_step=0.02,
         )
-        np.savetxt(
-            tmp_path / "tow.csv",
-            np.c_[t, force, run.y[0] + rng.normal(0, 1e-3, len(t))],
-            delimiter=",",
-            header="t_s,force_N,x_m",
-            comments="",
+        write_log(
+            tmp_path / "tow.csv", {"t_s": t, "force_N": force, "x_m": run.y[0] + rng.normal(0, 1e-3, len(t))}
         )
-        (tmp_path / "tow.yaml").write_text(
-            "format: swimid-trials/1\nexperiment: towed\nrobot: hull.yaml\ntrials: [{log: tow.csv}]\n"
-        )
+        write_trials(tmp_path / "tow.yaml", "towed", "hull.yaml", ["log: tow.csv"])
         p = swimid("fit-drag", tmp_path / "tow.yaml", "--json").json["result"]["parameters"]
         for name, true in (("added_mass", 1.0), ("quadratic_drag", 5.0)):
             assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name
@@ -449,14 +401,13 @@ def test_a_bifilar_swing_gives_an_inertia_that_is_far_from_the_known_one(
         moment = mass * 9.81 * 0.25 * distance**2 * np.sin(y[0]) / height
         return [y[1], (-moment - 0.0008 * y[1]) / inertia]
 
-    rows = ["format: swimid-trials/1", "experiment: free-decay", "robot: hung.yaml", "trials:"]
+    rows = []
     for k, start in enumerate((0.08, 0.06)):
         angle = solve_ivp(rates, (0.0, 20.0), [start, 0.0], t_eval=time, rtol=1e-9, atol=1e-12).y[0]
         noisy = angle + rng.normal(0.0, 0.001, len(time))
-        table = np.column_stack([time, noisy])
-        np.savetxt(tmp_path / f"{k}.csv", table, "%.6f", ",", header="t_s,yaw_rad", comments="")
-        rows.append(f"  - {{log: {k}.csv}}")
-    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
+        write_log(tmp_path / f"{k}.csv", {"t_s": time, "yaw_rad": noisy}, "%.6f")
+        rows.append(f"log: {k}.csv")
+    write_trials(tmp_path / "trials.yaml", "free-decay", "hung.yaml", rows)
     stiffness = mass * 9.81 * distance**2 / (4.0 * length)
     (tmp_path / "hung.yaml").write_text(
         "format: swimid-robot/1\nname: hung\nbody: {yaw_inertia_kg_m2: 0.001}\n"

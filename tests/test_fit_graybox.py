@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -147,41 +144,12 @@ class TestRecovery:
             assert file.fit.noise[channel]["value_sd"] == pytest.approx(sd, rel=4 / np.sqrt(2 * 903))
             assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.2)
 
-    @pytest.mark.slow
-    def test_the_known_sum_of_the_frictions(self, swimid: Swimid, tmp_path: Path) -> None:
-        file = _fit(swimid, _write(tmp_path, _runs(), RATES, seed=2))
-        assert [n for n in FRICTIONS if file.parameters[n].status != "unidentifiable"] == []
-        (named,) = [line for line in file.identifiability if "cannot be separated" in line]
-        assert all(name in named for name in FRICTIONS)
-        (off,) = _sums(file, TRUTH).values()
-        assert abs(off) < 3
-        (total,) = file.derived.values()
-        assert total.stderr
-        assert total.stderr < 0.5 * total.value
-
     def test_pose(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(), POSE))
         off = _deviations(file, TRUTH)
         assert {"c_ma", "c_Ia", "c_d0", "c_d13", "c_d4"} <= set(off)
         assert max(map(abs, off.values())) < 3, off
         assert file.parameters["start_yaw[slow]"].status in ("estimated", "unidentifiable")
-
-    @pytest.mark.slow
-    def test_another_integration_of_the_drag(self, swimid: Swimid, tmp_path: Path) -> None:
-        runs = [
-            swimmer.Run(
-                r.id, r.drive, swimmer.simulate("tfish", TRUTH, r.drive, 4.0, rtol=FINE, drag_at="slices")
-            )
-            for r in _runs()[:2]
-        ]
-        trials = _write(tmp_path, runs, RATES)
-        right = _fit(swimid, trials, "--reading", "drag_point=strips")
-        wrong = _fit(swimid, trials)
-        assert right.settings["readings"] == {"drag_point": "strips"}
-        off = _deviations(right, TRUTH)
-        assert len(off) >= 3
-        assert max(map(abs, off.values())) < 3, off
-        assert max(map(abs, _deviations(wrong, TRUTH).values())) > 3
 
     def test_a_parameter_file_is_read_back_exactly(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(), RATES)
@@ -487,47 +455,6 @@ class TestInterrupted:
             if e.stderr:
                 assert file.value(name) == pytest.approx(e.value, abs=0.02 * e.stderr)
 
-    @pytest.mark.slow
-    @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send Ctrl-C to one process")
-    def test_a_signal_interrupts_a_fit(self, tmp_path: Path) -> None:
-        trials = _write(tmp_path, _runs(shared=True), RATES)
-        kept = tmp_path / "kept.yaml"
-        program = """
-import time
-from contextlib import contextmanager
-from swimid.cli.main import Run
-
-@contextmanager
-def progress(description, total=None):
-    def step(amount=1):
-        pass
-    def note(text):
-        print(text, flush=True)
-        time.sleep(0.3)
-    step.note = note
-    yield step
-
-Run.progress = property(lambda self: progress)
-from swimid.cli.main import entry
-entry()
-"""
-        words = [sys.executable, "-c", program, "fit-graybox", str(trials), "-o", str(kept), "--share", "c_f"]
-        with subprocess.Popen(
-            [*words, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                if line.startswith("iteration 2"):
-                    process.send_signal(signal.SIGINT)
-                    break
-            _, err = process.communicate(timeout=120)
-        assert process.returncode == 130, err
-        assert "--start-from" in err
-        assert "Traceback" not in err
-        file = parameters.read(kept)
-        assert file.fit is not None
-        assert file.fit.converged is False
-
 
 #: Frequency (Hz), amplitude (deg) and bias (deg) of twelve runs; the first setting comes twice.
 TWELVE = (
@@ -571,14 +498,6 @@ class TestWrongModels:
         assert next(c for c in shown.checks if c.name == "converged").text.startswith("after")
 
     @pytest.mark.slow
-    def test_an_unfinished_result_of_several_starts_is_written(self, swimid: Swimid, tmp_path: Path) -> None:
-        trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
-        ran = swimid("fit-graybox", trials, "--starts", "2", "--max-iterations", "3", "-o", out)
-        assert ran.status == 4
-        assert out.exists()
-        assert "did not converge" in ran.err
-
-    @pytest.mark.slow
     def test_bounds_that_stopped_the_fit_are_named(self, swimid: Swimid, tmp_path: Path) -> None:
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "--bounds", "c_d4=0,3", "--max-iterations", "6", "-o", out)
@@ -601,25 +520,6 @@ class TestBrokenSimulations:
             t for t in evidence.read(evidence.sidecar(trials.parent / "fit.yaml")).tables if t.id == "starts"
         ]
         assert len(starts.rows) == 4
-
-    @pytest.mark.slow
-    def test_a_fit_from_an_absurd_start(self, swimid: Swimid, tmp_path: Path) -> None:
-        trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
-        file = _fit(swimid, trials, "--share", "c_f")
-        absurd = file.model_copy(
-            update={
-                "parameters": {
-                    n: e.model_copy(update={"value": -1.5 if n in ("c_ma", "c_Ia") else e.value})
-                    for n, e in file.parameters.items()
-                }
-            }
-        )
-        absurd.write(tmp_path / "absurd.yaml")
-        wide = ["--share", "c_f", "--bounds", "c_ma=-2,3", "--bounds", "c_Ia=-2,3"]
-        ran = swimid("fit-graybox", trials, *wide, "--start-from", tmp_path / "absurd.yaml")
-        assert ran.status in (0, 4)
-        assert "Traceback" not in ran.err
-        assert "bug" not in ran.err
 
 
 class TestBadInput:
@@ -713,12 +613,6 @@ class TestPublishedFish:
             assert max(map(abs, off.values())) < 3, off
             (sum_off,) = _sums(file, swimmer.TFISH).values()
             assert abs(sum_off) < 3
-
-    def test_one_friction_to_a_few_percent(self, swimid: Swimid, tmp_path: Path) -> None:
-        file = _fit(swimid, _write(tmp_path, _published("mid-link"), RATES), "--share", "c_f")
-        e = file.parameters["c_f0"]
-        assert e.stderr
-        assert e.stderr < 0.03 * e.value
 
     def test_every_start_ends_in_one_minimum(self, swimid: Swimid, tmp_path: Path) -> None:
         """Starts cover the whole range of Table III."""

@@ -21,7 +21,9 @@ from swimid.results import evidence, parameters
 from swimid.robots import file as robot_format
 from tests.conftest import Ran
 from tests.generators import cruise
+from tests.generators.files import write_log, write_trials
 
+CRUISE = "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
 #: The paper's C_d, A, m_f + m_a.
 DRAG_AREA = 0.5 * 997 * 0.705 * 0.00698
 MOVING = 1.196 + 0.685
@@ -35,10 +37,7 @@ def drag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return parameters.Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
     path = tmp_path_factory.mktemp("drag") / "drag.yaml"
-    estimates = {
-        "drag_coefficient": known(0.705, 0.0165, "1"),
-        "added_mass": known(0.685, 0.0185, "kg"),
-    }
+    estimates = {"drag_coefficient": known(0.705, 0.0165, "1"), "added_mass": known(0.685, 0.0185, "kg")}
     parameters.ParameterFile(model="falling-weight", robot="boxfish", parameters=estimates).write(path)
     return path
 
@@ -192,9 +191,7 @@ class TestCruise:
             t = cruise.swim_time(cruise.fin_inertia(*cruise.FINS[fin]), 2.5, a) * (f / 2.5) ** -0.8
             rows.append((fin, f, a, 1.15, t + rng.normal(0, 0.05)))
         cruise.write_table(tmp_path / "speeds.csv", rows)
-        (tmp_path / "trials.yaml").write_text(
-            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
-        )
+        (tmp_path / "trials.yaml").write_text(CRUISE)
         ran = swimid(
             "fit-propulsion", tmp_path / "trials.yaml", "--drag", drag, "--json", "--keep-departures"
         )
@@ -212,9 +209,7 @@ class TestCruise:
             t = 12.0 * (f / 2.5) ** -1.0 * ((a + 13.0) / 29.0) ** (-2.0 / 3.0)
             rows.append((fin, f, a, 1.15, t + rng.normal(0, 0.02)))
         cruise.write_table(tmp_path / "speeds.csv", rows)
-        (tmp_path / "trials.yaml").write_text(
-            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
-        )
+        (tmp_path / "trials.yaml").write_text(CRUISE)
         out = tmp_path / "p.yaml"
         swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag, "--keep-departures", "-o", out)
         file = parameters.read(out)
@@ -240,9 +235,7 @@ class TestCruise:
         self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, table: str, words: list[str]
     ) -> None:
         (tmp_path / "speeds.csv").write_text(table)
-        (tmp_path / "trials.yaml").write_text(
-            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
-        )
+        (tmp_path / "trials.yaml").write_text(CRUISE)
         ran = swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag)
         assert ran.status == 3
         for word in words:
@@ -255,9 +248,7 @@ class TestCruise:
 
     def test_one_run_identifies_nothing(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path) -> None:
         cruise.write_table(tmp_path / "speeds.csv", [("3825Rect", 2.0, 16.0, 1.15, 20.0)])
-        (tmp_path / "trials.yaml").write_text(
-            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
-        )
+        (tmp_path / "trials.yaml").write_text(CRUISE)
         assert swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag).status == 4
 
 
@@ -306,26 +297,18 @@ class TestBeatAverages:
 
 def write_real_fish(folder: Path, data: Path, *, frequency_hz: float, own_speed: bool = True) -> Path:
     """Write the straight runs of the tail-actuated fish as logs with a trials file."""
-    lines = ["format: swimid-trials/1", "experiment: free-swim", "robot: fish.yaml", "trials:"]
+    lines = []
     (folder / "fish.yaml").write_text("format: swimid-robot/1\nname: tail-fish\n")
     for amplitude in (15, 20, 30):
         for run in (1, 2):
             rows = np.loadtxt(data / "msu_tail_fish" / f"Amp{amplitude}Bias0" / f"STATES{run}.txt")
-            columns = [0, 5, 6, 4, 1] if own_speed else [0, 5, 6, 4]
-            header = "t_s,x_m,y_m,yaw_rad" + (",u_m_s" if own_speed else "")
-            np.savetxt(
-                folder / f"a{amplitude}_{run}.csv",
-                rows[:, columns],
-                delimiter=",",
-                header=header,
-                comments="",
-            )
+            columns = {"t_s": 0, "x_m": 5, "y_m": 6, "yaw_rad": 4} | ({"u_m_s": 1} if own_speed else {})
+            write_log(folder / f"a{amplitude}_{run}.csv", {n: rows[:, k] for n, k in columns.items()})
             lines.append(
-                f"  - {{log: a{amplitude}_{run}.csv, "
-                f"drive: {{frequency_hz: {frequency_hz}, amplitude_deg: {amplitude}}}}}"
+                f"log: a{amplitude}_{run}.csv, "
+                f"drive: {{frequency_hz: {frequency_hz}, amplitude_deg: {amplitude}}}"
             )
-    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
-    return folder / "trials.yaml"
+    return write_trials(folder / "trials.yaml", "free-swim", "fish.yaml", lines)
 
 
 class TestRealFish:
@@ -365,7 +348,7 @@ def write_straight_runs(folder: Path, *, held_out_speed_m_s: float) -> Path:
     The surge is that of du/dt = 0.25 (A/0.35)^2 (1 - cos(4 pi f t)) - 1.1 u |u|, integrated by
     an adaptive method; the thrust comes twice a beat.
     """
-    lines = ["format: swimid-trials/1", "experiment: free-swim", "robot: fish.yaml", "trials:"]
+    lines = []
     (folder / "fish.yaml").write_text("format: swimid-robot/1\nname: straight-fish\n")
     rng = np.random.default_rng(5)
     for name, amplitude, begun, role in (
@@ -382,16 +365,15 @@ def write_straight_runs(folder: Path, *, held_out_speed_m_s: float) -> Path:
         t = np.arange(0, 12, 0.02)
         u = solve_ivp(rate, (0, 12), [begun], t_eval=t, rtol=1e-8).y[0] + 0.002 * rng.normal(size=len(t))
         yaw = 0.2 * np.sin(4 * np.pi * t) + 0.005 * rng.normal(size=len(t))
-        rows = np.column_stack([t, np.cumsum(u) * 0.02, 0 * t, yaw, u])
-        np.savetxt(
-            folder / f"{name}.csv", rows, delimiter=",", header="t_s,x_m,y_m,yaw_rad,u_m_s", comments=""
+        write_log(
+            folder / f"{name}.csv",
+            {"t_s": t, "x_m": np.cumsum(u) * 0.02, "y_m": 0 * t, "yaw_rad": yaw, "u_m_s": u},
         )
         lines.append(
-            f"  - {{id: {name}, log: {name}.csv, role: {role}, "
-            f"drive: {{frequency_hz: 2.0, amplitude_deg: {amplitude}}}}}"
+            f"id: {name}, log: {name}.csv, role: {role}, "
+            f"drive: {{frequency_hz: 2.0, amplitude_deg: {amplitude}}}"
         )
-    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
-    return folder / "trials.yaml"
+    return write_trials(folder / "trials.yaml", "free-swim", "fish.yaml", lines)
 
 
 class TestStartStates:

@@ -2,68 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
-from swimid.errors import InputError
-from swimid.imports.table import ForeignTable, choose, flat, in_si, length, of_records, of_tree
+from swimid.imports.table import in_si
 from swimid.logs.units import UNITS
-
-TIME = np.arange(5.0)
-TREE = {
-    "run": {"t": TIME, "acc": np.arange(15.0).reshape(5, 3), "row": TIME[None], "note": " calm "},
-    "rate": np.array([[50.0]]),
-    "wide": np.arange(10.0).reshape(2, 5),
-    "list": [TIME, 2.0],
-    "cube": np.zeros((2, 2, 2)),
-    "empty": np.zeros(0),
-    "blank": "  ",
-}
-
-
-def read(select: str | None, content: Any = TREE) -> ForeignTable:
-    return of_tree(content, select, Path("a.mat"), lambda value: value)
-
-
-def test_columns_of_a_tree() -> None:
-    """Arrays of the usual length are columns; matrices have one column for each of theirs."""
-    table = read(None)
-    assert list(table.columns) == [
-        "run.t", "run.acc[1]", "run.acc[2]", "run.acc[3]", "run.row", "wide[1]", "wide[2]", "list{1}",
-    ]  # fmt: skip
-    np.testing.assert_array_equal(table.columns["run.acc[2]"], np.arange(15.0).reshape(5, 3)[:, 1])
-    np.testing.assert_array_equal(table.columns["run.row"], TIME)
-    np.testing.assert_array_equal(table.columns["wide[2]"], np.arange(5.0, 10.0))
-    assert table.scalars == {"rate": 50.0, "list{2}": 2.0}
-    assert table.metadata == {"run.note": "calm"}
-
-
-@pytest.mark.parametrize("select", ["run.acc", "run/acc"])
-def test_a_group_or_one_array_of_a_tree(select: str) -> None:
-    assert list(read("run").columns) == ["t", "acc[1]", "acc[2]", "acc[3]", "row"]
-    assert list(read(select).columns) == ["acc[1]", "acc[2]", "acc[3]"]
-
-
-@pytest.mark.parametrize(
-    ("select", "words"),
-    [("walk", "holds no struct or group 'walk'"), ("run.t.x", "holds no struct or group 'run.t.x'")],
-)
-def test_a_group_that_is_not_there(select: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        read(select)
-
-
-def test_one_of_several_is_chosen() -> None:
-    path = Path("a.mat")
-    assert choose(None, ["hip"], "body", path) == "hip"
-    assert choose("tail", ["hip", "tail"], "body", path) == "tail"
-    with pytest.raises(InputError, match="holds 2 bodies; name one"):
-        choose(None, ["hip", "tail"], "body", path)
-    with pytest.raises(InputError, match="holds no body 'tial'"):
-        choose("tial", ["hip", "tail"], "body", path)
 
 
 @pytest.mark.parametrize(
@@ -125,27 +68,3 @@ def test_every_unit_has_its_definition(quantity: str) -> None:
     for unit, factor in UNITS[quantity].items():
         assert factor == pytest.approx(defined(quantity, unit), rel=1e-12), unit
     assert next(iter(UNITS[quantity].values())) == 1
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor", "name"), [("mm", 1e-3, "m"), ("inch", 0.0254, "m"), ("px", 1.0, "px")]
-)
-def test_a_unit_of_length(unit: str, factor: float, name: str) -> None:
-    assert length(unit, Path("a.csv")) == (pytest.approx(factor), name)
-
-
-@pytest.mark.parametrize(
-    ("unit", "words"), [(None, "states no unit"), ("", "states no unit"), ("kg", "no unit of")]
-)
-def test_no_unit_of_length(unit: str | None, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        length(unit, Path("a.csv"))
-
-
-def test_records_become_columns() -> None:
-    found = of_records([{"a": 1, "b": "x"}, {"a": 2**70, "c": 2.5}])
-    np.testing.assert_allclose(found["a"], [1.0, 2.0**70])
-    np.testing.assert_array_equal(np.isnan(found["c"]), [True, False])
-    assert found["b"][0] == "x"
-    nested = flat({"a": {"b": [1, [2, 3]]}, "long": list(range(10_000))})
-    assert dict(nested) == {"a.b[1]": 1, "a.b[2][1]": 2, "a.b[2][2]": 3}

@@ -10,35 +10,13 @@ import pytest
 
 from swimid.diagnosis.gap_file import GapFile
 from tests.conftest import ROOT
-from validation.hard_gaps import CASES, Answer, Truth, outcome
+from validation.hard_gaps import CASES, outcome
 
 
 def test_the_generators_do_not_know_the_package() -> None:
     said = "import sys, validation.hard_gaps; print([m for m in sys.modules if m.split('.')[0] == 'swimid'])"
     ran = subprocess.run([sys.executable, "-c", said], cwd=ROOT, capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "[]"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
-def test_a_case_is_the_same_whenever_it_is_made(tmp_path: Path, name: str) -> None:
-    folders = [tmp_path / "first", tmp_path / "second"]
-    for folder in folders:
-        CASES[name].make(folder)
-    first, second = ({p.name: p.read_bytes() for p in folder.iterdir()} for folder in folders)
-    assert first == second
-    assert "trials.yaml" in first
-    assert ("params.yaml" in first) == (CASES[name].fit is None)
-
-
-def test_wrong_answers_are_described() -> None:
-    truth = Truth(frozenset({"explained"}), frozenset({"current"}), alone=True, closed=0.9)
-    right = Answer("explained", [(frozenset({"current"}), 0.97, {})], (0.99,), ["current"])
-    assert truth.wrong(right) == []
-    rival = Answer("ambiguous", [(frozenset({"current", "tether"}), 0.9, {})], (0.5,), ["tether"])
-    assert truth.wrong(rival) == ["ambiguous", "equivalent tether", "closed 50%"]
-    other = Answer("explained", [(frozenset({"waves"}), 0.9, {})], (), ["waves"])
-    assert truth.wrong(other) == ["waves", "equivalent waves"]
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import re
 import shutil
 from collections.abc import Callable
@@ -16,7 +15,6 @@ import pytest
 from swimid.imports import mapping
 from swimid.imports.formats import formats, open_table
 from swimid.logs import log
-from swimid.logs.units import unit_factor
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
@@ -251,23 +249,6 @@ def test_the_rows_of_a_mapped_log_are_lines_of_the_file(tmp_path: Path) -> None:
     assert mapping.apply(None, path).rows.tolist() == [2, 5, 6]
 
 
-@pytest.mark.parametrize(
-    "unit,column,value",
-    [
-        ("ms", "t_s", 0.001),
-        ("g", "ax_m_s2", 9.80665),
-        ("g", "load_kg", 0.001),
-        ("deg/s", "wx_rad_s", math.pi / 180),
-        ("°", "yaw_rad", math.pi / 180),
-        ("m/s^2", "ay_m_s2", 1.0),
-        ("µT", "mx_T", 1e-6),
-        ("rpm", "wheel_rad_s", 2 * math.pi / 60),
-    ],
-)
-def test_units(unit: str, column: str, value: float) -> None:
-    assert unit_factor(unit, column) == pytest.approx(value, rel=1e-15)
-
-
 def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None:
     """Nanoseconds since 1970 do not fit a floating-point number: the first is taken off before."""
     import pyarrow as pa
@@ -468,45 +449,6 @@ def test_the_manual_shows_the_output_of_the_command(
     assert ran.out.strip() == shown.group(2).strip()
 
 
-DROP = "t_s,x_px,y_px\n"
-
-
-def _falling(path: Path, *, rng: np.random.Generator) -> None:
-    """A body that falls in water along the picture's rows: v' = g' - k v |v|, by small Euler steps."""
-    dt, v, y, rows = 1e-4, 0.0, 0.0, []
-    for k in range(12_001):
-        if k % 200 == 0:
-            rows.append((k * dt, 300 + 0.2 * rng.normal(), -y / 0.001 + 0.2 * rng.normal()))
-        v += dt * (2.0 - 8.0 * v * abs(v))
-        y += dt * v
-    path.write_text(DROP + "".join(f"{1.0 + t:.4f},{x:.3f},{y:.3f}\n" for t, x, y in rows))
-
-
-def test_a_track_in_pixels_becomes_what_a_rig_fit_reads(swimid: Run, tmp_path: Path) -> None:
-    _falling(tmp_path / "film.csv", rng=np.random.default_rng(0))
-    (tmp_path / "map.yaml").write_text(
-        "format: swimid-mapping/1\ntime: {source: t_s}\n"
-        "columns: [{source: y_px, target: x_m, factor: -0.001}]\n"
-    )
-    ran = swimid("import", tmp_path / "film.csv", "--map", tmp_path / "map.yaml", "-o", tmp_path / "drop.csv")
-    assert ran.status == 0, ran.err
-    record = log.read(tmp_path / "drop.csv")
-    assert list(record.columns) == ["t_s", "x_m"]
-    # falls 0.5 m/s in the end; two pixels' noise on the way of 0.1 s
-    last = record["x_m"][-1] - record["x_m"][-6]
-    assert last / 0.1 == pytest.approx(0.5, abs=4 * 0.2e-3 * np.sqrt(2) / 0.1)
-    (tmp_path / "robot.yaml").write_text(
-        "format: swimid-robot/1\nname: ball\nfluid: {density_kg_m3: 1000, gravity_m_s2: 9.81}\n"
-        "body: {inertial_mass_kg: 0.5}\n"
-    )
-    (tmp_path / "trials.yaml").write_text(
-        "format: swimid-trials/1\nexperiment: falling-weight\nrobot: robot.yaml\n"
-        "trials: [{id: drop, log: drop.csv, driving_force_N: 1.0, start_s: 1.0, end_s: 2.1}]\n"
-    )
-    fitted = swimid("fit-drag", tmp_path / "trials.yaml", "--fix", "added_mass=0", "-o", tmp_path / "d.yaml")
-    assert fitted.status == 0, fitted.err
-
-
 def test_the_period_of_a_pendulum_is_found(swimid: Run, tmp_path: Path) -> None:
     t = np.arange(600) / 30
     angle = 0.3 * np.exp(-t / 30) * np.cos(2 * np.pi * 0.7 * t)
@@ -585,42 +527,6 @@ def test_a_track_of_swimid_is_imported_without_warnings(swimid: Run, tmp_path: P
     assert result["speed"]["noise_m"] == pytest.approx(float(noise.split()[0]), rel=0.5)
     assert result["track"]["gaps_s"], "what was bridged is no measurement"
     assert result["stroke"]["frequency_hz"] == pytest.approx(1.1, abs=0.005)
-
-
-def _deeplabcut(path: Path) -> None:
-    rng = np.random.default_rng(1)
-    lines = [
-        "scorer" + ",DLC_resnet50_fishMay1" * 6,
-        "bodyparts,nose,nose,nose,tail,tail,tail",
-        "coords,x,y,likelihood,x,y,likelihood",
-    ]
-    for k in range(300):
-        phase = 2 * np.pi * 1.3 * k / 30
-        x, y = 100 + 3 * k, 200 + 8 * np.sin(phase)
-        cells = [x, y, x - 60, y + 15 * np.sin(phase - 1)] + 0.2 * rng.normal(size=4)
-        lines.append(
-            ",".join(f"{cell:.4f}" for cell in (k, *cells[:2], 0.99, *cells[2:], 0.95 + 0.001 * (k % 40)))
-        )
-    path.write_text("\n".join(lines) + "\n")
-
-
-def test_a_table_of_deeplabcut(swimid: Run, tmp_path: Path) -> None:
-    _deeplabcut(tmp_path / "dlc.csv")
-    ran = swimid("import", tmp_path / "dlc.csv", "-o", tmp_path / "run.csv")
-    assert ran.status == 3
-    assert "--rate-hz" in ran.err
-    assert swimid("import", tmp_path / "dlc.csv", "--guess", "-o", tmp_path / "map.yaml").status == 0
-    text = (tmp_path / "map.yaml").read_text()
-    assert "rate_hz: ASK" in text
-    points = "columns: [{source: nose_x_px, target: x_px}, {source: nose_y_px, target: y_px}]\n"
-    (tmp_path / "map.yaml").write_text(text.replace("ASK", "30") + points)
-    made = ("import", tmp_path / "dlc.csv", "--map", tmp_path / "map.yaml", "-o", tmp_path / "run.csv")
-    result = swimid(*made, "--json").json["result"]
-    assert result["verdict"]["level"] == "good"
-    assert result["speed"]["line_px_s"] == pytest.approx(90, rel=0.005)
-    assert result["stroke"]["frequency_hz"] == pytest.approx(1.3, rel=0.005)
-    # rows of a picture count downwards
-    assert log.read(tmp_path / "run.csv")["y_px"].mean() == pytest.approx(-200, abs=1)
 
 
 def test_a_hum_beside_the_stroke_is_reported(swimid: Run, tmp_path: Path) -> None:

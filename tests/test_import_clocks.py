@@ -202,10 +202,7 @@ def test_points_and_analog_channels_of_one_recording_share_a_clock(tmp_path: Pat
 def test_units_of_netcdf_are_used_and_a_mapping_must_not_contradict_them(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
-    columns = {
-        "x": ("time", 1000 * X_M, {"units": "mm"}),
-        "yaw": ("time", 10 * Y_M, {"units": "degrees"}),
-    }
+    columns = {"x": ("time", 1000 * X_M, {"units": "mm"}), "yaw": ("time", 10 * Y_M, {"units": "degrees"})}
     time = ("time", np.round(1000 * T).astype(int), {"units": "milliseconds since 2024-05-01"})
     data = xarray.Dataset(columns, coords={"time": time})
     plain = {"time": {"source": "time"}, "columns": [{"source": "x", "target": "x_m"}]}

@@ -260,8 +260,7 @@ def test_rounding_of_a_steady_motion_is_no_stroke(decimals: int, imported: Any, 
 
 
 @pytest.mark.parametrize(
-    "header,unit",
-    [("millis", "ms"), ("seconds", "s"), ("timestamp", "ASK"), ("Zeit (ms)", "ms")],
+    "header,unit", [("millis", "ms"), ("seconds", "s"), ("timestamp", "ASK"), ("Zeit (ms)", "ms")]
 )
 def test_a_draft_takes_the_unit_that_the_name_of_the_time_states(
     header: str, unit: str, swimid: Run, tmp_path: Path

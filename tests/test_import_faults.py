@@ -71,12 +71,6 @@ def test_one_wrong_time_is_left_out_and_named(wrong: float, swimid: Any, tmp_pat
     assert "far from all other times" in " ".join(ran.err.split())
 
 
-def test_a_first_row_that_comes_late_is_put_in_its_place(tmp_path: Path) -> None:
-    table = swim()
-    table.iloc[[1, 2, 0, *range(3, len(table))]].to_csv(tmp_path / "a.csv", index=False)
-    assert np.array_equal(import_log(tmp_path / "a.csv").log.columns["x_m"], table["x_m"])
-
-
 @pytest.mark.parametrize("lost", [0, 17])
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0])
 def test_the_text_of_kinovea_0_8(
@@ -130,16 +124,6 @@ def test_a_draft_takes_what_the_user_states(swimid: Any, tmp_path: Path) -> None
     log = import_log(path, map_path=draft).log
     assert log.columns["nose_x_m"] == pytest.approx(table["x_m"].to_numpy())
     assert log.columns["t_s"] == pytest.approx(table["t_s"].to_numpy())
-
-
-def test_a_draft_takes_the_format_that_the_user_names(swimid: Any, tmp_path: Path) -> None:
-    ticks = pd.DataFrame({"ID": 1, "Present Position": 512 + np.arange(50) % 7})
-    ticks.to_csv(tmp_path / "a.csv", index=False)
-    asked = swimid("import", tmp_path / "a.csv", "--guess", "-o", tmp_path / "map.yaml")
-    assert "--as dynamixel-ax" in asked.err
-    words = ("--guess", "--as", "dynamixel-ax", "--rate-hz", "50", "-o", tmp_path / "map.yaml")
-    assert swimid("import", tmp_path / "a.csv", *words).status == 0
-    assert "as: dynamixel-ax" in (tmp_path / "map.yaml").read_text()
 
 
 def inertial() -> pd.DataFrame:

@@ -687,56 +687,6 @@ def test_workbook(imported: Imported, swimid: Run, tmp_path: Path) -> None:
     _refused(swimid, _cut(tmp_path / "a.xlsx"))
 
 
-def test_ros2_database(imported: Imported, swimid: Run, tmp_path: Path) -> None:
-    """A bag of rosbag2 with odometry and joints, in SQLite."""
-    rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    typesys = pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    kinds = store.types
-
-    def make(name: str, *values: Any) -> Any:
-        return kinds[name](*values)
-
-    with rosbag2.Writer(tmp_path / "bag", version=8) as bag:
-        odometry = bag.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
-        joints = bag.add_connection("/joints", "sensor_msgs/msg/JointState", typestore=store)
-        for k, t in enumerate(T):
-            stamp = 1_700_000_000_000_000_000 + round(1e9 * t)
-            time = make("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
-            header = make("std_msgs/msg/Header", time, "world")
-            turn = make("geometry_msgs/msg/Quaternion", 0.0, 0.0, np.sin(YAW[k] / 2), np.cos(YAW[k] / 2))
-            pose = make(
-                "geometry_msgs/msg/Pose", make("geometry_msgs/msg/Point", X_M[k], Y_M[k], Z_M[k]), turn
-            )
-            still = make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-            moving = make("geometry_msgs/msg/Vector3", 0.2, 0.0, 0.0)
-            twist = make("geometry_msgs/msg/Twist", moving, still)
-            whole = make(
-                "nav_msgs/msg/Odometry",
-                header,
-                "fish",
-                make("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36)),
-                make("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
-            )
-            late = stamp + 1_000_000 * (k % 3)
-            bag.write(odometry, late, store.serialize_cdr(whole, "nav_msgs/msg/Odometry"))
-            state = make(
-                "sensor_msgs/msg/JointState", header, ["caudal"], np.array([YAW[k]]), np.zeros(1), np.zeros(0)
-            )
-            bag.write(joints, late, store.serialize_cdr(state, "sensor_msgs/msg/JointState"))
-    path = next((tmp_path / "bag").glob("*.db3"))
-    assert "/joints, /odom" in _refused(swimid, path)
-    record, ran = imported(path, "--select", "/odom")
-    assert ran.json["result"]["profile"] == "ros2"
-    assert np.allclose(record.time_s, T, atol=1e-9)
-    assert np.allclose(record["z_m"], Z_M)
-    assert np.allclose(record["yaw_rad"], YAW)
-    assert np.allclose(record["u_m_s"], 0.2)
-    caudal, _ = imported(path, "--select", "/joints")
-    assert np.allclose(caudal["caudal_rad"], YAW)
-    _refused(swimid, _cut(path, 0.6), "--select", "/odom")
-
-
 @pytest.mark.parametrize("form", ["{}:{} {}:{} {}:{}", "{}={},\t{}={},\t{}={}"])
 def test_lines_of_a_serial_monitor(form: str, imported: Imported, swimid: Run, tmp_path: Path) -> None:
     lines = ["12 fy:0.3"]  # the recording begins within a line
@@ -762,20 +712,10 @@ def test_lines_of_a_serial_monitor(form: str, imported: Imported, swimid: Run, t
 @pytest.mark.parametrize(
     "name",
     [
-        "movement",
-        "coco",
-        "trackpy",
-        "idtrackerai",
-        "kinovea",
-        "optitrack",
-        "qualisys",
-        "vicon",
-        "c3d",
-        "tdms",
-        "lvm",
-        "anipose",
+        "movement", "coco", "trackpy", "idtrackerai", "kinovea", "optitrack", "qualisys", "vicon", "c3d",
+        "tdms", "lvm", "anipose", "deeplabcut", "sleap", "tracker", "opensim", "ardupilot", "dynamixel",
     ],
-)
+)  # fmt: skip
 def test_a_file_that_is_none_of_the_format_named(name: str, swimid: Run, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t_s,x_m\n0,1\n1,2\n2,3\n")
     _refused(swimid, tmp_path / "a.csv", "--as", name)

@@ -365,11 +365,7 @@ HINGES = {name: PLACES[name] for name in ("snout", "hip", "knee", "heel", "tip")
     ],
 )
 def test_places_that_the_film_does_not_determine(
-    places: point_films.Places,
-    degrees: tuple[float, ...],
-    weak: dict[str, str],
-    swimid: Run,
-    tmp_path: Path,
+    places: point_films.Places, degrees: tuple[float, ...], weak: dict[str, str], swimid: Run, tmp_path: Path
 ) -> None:
     """With one point on each link, all of them may move along a body that bends little."""
     made = point_films.film(seed=102, frames=300, noise_px=0.3, places=places, amplitudes_deg=degrees)

@@ -369,15 +369,6 @@ def test_dynamixel_ticks(imported: Callable[..., tuple[Log, Ran]], tmp_path: Pat
     assert record.metadata["servos"] == [1, 4]
 
 
-@pytest.mark.parametrize("name", ["deeplabcut", "sleap", "tracker", "opensim", "ardupilot", "dynamixel"])
-def test_a_file_that_is_none_of_the_format_named(name: str, swimid: Run, tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("t_s,x_m\n0,1\n1,2\n2,3\n")
-    ran = swimid("import", tmp_path / "a.csv", "--as", name, "-o", tmp_path / "o.csv")
-    assert ran.status == 3
-    assert "hint" in ran.err
-    assert not (tmp_path / "o.csv").exists()
-
-
 def test_a_profile_that_does_not_exist(swimid: Run, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t_s,x_m\n0,1\n1,2\n2,3\n")
     ran = swimid("import", tmp_path / "a.csv", "--as", "deeplabcat", "-o", tmp_path / "o.csv")

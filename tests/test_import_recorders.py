@@ -206,6 +206,14 @@ def test_bags_of_ros(name: str, version: int, tmp_path: Path, swimid: Run) -> No
     assert np.allclose(mapping.apply(mapping.read_mapping(rules), path).columns["wz_rad_s"], YAW[1::2] + 1)
     ran = swimid("import", path, "--select", "/fix", "--raw", "-o", tmp_path / "o.csv", "--json")
     assert ran.status == 0, ran.err
+    if version == 2:
+        (database,) = path.glob("*.db3")
+        assert np.allclose(_read(database, select="/fix").time_s, T, atol=1e-9)
+        content, cut = database.read_bytes(), tmp_path / "cut.db3"
+        cut.write_bytes(content[: int(0.6 * len(content))])
+        ran = swimid("import", cut, "--select", "/fix", "-o", tmp_path / "cut.csv")
+        assert ran.status == 3
+        assert "cut.db3" in ran.err
 
 
 def test_a_folder_that_is_no_bag(tmp_path: Path, swimid: Run) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from swimid.imports import mapping
 from swimid.imports.formats import open_table
 from swimid.imports.mapping import guess_mapping
 from swimid.imports.table import ForeignTable
-from swimid.logs.units import quantity_of
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -383,8 +381,7 @@ def test_a_unit_of_time_alone_is_no_clock(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["t_ms", "Time [ms]", "millis", "timestamp_ms", "elapsed_ms", "ms", "Recording time (ms)"],
+    "name", ["t_ms", "Time [ms]", "millis", "timestamp_ms", "elapsed_ms", "ms", "Recording time (ms)"]
 )
 def test_names_of_a_clock(name: str, tmp_path: Path) -> None:
     path = _write(tmp_path / "a.csv", _rows(), names=[name, "x_m", "y_m"])
@@ -411,17 +408,6 @@ def test_a_heading_that_may_be_of_a_compass_is_a_question(name: str, tmp_path: P
 )  # fmt: skip
 def test_drafted_names_are_those_that_commands_read(name: str, target: str) -> None:
     assert mapping.name_target(name)[0] == target
-
-
-@pytest.mark.parametrize(
-    ("name", "quantity"),
-    [("torque_yaw_N_m", "torque"), ("moment_z_N_m", "torque"), ("x_m", "length"), ("u_m_s", "speed"),
-     ("u_mm_s", None), ("yaw_deg_s", None), ("damping_N_s_m", None), ("spring_N_m_rad", None),
-     ("drag_kg_s", None), ("curvature_rad_m", None), ("ground_force_px_m", "length"),
-     ("period_s", "time"), ("A_m", "length")],
-)  # fmt: skip
-def test_the_quantity_of_a_compound_unit(name: str, quantity: str | None) -> None:
-    assert quantity_of(name) == quantity
 
 
 def test_a_torque_in_a_mapping(tmp_path: Path) -> None:
@@ -527,18 +513,3 @@ def test_a_folder_and_binary_content_are_refused(swimid: Run, tmp_path: Path) ->
     latin = "Zeit (ms);Höhe (mm)\n".encode("latin-1") + b"".join(b"%d;%d\n" % (20 * k, k) for k in range(50))
     (tmp_path / "c.csv").write_bytes(latin)
     assert isinstance(open_table(tmp_path / "c.csv"), ForeignTable)
-
-
-@pytest.mark.slow
-def test_a_long_log_takes_time_in_proportion(tmp_path: Path, swimid: Run) -> None:
-    """The averaged path of a swim of 50 minutes at 100 Hz took minutes; all else takes seconds."""
-    rng, n = np.random.default_rng(1), 300_000
-    t = np.arange(n) / 100
-    yaw = 0.1 * np.sin(2 * np.pi * 1.2 * t)
-    y = 0.01 * np.sin(2 * np.pi * 1.2 * t + 1) + rng.normal(0, 5e-4, n)
-    table = pd.DataFrame({"t_s": t, "x_m": 0.02 * t + rng.normal(0, 5e-4, n), "y_m": y, "yaw_rad": yaw})
-    table.to_csv(tmp_path / "long.csv", index=False, float_format="%.5f")
-    begin = time.process_time()
-    assert swimid("import", tmp_path / "long.csv", "-o", tmp_path / "out.csv").status in (0, 1)
-    assert swimid("plot", tmp_path / "out.csv", "-o", tmp_path / "log.svg").status == 0
-    assert time.process_time() - begin < 90.0

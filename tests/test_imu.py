@@ -247,22 +247,6 @@ def test_contradicting_options_and_bad_files_are_refused(
     assert swimid("track", "imu", tmp_path / "short.csv", "-o", tmp_path / "o.csv").status == 3
 
 
-@pytest.mark.slow
-def test_the_report_shows_the_result(
-    swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
-) -> None:
-    log = save(tmp_path / "imu.csv", imu.marching(rng).columns())
-    assert swimid("track", "imu", log, "-o", tmp_path / "run.csv").status == 0
-    assert swimid("report", tmp_path / "run.csv", "-o", tmp_path / "report.html").status == 0
-    page = (tmp_path / "report.html").read_text()
-    for words in (
-        "not to be trusted after",
-        "Still periods",
-        "surge within a stroke",
-    ):
-        assert words in page
-
-
 # ---------------------------------------------------------------- real recordings
 
 

@@ -125,11 +125,6 @@ def test_drawn_errors_have_the_smoothed_covariance(system: dict[str, Any]) -> No
     np.testing.assert_array_equal(found.draw(functions, 3), found.draw(functions, 3))
 
 
-def test_the_cross_matrix_multiplies_as_a_cross_product(rng: np.random.Generator) -> None:
-    v, u = rng.normal(size=(2, 5, 3))
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", smoother.skew_matrices(v), u), np.cross(v, u))
-
-
 # ---------------------------------------------------------------- contradictions
 
 

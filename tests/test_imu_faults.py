@@ -265,51 +265,6 @@ def test_a_missing_column_is_named(swimid: Callable[..., Ran], tmp_path: Path, r
 # ---------------------------------------------------------------- single readings, by hand
 
 
-def quiet(values: np.ndarray) -> ImuRecord:
-    """Return a record at 100 Hz, of which a test uses the times."""
-    return ImuRecord(np.arange(len(values)) / 100, np.zeros((len(values), 3)), np.zeros((len(values), 3)))
-
-
-@pytest.mark.parametrize(("code", "wild"), [(64.0, True), (88.0, False), (136.0, True), (112.0, False)])
-@pytest.mark.parametrize("rows", [[40], range(60, 140)])
-def test_a_code_far_beyond_the_range_of_the_others_is_wild(
-    code: float, wild: bool, rows: list[int], rng: np.random.Generator
-) -> None:
-    """The others vary by one about a hundred; a code thirty times as far away is no measurement."""
-    values = 100.0 + rng.uniform(-0.5, 0.5, 400)
-    values[list(rows)] = code
-    flags = faults.is_wild(quiet(values), values)
-    assert np.flatnonzero(flags).tolist() == (list(rows) if wild else [])
-    values[[3, 7]] = np.nan, 1e6
-    assert faults.is_wild(quiet(values), values)[[3, 7]].tolist() == [False, True]
-
-
-@pytest.mark.parametrize(("length", "stuck"), [(49, False), (51, True)])
-def test_a_value_held_for_half_a_second_is_stuck(length: int, stuck: bool, rng: np.random.Generator) -> None:
-    values = rng.normal(size=1000)
-    values[300 : 300 + length] = values[300]
-    flags = faults.is_stuck(quiet(values), values)
-    assert np.flatnonzero(flags).tolist() == list(range(300, 300 + length)) * stuck
-    # a value that is frequent elsewhere, too, results from rounding
-    values[500::20] = values[300]
-    assert not faults.is_stuck(quiet(values), values).any()
-    assert faults.is_stuck(quiet(values), np.ones(1000)).all()
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_channel_that_stays_at_its_limit_is_clipped(sign: float) -> None:
-    wave = sign * np.sin(2 * np.pi * np.arange(1000) / 200.3) + 5.0
-    clipped = np.minimum(wave, 5.8) if sign > 0 else np.maximum(wave, 4.2)
-    limit = clipped.max() if sign > 0 else clipped.min()
-    flags = faults.is_clipped(quiet(wave), clipped)
-    np.testing.assert_array_equal(flags[clipped == limit], True)
-    # the other end is not clipped
-    assert flags.sum() == (clipped == limit).sum()
-    assert not faults.is_clipped(quiet(wave), wave).any()
-    # two visits of the limit are too few
-    assert not faults.is_clipped(quiet(wave[:400]), clipped[:400]).any()
-
-
 def test_single_corrupt_readings_in_a_rest_are_interpolated(run: imu.Run, rng: np.random.Generator) -> None:
     """A rest continues over a corrupt reading, and a record without one in its rests stays as it is."""
     acceleration = run.acceleration.copy()

@@ -12,7 +12,7 @@ from scipy import signal
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.inertial.alignment import clock_offset, remove_drift
+from swimid.inertial.alignment import clock_offset
 from swimid.inertial.track_imu import track_imu
 from tests.conftest import Ran
 from tests.generators import imu
@@ -23,22 +23,6 @@ WHERE = ["x_m", "y_m", "z_m"]
 
 
 # ---------------------------------------------------------------- clocks
-
-
-@pytest.mark.parametrize("true", [-0.4, 0.037, 3.21])
-def test_an_offset_is_found_within_its_interval(true: float, rng: np.random.Generator) -> None:
-    t = np.arange(0.0, 40.0, 0.005)
-    wave = np.sin(6.1 * t) * (1 + 0.3 * np.sin(0.4 * t)) + 0.4 * np.cos(13 * t + 0.3 * np.sin(t))
-    seen_t = np.arange(5.0, 35.0, 1 / 30)
-    seen = np.interp(seen_t + true, t, wave) + rng.normal(0, 0.1, len(seen_t)) + 0.05 * seen_t
-    found = clock_offset(t, wave[:, None], seen_t, seen[:, None])
-    assert found is not None
-    # Cramer-Rao: noise over the root sum of squared slopes
-    bound = 0.1 / np.sqrt(np.sum(np.gradient(np.interp(seen_t + true, t, wave), seen_t) ** 2))
-    assert abs(found.value_s - true) < 4 * bound
-    assert found.stderr_s < 3 * bound
-    assert found.low_s < true < found.high_s
-    assert not found.low_s <= 0.0 <= found.high_s
 
 
 def test_the_interval_has_its_stated_coverage() -> None:
@@ -92,25 +76,6 @@ def test_a_mount_that_may_turn_as_the_clock_does_leaves_the_offset_unknown(rng: 
     assert found is None or found.stderr_s > 2 * np.pi / 5
 
 
-def test_drift_is_removed_and_faster_motion_is_kept() -> None:
-    t = np.arange(0.0, 40.0, 0.02)
-
-    def kept(period_s: float) -> float:
-        wave = np.sin(2 * np.pi * t / period_s + 0.4)[:, None]
-        return float(np.std(remove_drift(t, wave + 3.0, 5.0)) / np.std(wave))
-
-    assert [kept(period) < 0.1 for period in (40.0, 20.0, 10.0)] == [True] * 3
-    assert [kept(period) > 0.9 for period in (4.2, 3.8, 1.0)] == [True] * 3
-
-
-def test_no_offset_is_found_between_unrelated_signals(rng: np.random.Generator) -> None:
-    t = np.arange(0.0, 20.0, 0.01)
-    noise = rng.normal(size=(500, 1))
-    found = clock_offset(t, np.sin(5 * t)[:, None], np.arange(500) / 30, noise)
-    assert found is None or found.explained < 0.2
-    assert clock_offset(t, np.sin(5 * t)[:, None], np.arange(5) / 30, noise[:5]) is None
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("with_yaw", "off"), [(True, 0.002), (False, 0.010)], ids=["yaw", "path alone"])
 def test_an_offset_of_37_ms_is_found(
@@ -133,17 +98,6 @@ def test_an_offset_of_37_ms_is_found(
     assert rms(away) < 0.002  # the camera alone: 1 mm in each of two coordinates
     inside = np.abs(away) <= BAND * found[["x_sd_m", "y_sd_m"]].to_numpy()
     assert inside.mean() >= 0.85
-
-
-@pytest.mark.slow
-def test_equal_clocks_raise_no_warning(swimid: Callable[..., Ran], tmp_path: Path) -> None:
-    rng = np.random.default_rng(11)
-    run = imu.marching(rng)
-    log = save(tmp_path / "imu.csv", run.columns())
-    seen = save(tmp_path / "camera.csv", imu.camera(run, rng))
-    ran = swimid("track", "imu", log, "--with", seen, "-o", tmp_path / "run.csv", "--json")
-    assert abs(ran.json["result"]["fusion"]["clock_offset_s"]) < 0.002
-    assert "SWM083" not in [w["code"] for w in ran.json["warnings"]]
 
 
 # ---------------------------------------------------------------- fusing

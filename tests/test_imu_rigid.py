@@ -13,8 +13,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import estimate, faults
-from swimid.inertial.record import ImuRecord
+from swimid.inertial import estimate
 from tests.conftest import Ran
 from tests.generators import rigid
 from tests.test_imu import BAND, VELOCITY, rms, save, table
@@ -95,14 +94,6 @@ def test_rests_after_a_minute_of_fast_turning_leave_the_attitude_good(
     assert inside(error, found[VELOCITY_SD].to_numpy()) >= 0.9
     assert "SWM084" not in result["codes"]
     assert not {"turn-rate unit", "unconfirmed turn rates"} & {f["fault"] for f in result["faults"]}
-
-
-def test_fast_turns_in_radians_are_not_taken_for_degrees() -> None:
-    run = rigid.tumbling(np.random.default_rng(3), pace=2.0, turn_s=10.0)
-    for factor, said in ((1.0, []), (180 / np.pi, ["turn-rate unit"])):
-        repaired, findings = faults.repair(ImuRecord(run.time_s, run.acceleration, run.rate * factor))
-        assert [f.fault for f in findings if f.verdict == "handled"] == said
-        np.testing.assert_allclose(repaired.rate, run.rate, atol=1e-9)
 
 
 def test_a_rest_in_which_it_turns_is_refused(swimid: Callable[..., Ran], tmp_path: Path) -> None:

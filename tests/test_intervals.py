@@ -98,8 +98,7 @@ def test_an_autoregression_is_correlated_by_its_slowest_mode(rng: np.random.Gene
 
 
 @pytest.mark.parametrize(
-    "form",
-    [NoiseForm(), NoiseForm(40.0, 2.0), NoiseForm(0.0, 1.0, Autoregression.of(np.array([-1.2, 0.5])))],
+    "form", [NoiseForm(), NoiseForm(40.0, 2.0), NoiseForm(0.0, 1.0, Autoregression.of(np.array([-1.2, 0.5])))]
 )
 def test_a_filter_whitens_any_columns_of_its_samples(form: NoiseForm, rng: np.random.Generator) -> None:
     place = np.concatenate((np.arange(25), np.arange(30, 60)))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import math
 import platform
 from dataclasses import replace
-from typing import Any
 
 import numba
 import numpy as np
@@ -140,21 +138,6 @@ def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None
     compared(fish, walls, own, 2)
 
 
-@pytest.mark.kernels
-def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel) -> None:
-    own = swims(fish, 1.0)
-    fish.forget(own)
-    none = fish.with_effects([], own).hooks(given(fish), own[0])
-    lane = fish.kernels.choose(fish.request(given(fish), own[0], none), fish.frame)
-    assert lane is not None
-    assert lane[0] is fish.kernels.own
-
-
-def test_models_with_another_step_share_the_kernels(fish: MultilinkModel) -> None:
-    assert fish.refine().kernels is fish.kernels
-    assert fish.coarser().kernels is fish.kernels
-
-
 @pytest.mark.slow
 def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
     """The generated module, run as Python, also has the effects of swimmers in a side view."""
@@ -170,35 +153,6 @@ def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
         compared(dolphin, [effect], own, 1)
 
 
-def test_effects_do_not_change_the_robots_own_kernel() -> None:
-    """The text of the robot's own kernel is the same with and without effects."""
-    text = lanes.source_of(opened("tfish").kernels.own.equations)
-    assert "exponent" not in text
-    assert text == lanes.source_of(MultilinkModel(robot_format.read("tfish")).kernels.own.equations)
-
-
-@pytest.mark.parametrize(
-    ("function", "exact", "numbers"),
-    [
-        (lanes.MATH.exp, math.exp, np.linspace(-700.0, 700.0, 1001)),
-        (lanes.MATH.exp, math.exp, np.linspace(-1.0, 1.0, 1001)),
-        (lanes.MATH.log, math.log, np.geomspace(1e-300, 1e300, 1001)),
-        (lanes.MATH.log, math.log, np.linspace(0.4, 2.5, 1001)),
-    ],
-)
-def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarray) -> None:
-    tracer = lanes.Tracer()
-    result = function(tracer.symbol("state", 0))
-    for number in numbers:
-        known: dict[int, float] = {}
-        for x in tracer.operations:
-            of = [known[a.number] if isinstance(a, lanes.Symbol) else a for a in x.of]
-            known[x.number] = float(number) if x.kind == "state" else lanes_forms.ACTS[x.kind](*of)
-        assert known[result.number] == pytest.approx(
-            exact(number), rel=4e-16, abs=3e-16 * (exact is math.log)
-        )
-
-
 def test_every_traceable_force_can_be_traced() -> None:
     """The forces of all modules can be traced with unknown constants."""
     for known in TRACEABLE.values():
@@ -212,13 +166,6 @@ def test_every_traceable_force_can_be_traced() -> None:
         wrench = np.zeros(3, dtype=object)
         lanes.on_symbols(known.function)(time, pose, velocity, own, wrench)
         assert any(isinstance(part, lanes.Symbol) for part in wrench)
-
-
-def test_a_branch_on_an_input_of_a_run_cannot_be_traced() -> None:
-    number = lanes.Tracer().symbol("number", 0)
-    for ask in (lambda: number > 0.0, lambda: number == 0.0, lambda: number != 0.0, lambda: number < 0.0):
-        with pytest.raises(TypeError):
-            ask()
 
 
 @pytest.mark.skipif(

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swimid.effects.structure import ComOffset
 from swimid.errors import InputError
 from swimid.fitting import drives
 from swimid.fitting.model import TRACEABLE, ExternalForce, SwimInput, Trial
@@ -567,14 +566,3 @@ def test_velocities_and_rates_are_the_derivatives_of_the_pose() -> None:
     spin = (turn[:-2].inv() * turn[2:]).as_rotvec() / 0.004
     np.testing.assert_allclose(rates[1:-1] * [1, -1, 1], spin, atol=1e-2)
     assert np.ptp(rates, axis=0).min() > 0.2
-
-
-def test_a_centre_of_mass_moves_by_a_share_of_the_extent_of_the_robot() -> None:
-    """Drag, hinge and centre of mass lie in a box of 150, 20 and 30 mm about the origin."""
-    offsets = ComOffset().parameters(armed("free", [0.0, 0.0, 0.0]), [])
-    size = 0.01 * math.hypot(0.15, 0.02, 0.03)
-    assert [p.scale for p in offsets] == pytest.approx([size] * 3)
-    assert [(p.lower, p.upper) for p in offsets] == [
-        (pytest.approx(-20 * size), pytest.approx(20 * size))
-    ] * 3
-    assert [p.name for p in offsets] == ["along_m", "across_m", "up_m"]

@@ -320,26 +320,6 @@ class TestTendonFish:
         np.testing.assert_allclose(turned[:, 3:], straight[:, 3:], atol=1e-12)
 
     @pytest.mark.slow
-    def test_finite_differences_are_smooth(self) -> None:
-        """One-sided differences with steps of 1e-6 agree with extrapolated central ones by column."""
-        times = np.linspace(0.0, 10.0, 501)
-        model = MultilinkModel(robot_format.read("tfish"))
-        base = values_of(model)
-        rest = swim(times)
-        for k, parameter in enumerate(model.parameters[:9]):
-            size = max(abs(base[k]), parameter.scale)
-
-            def moved(by: float, k: int = k, size: float = size) -> np.ndarray:
-                values = base.copy()
-                values[k] += by * size
-                return swim(times, values=values)
-
-            forward = (moved(1e-6) - rest) / (1e-6 * size)
-            wide, narrow = ((moved(h) - moved(-h)) / (2 * h * size) for h in (1e-4, 5e-5))
-            central = (4 * narrow - wide) / 3
-            assert np.linalg.norm(forward - central) < 1e-5 * np.linalg.norm(central), parameter.name
-
-    @pytest.mark.slow
     @needs_casadi
     def test_sensitivities(self) -> None:
         """Finite differences of the engine agree with variations of the independent equations."""
@@ -389,120 +369,6 @@ class TestBreakdown:
         assert np.isnan(swim(times, values=values)[:, :3]).any()
 
 
-# ------------------------------------------------------------ MuJoCo
-
-
-def mujoco_model(body: dict[str, Any], step: float) -> Any:
-    mujoco = pytest.importorskip("mujoco", reason="mujoco is the second opinion on rigid chains")
-    lengths = {link["name"]: link["length_m"] for link in body["links"]}
-    links = {link["name"]: link for link in body["links"]}
-
-    def written(name: str, place: str, joints: str) -> str:
-        link = links[name]
-        moment = link["inertia_kg_m2"]
-        if link["inertia_about"] == "front":
-            moment -= link["mass_kg"] * (link["com_m"] ** 2 + link["com_offset_m"] ** 2)
-        text = f'<body name="{name}" {place}>{joints}'
-        text += f'<inertial pos="{-link["com_m"]!r} {link["com_offset_m"]!r} 0" mass="{link["mass_kg"]!r}"'
-        text += f' diaginertia="{moment!r} {moment!r} {moment!r}"/>'
-        for j in body["joints"]:
-            if j["parent"] != name:
-                continue
-            station, half = j.get("at_m", lengths[name]), 0.5 * math.radians(j.get("mount_deg", 0.0))
-            spot = f'pos="{-station!r} {j.get("offset_m", 0.0)!r} 0" '
-            spot += f'quat="{math.cos(half)!r} 0 0 {math.sin(half)!r}"'
-            hinge, law = "", j.get("passive")
-            if law or j.get("driven"):
-                hinge = f'<joint name="{j["name"]}" type="hinge" axis="0 0 1"'
-                if law:
-                    rest = math.radians(law.get("rest_deg", 0.0))
-                    hinge += f' stiffness="{law["stiffness_N_m_rad"]!r}" springref="{rest!r}"'
-                    hinge += f' damping="{law.get("damping_N_m_s_rad", 0.0)!r}"'
-                hinge += "/>"
-            text += written(j["child"], spot, hinge)
-        return text + "</body>"
-
-    base = "".join(
-        f'<joint name="{n}" type="slide" axis="{a}"/>' for n, a in (("x", "1 0 0"), ("y", "0 1 0"))
-    )
-    base += '<joint name="theta" type="hinge" axis="0 0 1"/>'
-    text = f"""<mujoco><compiler angle="radian" inertiafromgeom="false"/>
-        <option timestep="{step}" integrator="RK4" gravity="0 -9.81 0"/>
-        <worldbody>{written(body["links"][0]["name"], 'pos="0 0 0"', base)}</worldbody></mujoco>"""
-    return mujoco, mujoco.MjModel.from_xml_string(text)
-
-
-def dry_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
-    """Return a random tree that MuJoCo can simulate: rigid bodies, weight, linear springs and dampers."""
-    body = lagrange.random_tree(rng, links, yielding, fluid=False)
-    for joint in body["joints"]:
-        law = joint.get("passive")
-        if law:
-            kept = ("stiffness_N_m_rad", "damping_N_m_s_rad", "rest_deg")
-            joint["passive"] = {key: law[key] for key in kept}
-        elif not driven:
-            joint.pop("driven", None)
-    body["elements"] = [{"kind": "hydrostatics", "link": link["name"]} for link in body["links"]]
-    return body
-
-
-@needs_casadi
-class TestMujoco:
-    def test_accelerations(self) -> None:
-        """Accelerations agree to 1e-9 of the largest one."""
-        rng = np.random.default_rng(8)
-        for _ in range(12):
-            body = dry_tree(rng, int(rng.integers(2, 7)), int(rng.integers(1, 4)), driven=False)
-            model = assembly(body)
-            mujoco, theirs = mujoco_model(body, 0.001)
-            data = mujoco.MjData(theirs)
-            state = rng.normal(size=2 * model.unknowns)
-            order = [theirs.joint(name).qposadr[0] for name in _coordinates(model)]
-            data.qpos[order], data.qvel[order] = state[: model.unknowns], world_rates(state)
-            mujoco.mj_forward(theirs, data)
-            found = in_world(state, accelerations(model, state))
-            expected = data.qacc[order]
-            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-
-    def test_forces_with_driven_joints(self) -> None:
-        """Inverse dynamics of our accelerations leaves no force on the base and the passive joints."""
-        rng = np.random.default_rng(9)
-        for _ in range(12):
-            body = dry_tree(rng, int(rng.integers(3, 7)), 1, driven=True)
-            model = assembly(body)
-            mujoco, theirs = mujoco_model(body, 0.001)
-            data = mujoco.MjData(theirs)
-            state, motion = rng.normal(size=2 * model.unknowns), rng.normal(size=(len(model.driven), 3))
-            own = [theirs.joint(name).qposadr[0] for name in _coordinates(model)]
-            told = [theirs.joint(axis.joint.name).qposadr[0] for axis in model.driven]
-            data.qpos[own], data.qvel[own] = state[: model.unknowns], world_rates(state)
-            data.qacc[own] = in_world(state, accelerations(model, state, motion))
-            data.qpos[told], data.qvel[told], data.qacc[told] = motion.T
-            mujoco.mj_inverse(theirs, data)
-            scale = np.abs(data.qfrc_bias).max() + np.abs(data.qacc).max()
-            np.testing.assert_allclose(data.qfrc_inverse[own], 0.0, atol=1e-12 * scale)
-
-    def test_trajectory(self) -> None:
-        """Two seconds of a falling, flapping tree; both use fourth-order steps of 0.5 ms."""
-        body = dry_tree(np.random.default_rng(4), 5, 3, driven=False)
-        model = assembly(body)
-        mujoco, theirs = mujoco_model(body, 0.0005)
-        data = mujoco.MjData(theirs)
-        order = [theirs.joint(name).qposadr[0] for name in _coordinates(model)]
-        start = np.zeros(2 * model.unknowns)
-        start[3:6], start[-4:] = (0.4, -0.3, 0.2), (0.5, 1.0, -1.0, 0.7)
-        data.qpos[order], data.qvel[order] = start[: model.unknowns], world_rates(start)
-        states, _ = integrated(model, start, 0.0005, 2.0)
-        for _ in range(4000):
-            mujoco.mj_step(theirs, data)
-        np.testing.assert_allclose(states[-1, : model.unknowns], data.qpos[order], atol=1e-11)
-        np.testing.assert_allclose(world_rates(states[-1]), data.qvel[order], atol=1e-10)
-
-
-def _coordinates(model: PlanarTree) -> list[str]:
-    return ["x", "y", "theta", *(axis.joint.name for axis in model.passive)]
-
-
 # ------------------------------------------------------------ elements against closed forms
 
 
@@ -530,10 +396,6 @@ class TestElements:
             # across the chord the water pushes back, whichever way the fin moves
             c, s = math.cos(math.radians(chord_deg)), math.sin(math.radians(chord_deg))
             assert (fy * c - fx * s) * (v * c - u * s) < 0
-
-    def test_foil_at_rest(self) -> None:
-        foil = one_link({"kind": "foil", "area_m2": 0.01, "at_m": 0.3, "lift_coefficient": 1.0})
-        assert (wrench(foil) == 0.0).all()
 
     def test_hydrostatics_right_the_body(self) -> None:
         """A centre of mass 12 mm below the centre of buoyancy: -m g d sin(pitch) about the former."""
@@ -595,9 +457,7 @@ class TestElements:
 
     def test_strips_of_a_turning_link(self) -> None:
         """About its front end at rate r: moment rho/2 c S r^2 L^2 / 4, force rho/2 c S r^2 L / 3."""
-        body = one_link(
-            {"kind": "drag", "normal_area_m2": 0.02, "normal_coefficient": 1.5, "strips": 3},
-        )
+        body = one_link({"kind": "drag", "normal_area_m2": 0.02, "normal_coefficient": 1.5, "strips": 3})
         for r in (2.0, -3.0):
             _, fy, moment = wrench(body, r=r)
             pressure = 0.5 * WATER * 1.5 * 0.02 * abs(r) * r

@@ -18,6 +18,7 @@ from swimid.notices import SwimidWarning
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as experiment
 from tests.conftest import Ran
+from tests.generators.files import write_trials
 from tests.test_fuzz_readers import examples, mutated, rewritten
 
 ROBOT = """\
@@ -285,9 +286,7 @@ def test_driven_joint_without_its_column(tmp_path: Path) -> None:
     rows = [f"{0.02 * k:.2f},{0.001 * k:.4f},0,0" for k in range(50)]
     (tmp_path / "run.csv").write_text("\n".join(["t_s,x_m,z_m,pitch_rad", *rows]) + "\n")
     trials = tmp_path / "trials.yaml"
-    trials.write_text(
-        "format: swimid-trials/1\nexperiment: free-swim\nrobot: eel.yaml\ntrials: [{log: run.csv}]\n"
-    )
+    write_trials(trials, "free-swim", "eel.yaml", ["log: run.csv"])
     with pytest.raises(InputError) as caught:
         load_experiment(trials)
     assert caught.value.file == str(tmp_path / "run.csv")

@@ -17,8 +17,7 @@ from scipy.stats import chi2
 import swimid as package
 from swimid.diagnosis.gap_file import GapFile
 from swimid.logs import log as log_format
-from tests.conftest import SAMPLES, Ran
-from tests.test_diagnose import command
+from tests.conftest import SAMPLES, Ran, command
 
 Run = Callable[..., Ran]
 Array = np.ndarray

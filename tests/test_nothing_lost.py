@@ -42,7 +42,6 @@ parameters:
 """
 #: Parameters of a robot with links.
 LINKS = SAMPLES / "gap" / "params.yaml"
-DOLPHIN = {"robot": "dolphin", "over": {"frequency_hz": (2.0, 3.0, 2)}, "duration_s": 4}
 
 
 def drops(folder: Path, *ids: str, header: str = "# made_by: encoder box for swimid\n") -> Path:
@@ -102,26 +101,6 @@ class TestCheckpoints:
         del first, second
         kept.finish()
         assert list(tmp_path.iterdir()) == []
-
-    @pytest.mark.slow
-    def test_a_map_is_that_of_its_own_options_after_a_stopped_run_with_others(self, tmp_path: Path) -> None:
-        alone, out = tmp_path / "alone.yaml", tmp_path / "map.yaml"
-        package.performance_map(**DOLPHIN, amplitude_deg=27, output=alone)
-
-        @contextmanager
-        def stopping(description: str, total: int | None = None) -> Iterator[Callable[..., None]]:
-            def step(amount: int = 1) -> None:
-                raise KeyboardInterrupt
-
-            yield step
-
-        with pytest.raises(KeyboardInterrupt):
-            package.performance_map(**DOLPHIN, amplitude_deg=15, output=out, jobs=1, progress=stopping)
-        before = checkpoint_path(out).read_text()
-        with pytest.warns(SwimidWarning, match="SWM150"):
-            package.performance_map(**DOLPHIN, amplitude_deg=27, output=out)
-        assert out.read_bytes() == alone.read_bytes()
-        assert checkpoint_path(out).read_text() == before
 
     @pytest.mark.parametrize(
         "damage",

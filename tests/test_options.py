@@ -140,10 +140,7 @@ class TestModel:
         "given, text",
         [
             ({}, "the option 'params' is missing"),
-            (
-                {"params": "a", "method": "bad"},
-                "method: 'bad' is not allowed: allowed are 'fast' or 'good'",
-            ),
+            ({"params": "a", "method": "bad"}, "method: 'bad' is not allowed: allowed are 'fast' or 'good'"),
             ({"params": "a", "step_s": 0}, "step_s: 0 is not allowed: it must be greater than 0"),
             ({"params": "a", "names": "ab"}, "names: 'ab' is not allowed"),
             ({"params": "a", "metod": "fast"}, "has no option 'metod'"),
@@ -318,12 +315,6 @@ class TestWording:
         assert caught.value.hint == said
 
 
-def test_names_given_together_and_apart_are_the_same() -> None:
-    entry = FitGrayboxOptions.declarations()["channels"]
-    assert value_of(entry, ("u_m_s, x_m", "y_m,")) == ("u_m_s", "x_m", "y_m")
-    assert value_of(entry, ()) is None
-
-
 @pytest.mark.parametrize(
     "words, begun, found",
     [
@@ -335,15 +326,6 @@ def test_names_given_together_and_apart_are_the_same() -> None:
 def test_completion(words: list[str], begun: str, found: set[str]) -> None:
     complete = ShellComplete(main, {}, "swimid", "_SWIMID_COMPLETE")
     assert {item.value for item in complete.get_completions(words, begun)} == found
-
-
-def test_the_list_of_commands_looks_at_no_options() -> None:
-    code = (
-        "import sys; from swimid.cli.main import main; main(['--help'], standalone_mode=False); "
-        "print([m for m in sys.modules if m.endswith('.options')], file=sys.stderr)"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stderr.strip() == "[]"
 
 
 def test_options_may_be_given_whole() -> None:

@@ -16,17 +16,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
 from swimid.fitting.fit_common import is_still
 from swimid.fitting.model import Trial
-from swimid.fitting.problem import (
-    BRIEF,
-    CREEPING,
-    STALLED,
-    Blocks,
-    Box,
-    Patience,
-    Problem,
-    Solution,
-    minimise,
-)
+from swimid.fitting.problem import Blocks, Box, Problem, minimise
 from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Step
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
@@ -85,30 +75,6 @@ class TestMinimise:
         assert ours.cost <= 2 * scipys.cost * (1 + 1e-9)
         assert ours.x == pytest.approx(scipys.x, abs=1e-5)
 
-    def test_secant_updates_and_corrected_steps_save_derivatives_in_a_curved_valley(self) -> None:
-        """Rosenbrock's valley a hundred times as steep (More, Garbow and Hillstrom 1981, problem 1)."""
-
-        def search(secant: bool) -> tuple[Solution, int]:
-            taken = [0]
-
-            def jacobian(p: np.ndarray) -> Blocks:
-                taken[0] += 1
-                return blocks_of(np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0]]))
-
-            found = minimise(
-                lambda p: np.array([1000.0 * (p[1] - p[0] ** 2), 1.0 - p[0]]),
-                jacobian,
-                np.array([-1.2, 1.0]),
-                Box(np.full(2, -10.0), np.full(2, 10.0), np.ones(2)),
-                secant=secant,
-            )
-            return found, taken[0]
-
-        (found, few), (_, many) = search(True), search(False)
-        assert found.success
-        assert found.x == pytest.approx([1.0, 1.0], abs=1e-6)
-        assert few < 0.5 * many
-
     def test_a_search_without_a_minimum_is_no_success(self) -> None:
         never = minimise(
             lambda p: np.array([np.exp(-p[0])]),
@@ -118,24 +84,6 @@ class TestMinimise:
             max_iterations=5,
         )
         assert not never.success
-
-    def test_a_search_ends_when_noise_hides_its_steps(self) -> None:
-        """Derivatives ten times too large: the search goes on while a parameter still moves."""
-
-        def search(move: float) -> Solution:
-            return minimise(
-                lambda p: np.append(p, 1e3),
-                lambda p: blocks_of(np.array([[10.0], [0.0]])),
-                np.array([1.0]),
-                unbounded(1),
-                tolerance=0.0,
-                watch=Patience(10.0, np.array([move])),
-            )
-
-        loose, strict = search(np.inf), search(1e-3)
-        assert loose.iterations == BRIEF
-        assert strict.iterations > loose.iterations
-        assert abs(strict.x[0]) < abs(loose.x[0])
 
     def test_a_prior_determines_what_the_data_leave_open_beside_a_large_misfit(
         self, rng: np.random.Generator
@@ -177,20 +125,6 @@ class TestMinimise:
         best = optimize.lsq_linear(rows, measured, (box.lower, box.upper), tol=1e-12)
         assert found.cost == pytest.approx(2.0 * best.cost, abs=0.5)
 
-    def test_a_slow_search_is_ended_and_named(self) -> None:
-        """Derivatives ten times too large, far from the optimum."""
-        found = minimise(
-            lambda p: np.append(p, 1e6),
-            lambda p: blocks_of(np.array([[10.0], [0.0]])),
-            np.array([1e4]),
-            unbounded(1),
-            watch=Patience(),
-        )
-        assert found.success
-        assert found.message == STALLED
-        assert CREEPING < found.iterations < 200
-        assert found.x[0] > 10.0
-
 
 class TestThreads:
     def test_the_result_does_not_depend_on_threads(self, rng: np.random.Generator) -> None:
@@ -205,46 +139,6 @@ class TestThreads:
         assert np.array_equal(one.covariance, three.covariance)
         assert one.evaluations == three.evaluations
         assert one.cost == three.cost
-
-    def test_fast_simulations_use_one_thread(self, rng: np.random.Generator) -> None:
-        model = Toy(decay, DECAY, ("y", "v"))
-        output_error.fit_output_error(model, trials(model, TRUTH, BOTH, rng), jobs=3)
-        assert len(model.threads) == 1
-
-    def test_nothing_is_simulated_twice(self, rng: np.random.Generator) -> None:
-        seen: list[tuple[bytes, int]] = []
-
-        def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
-            seen.append((values.tobytes(), len(t)))
-            return decay(values, t)
-
-        model = Toy(formula, DECAY, ("y", "v"))
-        data = [trials(model, TRUTH, BOTH, rng, count=1, samples=n)[0] for n in (150, 200)]
-        seen.clear()
-        # the search alone, because restarts simulate again
-        result = output_error.fit_output_error(model, data, tested=False)
-        assert result.evaluations == len(seen) == len(set(seen))
-        # new weights need no simulation
-        problem = Problem(model, DECAY, data)
-        problem.residuals(result.estimate)
-        problem.trial_jacobians(result.estimate)
-        before = len(seen)
-        problem.sd = [[3.0 * sd for sd in sds] for sds in problem.sd]
-        problem.residuals(result.estimate)
-        problem.trial_jacobians(result.estimate)
-        assert len(seen) == before
-
-    def test_forward_and_central_differences_agree(self, rng: np.random.Generator) -> None:
-        model = Toy(decay, DECAY, ("y", "v"))
-        problem = Problem(model, DECAY, trials(model, TRUTH, BOTH, rng))
-        theta = np.array(TRUTH)
-        forward = np.concatenate(problem.own_jacobians(theta))
-        central = np.concatenate(problem.own_jacobians(theta, central=True))
-        error = np.linalg.norm(forward - central, axis=0) / np.linalg.norm(central, axis=0)
-        # half of the second derivative (at most 49, from t^2) times the step of 1e-6, over the first
-        # derivative
-        assert np.all(error < 1e-5)
-        assert np.any(error > 0)
 
 
 class Interrupting:
@@ -342,12 +236,6 @@ class TestWeights:
         # 20 Jacobians of three columns, and a simulation for each
         assert result.evaluations <= 20 * (1 + len(TRUTH)) * len(data)
 
-    def test_the_cost_is_the_mean_square_of_one_channel(self, rng: np.random.Generator) -> None:
-        model = Toy(decay, DECAY)
-        result = output_error.fit_output_error(model, trials(model, TRUTH, {"y": 0.02}, rng))
-        squares = np.concatenate([s.residual for s in result.series]) ** 2
-        assert result.cost == pytest.approx(np.mean(squares), rel=1e-9)
-
 
 def line(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
     return {"y": values[0] * t + values[1] * np.sqrt(t)}
@@ -443,19 +331,6 @@ def test_the_default_start_replaces_one_that_diverges(rng: np.random.Generator) 
     found = output_error.estimate_start(model, model.parameters, trial, {"y": 0.01})
     # the standard error of the slope is 0.01 over the root of the sum of squared times
     assert found["rate[t]"] == pytest.approx(0.7, abs=4 * 0.01 / np.sqrt(np.sum(time**2)))
-
-
-def test_blocks_of_trials_are_the_matrix_of_all_derivatives(rng: np.random.Generator) -> None:
-    """The products, a selection of columns and the factors of blocks are those of the whole matrix."""
-    masks = np.array([[1, 1, 1, 0, 0], [1, 1, 0, 1, 0], [1, 1, 0, 0, 1]])
-    parts = [rng.normal(size=(9, 5)) * mask for mask in masks]
-    whole, blocks = np.concatenate(parts), blocks_of(*parts)
-    np.testing.assert_allclose(blocks.normal(), whole.T @ whole)
-    chosen = np.array([True, False, True, True, False])
-    np.testing.assert_allclose(blocks.columns(chosen).normal(), (whole.T @ whole)[np.ix_(chosen, chosen)])
-    bases, factors = blocks.factorise(np.ones(5))
-    for basis, factor, part in zip(bases, factors, parts, strict=True):
-        np.testing.assert_allclose(basis @ factor, part, atol=1e-12)
 
 
 def test_samples_identify_a_trial_under_any_name() -> None:

@@ -14,6 +14,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
 from swimid.optimisation.study import Performance
 from tests.conftest import Ran, interrupting
+from tests.test_best_gait import parameters
 
 Swimid = Callable[..., Ran]
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 8.0}
@@ -78,21 +79,7 @@ def test_the_range_of_the_fit_is_framed(samples: Path) -> None:
 
 def test_standard_deviations_follow_the_covariance(tmp_path: Path) -> None:
     """One uncertain coefficient: the deviation of the speed is its slope times the standard error."""
-    text = "\n".join(
-        [
-            "format: swimid-parameters/1", "model: multilink", "robot: dolphin", "parameters:",
-            *(
-                f"  {name}: {{value: {value}, stderr: {0.2 if name == 'c_d2' else 'null'}, unit: '1', "
-                "status: estimated}"
-                for name, value in {
-                    "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
-                    "c_d0": 2.55, "c_d1": 4.0, "c_d2": 5.8,
-                }.items()
-            ),
-        ]
-    )  # fmt: skip
-    (tmp_path / "p.yaml").write_text(text + "\n")
-    given = {"params": tmp_path / "p.yaml", "amplitude_deg": 27.0, "duration_s": 8.0}
+    given = {"params": parameters(tmp_path, c_d2=0.2), "amplitude_deg": 27.0, "duration_s": 8.0}
     made = package.performance_map(over={"frequency_hz": (2.0, 3.0, 2)}, **given)
     stderr = made.file.quantities["mean_speed_m_s"].stderr
     assert stderr is not None

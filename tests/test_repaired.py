@@ -79,15 +79,6 @@ def test_a_map_has_the_effects() -> None:
 
 
 @pytest.mark.slow
-def test_the_best_gait_has_the_effects() -> None:
-    vary = {"frequency_hz": (0.8, 1.4)}
-    about: dict[str, Any] = {"amplitude_deg": 20.0, "vary": vary, "duration_s": 3.0, "starts": 1, "draws": 20}
-    lossy = package.optimise_gait(params=fish("amplitude-loss", amplitude_loss__loss=0.2), **about)
-    small = package.optimise_gait(params=fish(), **{**about, "amplitude_deg": 16.0})
-    assert lossy.file.best == pytest.approx(small.file.best, rel=5e-3)
-
-
-@pytest.mark.slow
 def test_sensitivity_varies_the_size_of_an_effect() -> None:
     file = fish("amplitude-loss", amplitude_loss__loss=(0.2, 0.05))
     found = package.sensitivity(
@@ -195,10 +186,7 @@ def test_a_form_is_restored_by_its_parameters_and_its_constants() -> None:
     """The wall on one side stands where the diagnosis saw it, whatever the trials of the command."""
     beside = {"side": "y_max", "extreme_m": 0.4}
     near = fish(
-        "wall",
-        settings={"effects": {"wall": beside}},
-        wall__y_max_push_N_s2_m2=20.0,
-        wall__y_max_decay_m=0.2,
+        "wall", settings={"effects": {"wall": beside}}, wall__y_max_push_N_s2_m2=20.0, wall__y_max_decay_m=0.2
     )
     far = fish(
         "wall",
@@ -276,11 +264,7 @@ def test_effects_act_on_an_affected_model_as_beside_its_effects(names: tuple[str
     values = np.concatenate(
         [start(model), *(e.tries(e.parameters(model, trials))[0] for e in (first, second))]
     )
-    for one, other in (
-        (both, nested),
-        (both.refine(), nested.refine()),
-        (both.coarser(), nested.coarser()),
-    ):
+    for one, other in ((both, nested), (both.refine(), nested.refine()), (both.coarser(), nested.coarser())):
         wanted = [one.run(values, trial) for trial in trials]
         many = other.run_many([(values, trial) for trial in trials])
         for trial, expected, seen in zip(trials, wanted, many, strict=True):
@@ -449,27 +433,3 @@ def test_a_changed_parameter_has_its_new_value(swimid: Run, tmp_path: Path) -> N
     scores = package.compare(trials, params=tmp_path / "repaired.yaml").scores
     held_out = scores[scores["role"] == "validate"]
     assert held_out["rmse"].iloc[0] == pytest.approx(found.file.waterfall[-2].rmse["x_m"], rel=0.02)
-
-
-@pytest.mark.slow
-def test_a_fish_with_backlash_is_repaired(swimid: Run, tmp_path: Path) -> None:
-    """A held-out trial is predicted much better than as given, by the parameters alone."""
-    shutil.copytree(SAMPLES / "gap", tmp_path, dirs_exist_ok=True)
-    trials = tmp_path / "trials.yaml"
-    head, mark, tail = trials.read_text().partition("log: run05.csv\n    role: fit")
-    trials.write_text(head + mark.replace("fit", "validate") + tail)
-    ran = swimid(
-        "diagnose", trials, "--params", tmp_path / "params.yaml", "-o", tmp_path / "gap.yaml",
-        "--effects", "servo-backlash,servo-lag",
-    )  # fmt: skip
-    assert ran.status == 0, ran.err
-    gap = GapFile.read(tmp_path / "gap.yaml")
-    assert [c.effect for c in gap.causes] == ["servo-backlash"]
-    held, squared = gap.facts.held_out["run05"], []
-    assert held.after < held.limit < held.as_given
-    noise = gap.waterfall[-1].rmse
-    for params in ("params.yaml", "repaired.yaml"):
-        scores = package.compare(trials, params=tmp_path / params).scores
-        rmse = scores[scores["role"] == "validate"].set_index("channel")["rmse"]
-        squared.append(float(np.mean([(rmse[channel] / noise[channel]) ** 2 for channel in noise])))
-    assert squared[1] < 0.1 * squared[0]

@@ -133,10 +133,7 @@ def _read(text: str) -> float:
     return float(text.replace("−", "-"))
 
 
-@given(
-    value=st.floats(-1e12, 1e12, allow_nan=False),
-    relative=st.floats(1e-8, 1e3),
-)
+@given(value=st.floats(-1e12, 1e12, allow_nan=False), relative=st.floats(1e-8, 1e3))
 def test_rounding_loses_less_than_a_tenth_of_the_standard_error(value: float, relative: float) -> None:
     """What is printed reads back within 5 % of the standard error, whatever the size."""
     stderr = max(abs(value), 1e-12) * relative

@@ -11,12 +11,12 @@ import pytest
 
 from swimid.fitting import global_search, output_error
 from swimid.fitting.fit_common import load_experiment
-from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial, choose_parameters
+from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, choose_parameters
 from swimid.notices import SwimidWarning
 from swimid.rig import model
-from swimid.rig import model as rig_model
 from tests.conftest import Ran
 from tests.generators import rig as generator
+from tests.generators.files import write_log, write_trials
 from validation.real_gaps.rows import screw_drive
 
 Run = Callable[..., Ran]
@@ -98,30 +98,6 @@ def test_every_simulation_of_a_fit_is_counted(rng: np.random.Generator) -> None:
     assert several.evaluations == counted[0]
 
 
-def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
-    """The answer is unchanged, and the test needs fewer simulations than the search."""
-    experiment = load_experiment(samples / "rig" / "trials.yaml")
-    counted = [0]
-
-    class Counting(rig_model.RigModel):
-        def simulate_hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-            counted[0] += 1
-            return super().simulate_hooked(values, trial, hooks)
-
-        def refine(self) -> None:  # type: ignore[override]
-            return None
-
-    plain = experiment.model
-    model = Counting(plain.name, plain.parameters, "x_m")
-    alone = output_error.fit_output_error(model, experiment.trials, tested=False)
-    once = counted[0]
-    found = output_error.fit_output_error(model, experiment.trials)
-    assert found.restarts == 0
-    assert found.settled
-    assert found.estimate == pytest.approx(alone.estimate, rel=1e-12)
-    assert counted[0] - 2 * once < once
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
@@ -196,10 +172,8 @@ def test_a_decay_that_sticks(swimid: Run, tmp_path: Path) -> None:
         place = middle - (place - middle) * np.exp(-loss * np.pi / swing)
     x[time >= start] = place
     x += np.random.default_rng(0).normal(0, 2e-4, len(x))
-    np.savetxt(tmp_path / "d.csv", np.c_[time, x], delimiter=",", header="t_s,z_m", comments="")
-    (tmp_path / "t.yaml").write_text(
-        "format: swimid-trials/1\nexperiment: free-decay\nrobot: buoy.yaml\ntrials: [{log: d.csv}]\n"
-    )
+    write_log(tmp_path / "d.csv", {"t_s": time, "z_m": x})
+    write_trials(tmp_path / "t.yaml", "free-decay", "buoy.yaml", ["log: d.csv"])
     ran = swimid(
         "fit-drag", tmp_path / "t.yaml", "--free", "dry_friction", "--fix", "quadratic_drag=0", "--json"
     )
@@ -220,9 +194,7 @@ def test_a_real_drive_with_dry_friction(real_data: Path, tmp_path: Path) -> None
     rows = np.c_[time, force, position][::10]
     np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="t_s,force_N,x_m", comments="")
     (tmp_path / "cart.yaml").write_text("format: swimid-robot/1\nname: cart\nbody: {inertial_mass_kg: 60}\n")
-    (tmp_path / "t.yaml").write_text(
-        "format: swimid-trials/1\nexperiment: towed\nrobot: cart.yaml\ntrials: [{log: d.csv}]\n"
-    )
+    write_trials(tmp_path / "t.yaml", "towed", "cart.yaml", ["log: d.csv"])
     experiment = load_experiment(tmp_path / "t.yaml")
     choices = choose_parameters(
         experiment.model.parameters,

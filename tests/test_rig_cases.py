@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from tests.conftest import Ran
 from tests.generators import rig as generator
+from tests.generators.files import write_log, write_trials
 
 Run = Callable[..., Ran]
 STEP = 0.00785
@@ -25,14 +26,11 @@ def clicks() -> dict[int, np.ndarray]:
 
 
 def _write(folder: Path, logs: dict[int, tuple[np.ndarray, np.ndarray]]) -> Path:
-    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
+    lines = []
     for w, (t, x) in logs.items():
-        np.savetxt(
-            folder / f"w{w}.csv", np.c_[t, x], delimiter=",", header="t_s,x_m", comments="", fmt="%.7f"
-        )
-        lines.append(f"  - {{log: w{w}.csv, id: w{w}, pulling_mass_kg: {w / 1000}}}")
-    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
-    return folder / "trials.yaml"
+        write_log(folder / f"w{w}.csv", {"t_s": t, "x_m": x}, "%.7f")
+        lines.append(f"log: w{w}.csv, id: w{w}, pulling_mass_kg: {w / 1000}")
+    return write_trials(folder / "trials.yaml", "falling-weight", "boxfish", lines)
 
 
 def _near_truth(ran: Ran, sigmas: float = 4.0) -> None:
@@ -84,10 +82,8 @@ def test_a_decay_that_is_held_before_its_release(swimid: Run, tmp_path: Path) ->
     )  # fmt: skip
     z = np.concatenate((np.full(70, 0.05), run.y[0])) + rng.normal(0, 5e-4, len(t) + 70)
     times = 0.01 * np.arange(len(z))
-    np.savetxt(tmp_path / "d.csv", np.c_[times, z], delimiter=",", header="t_s,z_m", comments="")
-    (tmp_path / "t.yaml").write_text(
-        "format: swimid-trials/1\nexperiment: free-decay\nrobot: buoy.yaml\ntrials: [{log: d.csv}]\n"
-    )
+    write_log(tmp_path / "d.csv", {"t_s": times, "z_m": z})
+    write_trials(tmp_path / "t.yaml", "free-decay", "buoy.yaml", ["log: d.csv"])
     p = swimid("fit-drag", tmp_path / "t.yaml", "--json").json["result"]["parameters"]
     for name, true in (("added_mass", 1.2), ("quadratic_drag", 12.0), ("linear_drag", 1.5)):
         assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name
@@ -154,15 +150,17 @@ def test_a_release_between_two_samples_leaves_the_damping_right(swimid: Run, tmp
         "format: swimid-robot/1\nname: float\nbody: {roll_inertia_kg_m2: 0.002}\n"
         "rig: {roll_stiffness_N_m_rad: 0.3}\n"
     )
-    lines = ["format: swimid-trials/1", "experiment: free-decay", "robot: robot.yaml", "trials:"]
-    lines += [f"  - {{id: r{k}, log: {k}.csv}}" for k in range(3)]
-    (tmp_path / "trials.yaml").write_text("\n".join(lines) + "\n")
+    lines = []
+    lines += [f"id: r{k}, log: {k}.csv" for k in range(3)]
+    write_trials(tmp_path / "trials.yaml", "free-decay", "robot.yaml", lines)
     time, errors = np.arange(0.0, 8.0, 0.04), []
     for seed in range(6):
         for k, release in enumerate((0.801, 0.811, 0.825)):
             noise = 4e-4 * np.random.default_rng([seed, k]).normal(size=len(time))
-            table = np.c_[time, run.sol(np.maximum(time - release, 0.0))[0] + noise]
-            np.savetxt(tmp_path / f"{k}.csv", table, delimiter=",", header="t_s,roll_rad", comments="")
+            write_log(
+                tmp_path / f"{k}.csv",
+                {"t_s": time, "roll_rad": run.sol(np.maximum(time - release, 0.0))[0] + noise},
+            )
         ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
         found = ran.json["result"]["parameters"]["quadratic_damping"]
         errors.append((found["value"] - quadratic) / found["stderr"])

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from swimid.rig import fit_drag as checks
 from tests.conftest import Ran
 from tests.generators import rig as generator
+from tests.generators.files import write_log, write_trials
 
 Run = Callable[..., Ran]
 
@@ -29,12 +30,8 @@ def _decay(folder: Path, *, linear: float, quadratic: float, rng: np.random.Gene
         lambda _, s: [s[1], (-4.0 * s[0] - linear * s[1] - quadratic * s[1] * abs(s[1])) / 0.7],
         (0, 20), [0.3, 0], t_eval=time, rtol=1e-10, atol=1e-12,
     )  # fmt: skip
-    rows = np.c_[time, run.y[0] + rng.normal(0, 1e-3, len(time))]
-    np.savetxt(folder / "roll.csv", rows, delimiter=",", header="t_s,roll_rad", comments="")
-    (folder / "decay.yaml").write_text(
-        "format: swimid-trials/1\nexperiment: free-decay\nrobot: hull.yaml\ntrials: [{log: roll.csv}]\n"
-    )
-    return folder / "decay.yaml"
+    write_log(folder / "roll.csv", {"t_s": time, "roll_rad": run.y[0] + rng.normal(0, 1e-3, len(time))})
+    return write_trials(folder / "decay.yaml", "free-decay", "hull.yaml", ["log: roll.csv"])
 
 
 @pytest.mark.parametrize("linear, quadratic", [(0.04, 0.0), (0.0, 0.3), (0.04, 0.1)])
@@ -105,7 +102,7 @@ class TestPossible:
             "format: swimid-robot/1\nname: bead\n"
             f"body: {{inertial_mass_kg: {mass}, frontal_area_m2: {area}}}\n"
         )
-        lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: bead.yaml", "trials:"]
+        lines = []
         time = np.arange(0, 0.5, 1 / 120)
         for k in range(3):
             run = solve_ivp(
@@ -115,10 +112,9 @@ class TestPossible:
                 ],
                 (0, 0.5), [0, 0], t_eval=time, rtol=1e-10, atol=1e-14,
             )  # fmt: skip
-            rows = np.c_[time, run.y[0] + rng.normal(0, 2e-4, len(time))]
-            np.savetxt(tmp_path / f"b{k}.csv", rows, delimiter=",", header="t_s,x_m", comments="")
-            lines.append(f"  - {{log: b{k}.csv, driving_force_N: {force * stated}}}")
-        (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
+            write_log(tmp_path / f"b{k}.csv", {"t_s": time, "x_m": run.y[0] + rng.normal(0, 2e-4, len(time))})
+            lines.append(f"log: b{k}.csv, driving_force_N: {force * stated}")
+        write_trials(tmp_path / "t.yaml", "falling-weight", "bead.yaml", lines)
         ran = swimid("fit-drag", tmp_path / "t.yaml")
         last = " ".join(ran.out.strip().split("\n\n")[-1].split())
         assert ("SWM072" in ran.err) is (stated > 1.0)
@@ -135,9 +131,7 @@ class TestPossible:
         """All trials agree with each other, but no body has the estimates."""
         weights = tuple(range(10, 41, 5))
         trials = generator.write_falls(
-            tmp_path,
-            np.random.default_rng(0),
-            stated_g={weight: factor * weight for weight in weights},
+            tmp_path, np.random.default_rng(0), stated_g={weight: factor * weight for weight in weights}
         )
         ran = swimid("fit-drag", trials)
         last = " ".join(ran.out.strip().split("\n\n")[-1].split())
@@ -156,7 +150,7 @@ class TestPossible:
             "format: swimid-robot/1\nname: ball\n"
             f"body: {{inertial_mass_kg: {mass}, frontal_area_m2: {area}}}\n"
         )
-        lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: ball.yaml", "trials:"]
+        lines = []
         time = np.arange(0, 0.8, 1 / 120)
         whole, drag = mass + 0.5 * displaced, 0.25 * density * area
         for k in range(3):
@@ -164,10 +158,9 @@ class TestPossible:
                 lambda _, s: [s[1], (force - drag * s[1] ** 2) / whole],
                 (0, 0.8), [0, 0], t_eval=time, rtol=1e-10, atol=1e-14,
             )  # fmt: skip
-            rows = np.c_[time, run.y[0] + rng.normal(0, 2e-4, len(time))]
-            np.savetxt(tmp_path / f"r{k}.csv", rows, delimiter=",", header="t_s,x_m", comments="")
-            lines.append(f"  - {{log: r{k}.csv, driving_force_N: {force}}}")
-        (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
+            write_log(tmp_path / f"r{k}.csv", {"t_s": time, "x_m": run.y[0] + rng.normal(0, 2e-4, len(time))})
+            lines.append(f"log: r{k}.csv, driving_force_N: {force}")
+        write_trials(tmp_path / "t.yaml", "falling-weight", "ball.yaml", lines)
         ran = swimid("fit-drag", tmp_path / "t.yaml", "--json")
         assert "SWM072" not in ran.err
         assert ran.json["result"]["parameters"]["added_mass"]["value"] == pytest.approx(

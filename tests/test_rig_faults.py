@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cases.test_rig_cases import near, parameter, verdict
 from tests.conftest import Ran
 from tests.generators import rig_faults as generator
-from tests.test_rig_trials import rig
+from tests.test_rig_trials import near, parameter, rig, verdict
 
 Run = Callable[..., Ran]
 

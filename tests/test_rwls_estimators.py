@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from swimid.blackbox import arx
@@ -17,14 +12,12 @@ from swimid.blackbox import rwls as identified
 from swimid.blackbox.arx import fit_arx, regression
 from swimid.blackbox.model import ArxRecord, Orders
 from swimid.blackbox.rwls import search_orders
-from swimid.errors import NoTrustworthyResult
 from swimid.logs import sampling
 
 pytestmark = pytest.mark.kernels
 
 A, B = np.array([-1.5, 0.7]), np.array([0.5, 0.25])
 TRUTH = np.concatenate((A, B))
-NOISY = np.random.default_rng(0).normal(size=50)
 
 
 def simulated(seed, *, n=400, noise=0.1, mean=0.0, a=A, b=B, c=(), offset=0.0, name="log"):
@@ -58,17 +51,6 @@ def test_recursion_equals_batch_with_its_prior(prior_scale, weight, forgetting):
     np.testing.assert_allclose(run.theta, expected, rtol=1e-8, atol=1e-8)
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10_000), st.integers(1, 9), st.floats(0.5, 2), st.floats(0.9, 1))
-def test_recursion_equals_batch_for_random_problems(seed, p, weight, forgetting):
-    rng = np.random.default_rng(seed)
-    h, z = rng.normal(size=(60, p)), rng.normal(size=60)
-    run = arx.recursive_least_squares(h, z, weight=weight, forgetting=forgetting)
-    np.testing.assert_allclose(
-        run.theta, batch(h, z, weight=weight, forgetting=forgetting), rtol=1e-8, atol=1e-8
-    )
-
-
 def test_recursion_follows_the_printed_equations():
     """Eq 9 written out with a full P, compared at every row."""
     data = regression([simulated(2, n=60)], Orders(2, 2))
@@ -87,14 +69,6 @@ def test_recursion_follows_the_printed_equations():
     np.testing.assert_allclose(run.covariance, p, rtol=1e-5, atol=1e-8)
 
 
-def test_constant_weight_is_not_forgetting():
-    """Lambda only rescales P(0): the same result with P(0) scaled and weight one."""
-    data = regression([simulated(3)], Orders(2, 2))
-    weighted = arx.recursive_least_squares(data.rows, data.outputs, weight=0.5, prior_scale=10.0)
-    rescaled = arx.recursive_least_squares(data.rows, data.outputs, prior_scale=10.0 * np.sqrt(0.5))
-    np.testing.assert_allclose(weighted.theta, rescaled.theta, rtol=1e-12)
-
-
 def test_forgetting_follows_a_change_and_weight_does_not():
     before, after = simulated(4, n=1500), simulated(5, n=1500, a=np.array([-1.2, 0.5]))
     both = [before, after]
@@ -111,20 +85,6 @@ def test_growth_of_p_is_limited_and_counted():
     assert run.limited > 1000
     assert np.isfinite(run.covariance).all()
     assert run.theta == pytest.approx([1.0, 0.0])
-
-
-def test_recursion_refuses_missing_values():
-    with pytest.raises(ValueError, match="finite"):
-        arx.recursive_least_squares(np.array([[np.nan]]), np.ones(1))
-
-
-def test_exact_arx_data_without_offset_give_plain_least_squares():
-    record = simulated(7, mean=1.0)
-    point = identified.find_working_point([record], Orders(2, 2))
-    assert not point.removed
-    found = fit_arx(identified.subtract_levels([record], point), Orders(2, 2))
-    plain = np.linalg.lstsq(found.data.rows, found.data.outputs, rcond=None)[0]
-    np.testing.assert_allclose(found.theta, plain, rtol=1e-8, atol=1e-10)
 
 
 def test_offset_is_found_and_removed():
@@ -165,13 +125,6 @@ def test_slow_systems_without_offset_seldom_lose_their_means():
     assert sum(centred) <= 3
 
 
-def test_coefficients_within_three_standard_errors():
-    found = fit_arx([simulated(11, n=3000)], Orders(2, 2))
-    assert np.all(np.abs(found.theta - TRUTH) < 3 * found.stderr)
-    assert found.noise_sd == pytest.approx(0.1, rel=0.05)
-    assert not found.robust
-
-
 @pytest.mark.parametrize("forgetting", [1.0, 0.995])
 def test_coverage_of_the_95_percent_intervals(forgetting):
     """300 repeats x 4 coefficients: 92 to 98 % of the intervals hold the truth."""
@@ -189,15 +142,6 @@ def test_coverage_of_armax_intervals():
         found = fit_arx([simulated(5000 + seed, n=500, noise=0.3, c=(0.6,))], Orders(2, 2, nc=1))
         inside.append(np.abs(found.theta - truth) <= 1.96 * found.stderr)
     assert 0.92 <= np.mean(inside) <= 0.98
-
-
-def test_coloured_noise_biases_arx_and_not_armax():
-    record = simulated(12, n=8000, noise=0.5, c=(0.8,))
-    plain, extended = fit_arx([record], Orders(2, 2)), fit_arx([record], Orders(2, 2, nc=1))
-    assert plain.robust
-    assert not extended.robust
-    assert np.abs(plain.theta[:2] - A).max() > 10 * np.abs(extended.theta[:2] - A).max()
-    assert np.all(np.abs(extended.theta - np.append(TRUTH, 0.8)) < 3.5 * extended.stderr)
 
 
 def test_armax_gradient_is_the_derivative():
@@ -226,28 +170,6 @@ def test_gaps_cost_only_the_rows_around_them():
     assert np.all(np.abs(found.theta - TRUTH) < 4 * found.stderr)
 
 
-def test_several_logs_are_fitted_together():
-    parts = [simulated(15, n=300), simulated(16, n=700)]
-    data = regression(parts, Orders(2, 2))
-    assert data.fresh.sum() == 2
-    found = fit_arx(parts, Orders(2, 2))
-    np.testing.assert_allclose(found.theta, batch(data.rows, data.outputs), rtol=1e-8, atol=1e-8)
-
-
-def test_a_single_sine_leaves_b_undetermined():
-    rng = np.random.default_rng(17)
-    t = np.arange(2000) * 0.05
-    u = np.sin(2 * np.pi * t)
-    y = lfilter([0, *B], [1, *A], u) + lfilter([1], [1, *A], 0.05 * rng.normal(size=len(t)))
-    found = fit_arx([ArxRecord("sine", t, u, y)], Orders(2, 3))
-    assert found.known.input_rank == 2
-    assert found.known.determined.tolist() == [True, True, False, False, False]
-    assert np.isnan(found.stderr[2:]).all()
-    # The same from a file with six decimals: rounding must not pass for excitation.
-    rounded = fit_arx([ArxRecord("sine", t, np.round(u, 6), np.round(y, 6))], Orders(2, 3))
-    assert rounded.known.input_rank == 2
-
-
 def test_a_measured_sine_leaves_b_undetermined():
     """Sensor noise on the input makes the regression regular and B no better known."""
     rng = np.random.default_rng(43)
@@ -267,47 +189,6 @@ def test_a_small_coefficient_known_to_be_small_is_estimated():
     found = fit_arx([simulated(44, n=800, a=np.array([-1.9, 0.9025]))], Orders(3, 3))
     assert found.known.determined.all()
     assert found.stderr[2] > 0.5 * abs(found.theta[2])
-
-
-@pytest.mark.parametrize(
-    "record,orders,match",
-    [
-        (
-            ArxRecord("c", np.arange(50.0), np.sin(np.arange(50.0) ** 2), np.full(50, 3.0)),
-            Orders(2, 2),
-            "constant",
-        ),
-        (simulated(18, n=6), Orders(3, 3), "usable rows"),
-        (
-            ArxRecord("z", np.arange(50.0), np.zeros(50), simulated(19, n=50).output),
-            Orders(2, 2),
-            "does not move",
-        ),
-        (
-            ArxRecord("s", np.arange(500.0), np.sin(0.3 * np.arange(500)), np.cos(0.3 * np.arange(500))),
-            Orders(3, 3),
-            "singular",
-        ),
-    ],
-)
-def test_data_without_information_are_refused(record, orders, match):
-    with pytest.raises(NoTrustworthyResult, match=match):
-        fit_arx([record], orders)
-
-
-def test_one_step_predictions_against_a_direct_loop():
-    record, orders = simulated(20, n=60), Orders(2, 2, nk=1)
-    got = identified.predict(record, orders, TRUTH)
-    u, y = record.source, record.output
-    for k in range(2, 60):
-        expected = -A[0] * y[k - 1] - A[1] * y[k - 2] + B[0] * u[k - 1] + B[1] * u[k - 2]
-        assert got[k] == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-
-def test_errors_of_the_armax_prediction_are_the_noise():
-    record = simulated(21, n=4000, noise=0.3, c=(0.7,))
-    error = record.output - identified.predict(record, Orders(2, 2, nc=1), np.append(TRUTH, 0.7))
-    assert np.nanstd(error) == pytest.approx(0.3, rel=0.05)
 
 
 def test_free_run_equals_a_filter_and_restarts_after_gaps():
@@ -334,21 +215,6 @@ def test_a_diverging_free_run_does_not_overflow():
     assert np.nanmax(np.abs(run)) < 1e5
 
 
-@pytest.mark.parametrize("hertz,decimals", [(30, 2), (40, 2), (60, 2), (75, 2), (7, 1), (1000, 3)])
-def test_stamps_rounded_to_few_decimals_are_a_constant_rate(hertz, decimals):
-    number = np.delete(np.arange(900), [100, 101, 500])
-    time = np.round(7.0 + number / hertz, decimals)
-    rate = sampling.rate(time)
-    assert rate.uniform
-    assert rate.jitter == 0
-    # The error of a line through 900 stamps rounded by up to half a unit.
-    assert rate.step_s == pytest.approx(1 / hertz, abs=10.0**-decimals / 900)
-    (piece,) = sampling.pieces(time, rate.step_s)
-    assert np.flatnonzero(piece.rows < 0).tolist() == [100, 101, 500]
-    (tail,) = sampling.pieces(time[600:], rate.step_s)
-    assert (tail.rows >= 0).all()
-
-
 def test_the_output_level_of_other_data_is_found():
     record = simulated(24, n=400, noise=0.0)
     moved = ArxRecord("m", record.time_s, record.source, record.output + 3.0)
@@ -363,29 +229,6 @@ def test_pole_uncertainty_matches_repeats():
         sizes.append(pole.magnitude)
         errors.append(pole.stderr_magnitude)
     assert np.mean(errors) == pytest.approx(np.std(sizes), rel=0.15)
-
-
-def test_integrating_and_unstable_poles():
-    on = difference.find_poles(np.array([-1.0]), np.array([[1e-4]]))[0]
-    near = difference.find_poles(np.array([-0.99]), np.array([[1e-4]]))[0]
-    inside = difference.find_poles(np.array([-0.9]), np.array([[1e-4]]))[0]
-    outside = difference.find_poles(np.array([-1.1]), np.array([[1e-4]]))[0]
-    assert (on.is_integrating, on.state) == (True, "unstable")
-    assert (near.is_integrating, near.state) == (True, "integrating")
-    assert (inside.is_integrating, inside.state) == (False, "stable")
-    assert (outside.is_integrating, outside.state) == (False, "unstable")
-
-
-def test_order_search_finds_the_truth():
-    record = simulated(25, n=3000, b=np.array([0.0, 0.5, 0.25]))
-    found = search_orders([record], 4, range(4))
-    best, bic = found[0]
-    assert best == Orders(2, 2, 2)
-    assert len(found) == 5 * 4 * 4
-    direct = fit_arx([record], best)
-    rows = len(regression([record], Orders(4, 7, 0)))
-    rmse = np.exp((bic - np.log(rows) * best.count) / (2 * rows))
-    assert rmse == pytest.approx(np.sqrt(np.mean(direct.residuals**2)), rel=1e-2)
 
 
 def test_noise_free_data_do_not_favour_larger_orders():
@@ -406,42 +249,6 @@ def test_time_stamps_are_placed_on_a_grid():
     assert not sampling.rate(np.cumsum(rng.exponential(0.1, size=500))).uniform
     assert sampling.rate(np.round(np.arange(500) * 0.02375, 3)).uniform
     assert sampling.rate(np.round(np.arange(500) * 0.02375, 3)).step_s == pytest.approx(0.02375, rel=1e-3)
-
-
-DATA = os.environ.get("SWIMID_DATA")
-needs_data = pytest.mark.skipif(not DATA, reason="SWIMID_DATA is not set: no real recordings here")
-
-
-def _halves(name, step_s):
-    table = np.loadtxt(Path(DATA) / "sysid" / f"{name}.dat")
-    half = len(table) // 2
-    time = np.arange(len(table)) * step_s
-    cut = (slice(0, half), slice(half, None))
-    return [ArxRecord(name, time[s], table[s, 0].copy(), table[s, 1].copy()) for s in cut]
-
-
-@needs_data
-def test_hair_dryer_free_run_on_the_second_half():
-    first, second = _halves("dryer", 0.08)
-    orders = Orders(4, 4)
-    point = identified.find_working_point([first], orders)
-    assert point.removed
-    found = fit_arx(identified.subtract_levels([first], point), orders)
-    moved, _ = identified.about_own_level(identified.subtract_levels([second], point), orders, found.theta)
-    assert (
-        identified.compute_score(
-            moved[0].output, difference.simulate(moved[0], orders, found.theta)
-        ).fit_percent
-        >= 89.0
-    )
-
-
-@needs_data
-def test_ball_beam_is_an_integrator():
-    first, _ = _halves("ballbeam", 0.1)
-    found = fit_arx([first], Orders(4, 4))
-    poles = difference.find_poles(found.theta[:4], found.covariance[:4, :4])
-    assert poles[0].is_integrating or poles[0].state == "unstable"
 
 
 def test_the_search_with_weights_ends_where_the_weighted_gradient_vanishes():

@@ -100,13 +100,7 @@ class TestSobol:
             return linear(x) if x[1] < 0.6 else np.full(2, np.inf)
 
         with pytest.raises(NoTrustworthyResult, match="diverge, more than 1 %") as caught:
-            sensitivity.sobol(
-                each(breaking),
-                np.zeros(3),
-                np.ones(3),
-                samples=256,
-                jobs=2,
-            )
+            sensitivity.sobol(each(breaking), np.zeros(3), np.ones(3), samples=256, jobs=2)
         assert "--range" in str(caught.value)
 
     def test_the_number_of_samples_must_be_a_power_of_two(self) -> None:

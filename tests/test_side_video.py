@@ -6,10 +6,8 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
 from scipy.interpolate import CubicSpline
 
-from swimid.cli.main import track_group
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.kinematics.cycles import CYCLE_QUANTITIES, cycle_quantities, whole_cycles
@@ -24,6 +22,7 @@ from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import WINDOW, RawTrack
 from swimid.tracking.track_video import checks_of
+from tests.conftest import track
 from tests.generators import side_video
 from tests.generators.side_video import FRONT, PERIOD_S, REAR, View
 
@@ -31,16 +30,10 @@ ROBOT = "robot: sealion"
 MOUNT = math.atan2(FRONT[1] - REAR[1], FRONT[0] - REAR[0])
 
 
-def run(*arguments, status=0):
-    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
-    assert result.exit_code == status, result.output
-    return result
-
-
 def film(folder, view):
     side_video.write_video(folder / "side.mp4", view)
     (folder / "setup.yaml").write_text(side_video.setup_text(view, ROBOT))
-    output = run("video", folder / "side.mp4", "--setup", folder / "setup.yaml", "-o", folder / "run.csv")
+    output = track("video", folder / "side.mp4", "--setup", folder / "setup.yaml", "-o", folder / "run.csv")
     return pd.read_csv(folder / "run.csv", comment="#"), output
 
 
@@ -104,7 +97,7 @@ def test_a_simulated_stroke_goes_through_film_and_tracking_to_the_table_of_its_c
 
     side_video.write_video(tmp_path / "side.mp4", View(), moved)
     (tmp_path / "setup.yaml").write_text(side_video.setup_text(View(), ROBOT))
-    run("video", tmp_path / "side.mp4", "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    track("video", tmp_path / "side.mp4", "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
     (tmp_path / "trials.yaml").write_text(
         "format: swimid-trials/1\nexperiment: multibody\nrobot: lively.yaml\ntrials:\n"
         "  - {id: film, log: run.csv, drive: {stroke: characteristic-pelvis}}\n"
@@ -179,14 +172,14 @@ def test_two_markers_and_no_robot(port, tmp_path):
     folder, _, _ = port
     film = folder / "side.mp4"
     marks = side_video.marks(View(flank=-1))
-    run(
+    track(
         *("setup", film, "--plane", "vertical", "-o", tmp_path / "setup.yaml", "--metres-per-pixel"),
         3.0 / math.dist(marks[3], marks[2]),
     )
     text = (tmp_path / "setup.yaml").read_text()
     assert re.search(r"head: red\ntail: yellow\n", text)
     assert "facing: auto" in text
-    run("video", film, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    track("video", film, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     truth = side_video.motion(log.t_s.to_numpy())
     # Seen askew with one factor for a scale: 4 deg of pan make some per cent over the picture.
@@ -244,10 +237,7 @@ SCALES = {
         "points_px": [[0, 719], [1000, 719], [1000, 19], [0, 19]],
         "points_m": [[0, -1], [1000 * METRES, -1], [1000 * METRES, 700 * METRES - 1], [0, 700 * METRES - 1]],
     },
-    "nearer": {
-        "metres_per_pixel": 1.25 * METRES,
-        "heights": {"camera_m": 5.0, "marker_m": 1.0},
-    },
+    "nearer": {"metres_per_pixel": 1.25 * METRES, "heights": {"camera_m": 5.0, "marker_m": 1.0}},
 }
 
 
@@ -366,11 +356,7 @@ def test_speeds_of_a_cycle_are_the_logs_own():
     truth = side_video.motion(time)
     cos, sin = np.cos(truth["pitch_rad"]), np.sin(truth["pitch_rad"])
     noise = np.random.default_rng(1).normal(0, 0.002, (2, len(time)))
-    noisy = {
-        "x_m": truth["x_m"] + noise[0],
-        "z_m": truth["z_m"] + noise[1],
-        "pitch_rad": truth["pitch_rad"],
-    }
+    noisy = {"x_m": truth["x_m"] + noise[0], "z_m": truth["z_m"] + noise[1], "pitch_rad": truth["pitch_rad"]}
     body = {
         "u_m_s": truth["vx_m_s"] * cos + truth["vz_m_s"] * sin,
         "w_m_s": truth["vz_m_s"] * cos - truth["vx_m_s"] * sin,

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+import swimid as package
 from swimid.logs import log as log_format
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
@@ -82,6 +83,43 @@ def test_a_tendon_fish_swims_as_in_an_independent_simulation(swimid: Run, tmp_pa
     assert np.max(np.abs(log["cmd1_rad"])) == pytest.approx(math.radians(20.0) / 3, rel=0.02)
 
 
+#: Frequency (Hz) and amplitude (deg): mean surge (m/s) and maximum yaw rate (deg/s).
+TFISH_FIGURES = {
+    (0.7, 20): (0.031, 21.8), (1.0, 20): (0.098, 29.1), (1.0, 30): (0.241, 43.0), (1.4, 20): (0.238, 29.4),
+    (1.4, 30): (0.384, 35.3), (1.8, 20): (0.326, 25.1), (1.8, 30): (0.461, 28.2), (2.2, 35): (0.543, 30.6),
+}  # fmt: skip
+#: Frequency (Hz) and K_s (N m/rad): mean surge (m/s).
+DOLPHIN_FIGURES = {
+    (2.90, 0.31): 0.693, (2.89, 0.62): 0.698, (2.88, 0.80): 0.673, (2.53, 0.31): 0.62, (2.88, 0.1): 0.487,
+    (2.0, 3.0): 0.301, (5.0, 1.4): 1.226,
+}  # fmt: skip
+#: Largest errors of the yaw rate over the normalised ones, deg/s: the rows of Table IV without a defect.
+PUBLISHED = {(1.0, 20): 0.816 / 0.029, (1.0, 30): 1.186 / 0.028, (1.4, 20): 0.390 / 0.014}
+
+
+@pytest.mark.parametrize("beat", TFISH_FIGURES)
+def test_a_tendon_fish_reaches_the_reference_figures(beat: tuple[float, float]) -> None:
+    """Reference figures come from another implementation of the same reading."""
+    log = package.simulate(robot="tfish", frequency_hz=beat[0], amplitude_deg=beat[1], duration_s=15.0).frame
+    late = log.t_s > 15.0 - 3.0 / beat[0]
+    speed, yaw = TFISH_FIGURES[beat]
+    assert log.u_m_s[late].mean() == pytest.approx(speed, abs=0.001)
+    peak = np.degrees(np.abs(log.yaw_rate_rad_s[late]).max())
+    assert peak == pytest.approx(yaw, abs=0.15)
+    assert peak == pytest.approx(PUBLISHED.get(beat, peak), rel=0.06)
+
+
+@pytest.mark.parametrize("case", DOLPHIN_FIGURES)
+def test_a_dolphin_reaches_the_reference_figures(case: tuple[float, float]) -> None:
+    beat = {"frequency_hz": case[0], "amplitude_deg": 27.0, "duration_s": 10.0, "sample_rate_hz": 200.0}
+    log = package.simulate(robot="dolphin", chosen={"K_s": case[1]}, **beat).frame
+    late = log.t_s > 10.0 - 4.0 / case[0]
+    assert log.u_m_s[late].mean() == pytest.approx(DOLPHIN_FIGURES[case], abs=0.002)
+    if case == (2.53, 0.31):
+        assert np.degrees(np.ptp(log.joint3_rad[late])) / 2 == pytest.approx(31.0, abs=0.5)
+        assert np.degrees(np.ptp(log.pitch_rad[late])) / 2 == pytest.approx(6.7, abs=0.1)
+
+
 def test_drag_in_strips_equals_that_of_an_independent_simulation(swimid: Run, tmp_path: Path) -> None:
     params = tfish_file(tmp_path / "tfish.yaml")
     out = tmp_path / "sim.csv"
@@ -137,6 +175,8 @@ def test_turning_radius_is_speed_over_turning_rate(swimid: Run) -> None:
     found = swimid(*args, "--bias-deg", "20", "--duration-s", "25").json["result"]["runs"][0]["quantities"]
     speed, rate = found["mean_speed_m_s"]["value"], found["mean_yaw_rate_rad_s"]["value"]
     assert found["turning_radius_m"]["value"] == pytest.approx(speed / abs(rate))
+    # a positive bend turns the tail to starboard, and the fish, too
+    assert rate < 0.0
     mirrored = swimid(*args, "--bias-deg", "-20", "--duration-s", "25").json["result"]["runs"][0][
         "quantities"
     ]

@@ -18,6 +18,7 @@ from swimid.fitting.model import SwimInput, Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
 from tests.generators import three_link
+from tests.generators.files import write_trials
 from tests.lifted import Lifted, LiftedModel
 
 BEAT = TailBeat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
@@ -114,10 +115,7 @@ def test_a_trial_without_a_drive_cannot_begin_in_steady_swimming(tmp_path: Path)
     header = "t_s,x_m,y_m,yaw_rad,joint1_rad,joint2_rad"
     np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=header, comments="")
     trials = tmp_path / "trials.yaml"
-    trials.write_text(
-        "format: swimid-trials/1\nexperiment: free-swim\nrobot: fish.yaml\n"
-        "trials: [{id: a, log: a.csv, start_state: steady}]\n"
-    )
+    write_trials(trials, "free-swim", "fish.yaml", ["id: a, log: a.csv, start_state: steady"])
     with pytest.raises(InputError, match="has no 'drive'"):
         load_experiment(trials)
 

@@ -35,14 +35,6 @@ def test_a_smaller_noise_takes_a_smaller_step() -> None:
         assert step.model.max_step == pytest.approx(0.02 / 2**step.halvings)
 
 
-def test_the_last_halving_does_not_suffice() -> None:
-    """The step is then the smallest one, and its change says that it is too large."""
-    model = MultilinkModel(robot_format.read("tfish"), max_step=0.02)
-    step = choose_step(model, [(given(model), TRIAL)], [{"x_m": 1e-9}], halvings=1)
-    assert step.halvings == 1
-    assert step.change > 1.0
-
-
 def test_a_simulation_that_no_step_saves_does_not_count() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     broken = given(model)

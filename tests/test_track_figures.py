@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import main, track_group
+from swimid.cli.main import main
 from swimid.results import evidence
+from tests.conftest import track
 from tests.generators import clutter_video as clutter
 from tests.generators.clutter_video import RED, YELLOW, Pool
 
@@ -18,12 +19,6 @@ HSV = {
     "red": "{hue_deg: [345, 15], saturation: [0.45, 1]}",
     "yellow": "{hue_deg: [40, 75], saturation: [0.4, 1]}",
 }
-
-
-def run(*arguments, status=0):
-    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
-    assert result.exit_code == status, result.output
-    return result
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +39,7 @@ def film(tmp_path_factory):
 @pytest.mark.parametrize("unit, factor", [("px", 1.0), ("m", 0.002)])
 def test_speed_and_stroke_with_intervals(film, unit, factor):
     """Speeds, stroke, sway and accelerations are near the truth, in metres and in pixels."""
-    out = run(
+    out = track(
         "video", film / "film.mp4", "--setup", film / f"{unit}.yaml", "-o", film / f"{unit}.csv", "--json"
     )
     found = json.loads(out.stdout)["result"]["swimming"]
@@ -76,7 +71,7 @@ def test_speed_and_stroke_with_intervals(film, unit, factor):
 def test_from_and_to_define_the_window(film):
     """Speeds are those of the window, as the summary states, and the log has all frames."""
     arguments = ("video", film / "film.mp4", "--setup", film / "m.yaml", "-o", film / "cut.csv")
-    out = run(*arguments, "--from", 0.5, "--to", 4.0)
+    out = track(*arguments, "--from", 0.5, "--to", 4.0)
     assert "speeds over 0.5 to 4 s, as given" in " ".join(out.output.split())
     assert "stroke frequency" in out.output
     rows = [line for line in (film / "cut.csv").read_text().splitlines() if line[0] != "#"]
@@ -94,7 +89,7 @@ def test_from_and_to_define_the_window(film):
 )
 def test_an_impossible_window_is_refused(film, tmp_path, options, words):
     arguments = ("video", film / "film.mp4", "--setup", film / "m.yaml", "-o", tmp_path / "run.csv")
-    assert words in run(*arguments, *options, status=2).output
+    assert words in track(*arguments, *options, status=2).output
     assert not (tmp_path / "run.csv").exists()
 
 
@@ -107,7 +102,7 @@ def test_a_block_on_a_ramp_gives_its_acceleration(tmp_path):
         "    hsv: {hue_deg: [90, 190], saturation: [0.2, 1], value: [0.1, 0.6]}\n"
     )
     options = ("--fps", 240, "--from", 0.6, "--to", 1.5, "--json")
-    out = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv", *options)
+    out = track("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv", *options)
     found = json.loads(out.stdout)["result"]["swimming"]
     assert found["acceleration"]["low"] <= 340 <= found["acceleration"]["high"]
     assert found["acceleration"]["value"] == pytest.approx(340, rel=0.03)
@@ -125,6 +120,6 @@ def test_a_whole_marker_is_not_reported_as_hidden(tmp_path, radius):
     markers = "".join(f"  - name: {name}\n    hsv: {hsv}\n" for name, hsv in HSV.items())
     text = f"format: swimid-setup/1\nmarkers:\n{markers}head: red\ntail: yellow\n"
     (tmp_path / "s.yaml").write_text(text + "scale: {metres_per_pixel: 0.002}\n")
-    run("video", tmp_path / "film.mp4", "--setup", tmp_path / "s.yaml", "-o", tmp_path / "run.csv")
+    track("video", tmp_path / "film.mp4", "--setup", tmp_path / "s.yaml", "-o", tmp_path / "run.csv")
     checks = {check.name: check for check in evidence.read(tmp_path / "run.evidence.json").checks}
     assert checks["Hidden in part"].verdict == "pass"

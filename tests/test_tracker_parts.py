@@ -1,59 +1,12 @@
-"""What a tracker learns of a marker, and which detections it takes back."""
+"""Which detections of a marker a tracker takes back."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from swimid.tracking import frames
-from swimid.tracking.frames import Blob
-from swimid.tracking.tracker import Target, drop_false_detections
-
-
-def blob(x: float, y: float = 50.0, area: float = 100.0, hue: float = 178.0, **more: object) -> Blob:
-    """Return a red disc of 12 px, whose hue on OpenCV's scale of 180 is close to the wrap."""
-    hsv = np.array([hue, 200.0, 200.0])
-    box = (int(x) - 6, int(y) - 6, int(x) + 6, int(y) + 6)
-    made = Blob(x, y, area, box, contrast=80.0, confidence=0.9, hsv=hsv, at_edge=False)
-    return replace(made, **more)  # type: ignore[arg-type]
-
-
-def test_the_usual_size_is_the_mean_and_the_latest_size_follows_faster() -> None:
-    target, areas = Target("red"), [100.0, 140.0, 90.0, 110.0, 160.0]
-    latest = areas[0]
-    for k, area in enumerate(areas):
-        target.see(blob(100.0 + k, area=area), 0.1 * k, k)
-        latest += 0.15 * (area - latest)
-        assert target.usual_area == pytest.approx(np.mean(areas[: k + 1]))
-        assert target.area == pytest.approx(latest)
-    # a marker that the edge of the picture cuts teaches no size
-    target.see(blob(300.0, area=20.0, at_edge=True), 0.6, 6)
-    assert target.usual_area == pytest.approx(120.0)
-    assert (target.whole, target.sights) == (5, 6)
-
-
-def test_the_mean_hue_crosses_the_wrap() -> None:
-    target = Target("red")
-    for k, hue in enumerate((176.0, 4.0, 178.0, 2.0)):
-        target.see(blob(100.0, hue=hue), 0.1 * k, k)
-    assert target.colour is not None
-    assert abs(frames.hue_difference(target.colour[0], 0.0)) < 0.1
-
-
-def test_a_position_is_predicted_with_the_velocity() -> None:
-    """30 px/s to the right and 15 px/s down, and twice the range of search for a marker that was missed."""
-    target = Target("red")
-    for k in range(20):
-        target.see(blob(100.0 + 3.0 * k, 50.0 + 1.5 * k), 2.0 + 0.1 * k, k)
-    assert target.predict(4.4) == pytest.approx((100.0 + 3.0 * 24, 50.0 + 1.5 * 24), abs=0.1)
-    assert target.moved
-    # 6 px and 0.3 of the way in the time, and three errors of prediction, which are almost 0 here
-    assert target.search_range(0.1) == pytest.approx(6.0 + 0.3 * 3.354, abs=0.1)
-    target.missed = 2
-    assert target.search_range(0.1) == pytest.approx(6.0 + 0.3 * 3.354 + 6.0, abs=0.1)
-    assert target.pace == pytest.approx(33.54 * (1 - 0.95**19), rel=0.1)
+from swimid.tracking.tracker import drop_false_detections
 
 
 def rows(count: int, hue: float = 178.0) -> np.ndarray:

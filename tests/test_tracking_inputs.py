@@ -193,13 +193,7 @@ def test_a_bad_setup_is_refused_with_the_place_of_the_error(tmp_path, film, text
     assert not (tmp_path / "run.csv").exists()
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (["--fps", "0"], "--fps"),
-        (["--max-gap", "-1"], "--max-gap"),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [(["--fps", "0"], "--fps"), (["--max-gap", "-1"], "--max-gap")])
 def test_bad_options_are_refused(tmp_path, film, setup, arguments, words):
     result = run("video", film, "--setup", setup, "-o", tmp_path / "run.csv", *arguments)
     assert result.exit_code == 2

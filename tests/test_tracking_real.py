@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
 
-from swimid.cli.main import track_group
+from tests.conftest import track
 
 DATA = os.environ.get("SWIMID_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="SWIMID_DATA is not set")
@@ -22,19 +21,13 @@ BY_HAND = {
 }
 
 
-def run(*arguments, status=0):
-    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
-    assert result.exit_code == status, result.output
-    return result
-
-
 def tracked(tmp_path, folder, name, proposed, *options):
     video, setup = Path(DATA) / folder / name, tmp_path / "setup.yaml"
     if proposed:
-        run("setup", video, "-o", setup)
+        track("setup", video, "-o", setup)
     else:
         setup.write_text(f"format: swimid-setup/1\nmarkers:\n  - name: mark\n    hsv: {BY_HAND[name]}\n")
-    run("video", video, "--setup", setup, "-o", tmp_path / "run.csv", *options)
+    track("video", video, "--setup", setup, "-o", tmp_path / "run.csv", *options)
     return pd.read_csv(tmp_path / "run.csv", comment="#")
 
 
@@ -96,11 +89,11 @@ def test_the_block_on_a_ramp_has_its_published_acceleration(tmp_path, name, acce
 def test_a_grey_film_is_refused(tmp_path):
     """A grey film has no coloured marker: both commands report it and stop."""
     video = Path(DATA) / "grey_swimmer" / "grey.mp4"
-    output = run("setup", video, "-o", tmp_path / "setup.yaml", status=4)
+    output = track("setup", video, "-o", tmp_path / "setup.yaml", status=4)
     assert "grey" in output.output
     assert not (tmp_path / "setup.yaml").exists()
     (tmp_path / "setup.yaml").write_text(
         f"format: swimid-setup/1\nmarkers:\n  - name: mark\n    hsv: {BY_HAND['R1.MP4']}\n"
     )
-    output = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv", status=4)
+    output = track("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv", status=4)
     assert "grey" in output.output

@@ -116,39 +116,6 @@ def test_the_noise_is_recovered_and_errors_agree_with_it():
         assert np.sqrt(np.mean((error / sd) ** 2)) == pytest.approx(1.0, abs=0.2)
 
 
-def test_the_band_widens_in_a_gap_and_segments_are_separate():
-    """The standard deviation grows in a gap, and is NaN outside the segments."""
-    rng = np.random.default_rng(5)
-    times = np.arange(400) / 30
-    values = np.sin(times) + rng.normal(0, 0.005, 400)
-    values[100:115] = np.nan
-    values[200:260] = np.nan
-    out = module.smooth_path(times, values[None], np.ones(400), [(0, 200), (260, 400)])
-    assert out.position_sd[0, 107] > 2 * out.position_sd[0, 90]
-    assert np.isnan(out.position[0, 200:260]).all()
-    assert np.isfinite(out.position[0, 260:]).all()
-    error = np.abs(out.position[0, 100:115] - np.sin(times[100:115])) / out.position_sd[0, 100:115]
-    assert error.max() < 3
-
-
-def test_a_measurement_of_large_variance_has_little_weight():
-    """The path is nearly the same with and without the measurement."""
-    rng = np.random.default_rng(6)
-    times = np.arange(100) / 30
-    values = 0.2 * times + rng.normal(0, 0.001, 100)
-    values[50] += 0.1
-    weights = np.ones(100)
-    trusted = module.smooth_path(times, values[None], weights, [(0, 100)])
-    weights[50] = 1e6
-    doubted = module.smooth_path(times, values[None], weights, [(0, 100)])
-    truth = 0.2 * times[50]
-    # the path without the measurement
-    values[50] = np.nan
-    without = module.smooth_path(times, values[None], np.ones(100), [(0, 100)])
-    assert abs(doubted.position[0, 50] - without.position[0, 50]) < 1e-4
-    assert abs(doubted.position[0, 50] - truth) < abs(trusted.position[0, 50] - truth) + 0.001
-
-
 @pytest.mark.parametrize("longer", [1.0, 1000.0])
 @pytest.mark.parametrize("slower", [1.0, 50.0])
 def test_a_smoothed_path_does_not_depend_on_units(longer, slower):

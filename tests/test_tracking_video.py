@@ -6,22 +6,15 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
 
-from swimid.cli.main import track_group
 from swimid.points.plane import plane_of
 from swimid.results import evidence
 from swimid.tracking import setup as setup_format
+from tests.conftest import track
 from tests.generators import pool_video
 from tests.generators.pool_video import SEPARATION_M, Scene
 
 PLAIN = Scene(duration_s=2.0, dropout_s=None)
-
-
-def run(*arguments, status=0):
-    result = CliRunner().invoke(track_group, [str(a) for a in arguments])
-    assert result.exit_code == status, result.output
-    return result
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +24,7 @@ def pool(tmp_path_factory):
     scene = Scene(duration_s=6.0, dropout_s=(3.0, 3.5))
     video, setup, truth = pool_video.write_scene(folder, scene)
     log = folder / "run.csv"
-    output = run("video", video, "--setup", setup, "-o", log, "--overlay", folder / "overlay.mp4")
+    output = track("video", video, "--setup", setup, "-o", log, "--overlay", folder / "overlay.mp4")
     return scene, folder, pd.read_csv(log, comment="#"), pd.read_csv(truth, comment="#"), output
 
 
@@ -161,13 +154,13 @@ def test_a_variable_frame_rate_is_read_from_the_stamps(tmp_path):
     """Times equal the stamps to a tick, speeds are right, and a warning is given."""
     scene = Scene(duration_s=2.5, dropout_s=None, variable_rate=True)
     video, setup, truth_path = pool_video.write_scene(tmp_path, scene)
-    output = run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
+    output = track("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
     log, truth = pd.read_csv(tmp_path / "run.csv", comment="#"), pd.read_csv(truth_path, comment="#")
     np.testing.assert_allclose(log.t_s, truth.t_s, atol=1e-4)
     inner = slice(10, -10)
     assert np.sqrt(np.mean((log.u_m_s - truth.u_m_s)[inner] ** 2)) < 0.01
     assert "SWM043" in output.output
-    even = run("video", video, "--setup", setup, "-o", tmp_path / "even.csv", "--fps", "30")
+    even = track("video", video, "--setup", setup, "-o", tmp_path / "even.csv", "--fps", "30")
     np.testing.assert_allclose(
         np.diff(pd.read_csv(tmp_path / "even.csv", comment="#").t_s), 1 / 30, atol=1e-9
     )
@@ -179,7 +172,7 @@ def test_equal_markers_keep_their_names_through_a_crossing(tmp_path):
     """Two robots of the same colours cross, and every marker keeps its name."""
     scene = pool_video.crossing()
     video, setup, _ = pool_video.write_scene(tmp_path, scene)
-    run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
+    track("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     for body, number in ((0, 1), (1, 2)):
         truth = pool_video.motion(scene.swims[body], scene.times())
@@ -197,7 +190,7 @@ def test_a_setup_without_scale_gives_pixels_and_a_warning(tmp_path, plain, by_ha
     text = by_hand.read_text()
     start, end = text.index("scale:"), text.index("max_gap_s")
     by_hand.write_text(text[:start] + text[end:])
-    output = run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.csv")
+    output = track("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.csv")
     assert "SWM041" in output.output
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     assert not [c for c in log.columns if c.endswith(("_m", "_m_s"))]
@@ -257,7 +250,7 @@ def test_lens_distortion_and_height_are_corrected():
 def test_the_vertical_plane_has_z_and_pitch(tmp_path, plain, by_hand):
     """A vertical plane gives the columns of the sagittal plane."""
     by_hand.write_text(by_hand.read_text().replace("plane: horizontal", "plane: vertical"))
-    run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.parquet")
+    track("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.parquet")
     names = pd.read_parquet(tmp_path / "run.parquet").columns
     assert list(names[:7]) == ["t_s", "x_m", "z_m", "pitch_rad", "u_m_s", "w_m_s", "pitch_rate_rad_s"]
 
@@ -267,17 +260,17 @@ def test_a_proposed_setup_tracks_as_accurately_as_one_by_hand(tmp_path, plain, b
     """From the film alone both markers and the right head are found, with the same accuracy in pixels."""
     video, _ = plain
     proposed = tmp_path / "proposed.yaml"
-    output = run("setup", video, "-o", proposed)
+    output = track("setup", video, "-o", proposed)
     assert "head red, tail yellow" in output.output
     assert (tmp_path / "proposed.markers.png").stat().st_size > 10_000
-    run("video", video, "--setup", proposed, "-o", tmp_path / "a.csv")
-    run("video", video, "--setup", by_hand, "-o", tmp_path / "b.csv")
+    track("video", video, "--setup", proposed, "-o", tmp_path / "a.csv")
+    track("video", video, "--setup", by_hand, "-o", tmp_path / "b.csv")
     a, b = (pd.read_csv(tmp_path / f"{name}.csv", comment="#") for name in "ab")
     assert a.found.mean() == 1
     assert np.sqrt(np.mean((a.red_x_px - b.red_x_px) ** 2)) < 0.15
-    run("setup", video, "-o", proposed, status=2)
+    track("setup", video, "-o", proposed, status=2)
     small, _, _ = pool_video.write_scene(tmp_path, replace(PLAIN, width=320, height=240, duration_s=1.0))
-    run("setup", small, "-o", proposed, "--force", "--metres-per-pixel", "0.003")
+    track("setup", small, "-o", proposed, "--force", "--metres-per-pixel", "0.003")
     assert setup_format.read(proposed).scale.metres_per_pixel == 0.003
 
 
@@ -285,12 +278,12 @@ def test_a_marker_can_be_picked_by_hand(tmp_path, plain):
     """--marker needs no display. A grey pixel is refused, and the message states its colour."""
     video, truth = plain
     x, y = pool_video._Canvas(PLAIN).pixel(truth.x_m[0], truth.y_m[0])
-    run("setup", video, "-o", tmp_path / "s.yaml", "--marker", f"nose@{x:.0f},{y:.0f}")
+    track("setup", video, "-o", tmp_path / "s.yaml", "--marker", f"nose@{x:.0f},{y:.0f}")
     rules = setup_format.read(tmp_path / "s.yaml")
     assert rules.marker_names == ["nose"]
-    run("video", video, "--setup", tmp_path / "s.yaml", "-o", tmp_path / "run.csv")
+    track("video", video, "--setup", tmp_path / "s.yaml", "-o", tmp_path / "run.csv")
     assert pd.read_csv(tmp_path / "run.csv", comment="#").found.mean() == 1
-    bad = run("setup", video, "-o", tmp_path / "t.yaml", "--marker", "nose@9999,5", status=3)
+    bad = track("setup", video, "-o", tmp_path / "t.yaml", "--marker", "nose@9999,5", status=3)
     assert "outside the picture" in bad.output
     assert not (tmp_path / "t.yaml").exists()
 
@@ -299,7 +292,7 @@ def test_the_sample_film_is_small_and_can_be_tracked(tmp_path, samples):
     """The sample in the source has less than 2.5 MB."""
     video, setup, truth = (samples / "pool" / f"pool{end}" for end in (".mp4", "_setup.yaml", "_truth.csv"))
     assert video.stat().st_size < 2_500_000
-    run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
+    track("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
     log, exact = pd.read_csv(tmp_path / "run.csv", comment="#"), pd.read_csv(truth, comment="#")
     seen = log.found == 1
     error = np.hypot(log.x_m - exact.x_m, log.y_m - exact.y_m)[seen]
@@ -313,6 +306,6 @@ def test_a_scale_a_thousand_times_too_large_is_never_good(tmp_path, plain, by_ha
     key, numbers = line.split(":", 1)
     points = [[1000 * float(x) for x in pair.split(",")] for pair in numbers.strip(" []").split("], [")]
     by_hand.write_text(text.replace(line, f"{key}: {points}"))
-    output = run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.csv")
+    output = track("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.csv")
     assert "SWM002" in output.output
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "caution"

@@ -31,6 +31,7 @@ from swimid.swimmer.model import Swimmer
 from tests.conftest import Ran
 from tests.effect_cases import acted, start
 from tests.generators import swimmer
+from tests.generators.files import write_log, write_trials
 
 RATIOS = (0.2, 0.3, 0.5)
 DRIVE = {"frequency_hz": 1.2, "amplitude_deg": 30.0, "bias_deg": 5.0}
@@ -70,20 +71,9 @@ def by_table(*tables: Any) -> list[dict[str, Any]]:
 
 def swims(columns: dict[str, np.ndarray], folder: Path, robot: Path, drive: dict[str, float] | None) -> Path:
     """Write a log with these columns and its trials file."""
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(folder / "run.csv", table, delimiter=",", header=",".join(columns), comments="", fmt="%.12g")
-    entry: dict[str, Any] = {"id": "run", "log": "run.csv"}
-    if drive is not None:
-        entry["drive"] = drive
-    trials = {
-        "format": "swimid-trials/1",
-        "experiment": "free-swim",
-        "robot": str(robot),
-        "trials": [entry],
-    }
-    path = folder / "trials.yaml"
-    path.write_text(json.dumps(trials))
-    return path
+    write_log(folder / "run.csv", columns, "%.12g")
+    driven = "" if drive is None else f", drive: {json.dumps(drive)}"
+    return write_trials(folder / "trials.yaml", "free-swim", robot, [f"id: run, log: run.csv{driven}"])
 
 
 def simulated(trials: Path) -> dict[str, np.ndarray]:
@@ -150,22 +140,6 @@ class TestMotion:
         np.testing.assert_allclose(errors[0] / errors[1], [8.0, 4.0, 2.0], rtol=0.1)
         np.testing.assert_allclose(errors[1] / errors[2], [8.0, 4.0, 2.0], rtol=0.1)
 
-    def test_rates_are_derivatives(self, tmp_path: Path) -> None:
-        """A table that is not monotone: central differences of the angle give rate and acceleration."""
-        bent = [[-80, 3], [-40, -9], [0, 0], [20, 14], [45, 2], [90, 5]]
-        _, model = experiment.robot_model(str(fish(tmp_path, by_table(bent, bent, bent), {"tendon": {}})))
-        found = moved(model, self.swim, self.time)[:, 0]
-        step = self.time[1] - self.time[0]
-        for known, derivative, share in ((found[:, 0], found[:, 1], 1.0), (found[:, 1], found[:, 2], 0.97)):
-            slope = (known[2:] - known[:-2]) / (2 * step)
-            near = np.isclose(slope, derivative[1:-1], atol=2e-3 * np.ptp(derivative))
-            # the acceleration jumps where the actuator passes a row: 2 samples each, 12 passages in a beat
-            assert near.mean() >= share
-        a = self.actuator()[0]
-        for x, y in bent:
-            close = np.abs(a - math.radians(x)) < 2e-4
-            np.testing.assert_allclose(found[close, 0], math.radians(y), atol=2e-4)
-
 
 def test_a_fish_with_a_tendon_swims_as_in_an_independent_simulation(tmp_path: Path) -> None:
     expected = truth()
@@ -193,17 +167,6 @@ def test_a_logged_actuator_moves_its_joints_as_logged_joints_do(column: str, tmp
         assert np.max(np.abs(followed[name] - logged[name])) < 1e-5 * size, name
         # the log at 50 Hz is interpolated by a cubic spline
         assert np.max(np.abs(followed[name] - expected[name])) < 1e-3 * size, name
-
-
-@pytest.mark.slow
-def test_a_table_on_a_line_equals_a_ratio(tmp_path: Path) -> None:
-    pose = {name: truth()[name] for name in ("t_s", "x_m", "y_m", "yaw_rad")}
-    lines = [[[x, ratio * x] for x in (-40.0, -3.0, 10.0, 40.0)] for ratio in RATIOS]
-    runs = []
-    for laws in (by_ratio(*RATIOS), by_table(*lines)):
-        runs.append(simulated(swims(pose, tmp_path, fish(tmp_path, laws, {"tendon": {}}), DRIVE)))
-    for name, values in runs[0].items():
-        np.testing.assert_allclose(runs[1][name], values, atol=1e-9)
 
 
 @pytest.mark.slow

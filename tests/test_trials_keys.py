@@ -135,11 +135,7 @@ OF_TRIAL = {
     "trials.end_s": 11.0,
     "robot": "bill.yaml",
 }
-WATER = {
-    "trials.inertial_mass_kg": 1.3,
-    "trials.frontal_area_m2": 0.02,
-    "trials.fluid_density_kg_m3": 1025.0,
-}
+WATER = {"trials.inertial_mass_kg": 1.3, "trials.frontal_area_m2": 0.02, "trials.fluid_density_kg_m3": 1025.0}
 BEAT = {
     "trials.drive.waveform": "a-cpg",
     "trials.drive.frequency_hz": 1.2,

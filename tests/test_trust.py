@@ -14,32 +14,19 @@ from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.study import Performance
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import Applied, draw_parameters
+from tests.test_best_gait import parameters
 
-VALUES = {
-    "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
-    "c_d0": 2.55, "c_d1": 4.0, "c_d2": 5.8,
-}  # fmt: skip
 BEAT = {"amplitude_deg": 27.0, "duration_s": 6.0}
 RULE = {
     **BEAT, "over": {"frequency_hz": (2.5, 3.5, 3)}, "between": (0.1, 0.8), "population": 8, "generations": 4
 }  # fmt: skip
 
 
-def parameters(folder: Path, errors: dict[str, float], *, converged: bool = True, drives: str = "") -> Path:
-    """A parameter file of the dolphin with these standard errors."""
-    lines = ["format: swimid-parameters/1", "model: multilink", "robot: dolphin", "parameters:"]
-    lines += [
-        f"  {name}: {{value: {value}, stderr: {errors.get(name, 'null')}, unit: '1', status: estimated}}"
-        for name, value in VALUES.items()
-    ]
-    lines += [
-        "fit:",
-        "  trials: [run]",
-        f"  converged: {str(converged).lower()}",
-        *([drives] if drives else []),
-    ]
-    path = folder / "p.yaml"
-    path.write_text("\n".join(lines) + "\n")
+def fitted(folder: Path, errors: dict[str, float], *, converged: bool = True, drives: str = "") -> Path:
+    """A parameter file of the dolphin with these standard errors, as a fit writes it."""
+    path = parameters(folder, **errors)
+    lines = ["fit:", "  trials: [run]", f"  converged: {str(converged).lower()}", drives]
+    path.write_text(path.read_text() + "\n".join(lines) + "\n")
     return path
 
 
@@ -50,7 +37,7 @@ def checks(result: object) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, package.StiffnessRule]:
-    path = parameters(
+    path = fitted(
         tmp_path_factory.mktemp("rule"),
         {"c_d2": 0.8},
         drives="  drives: {frequency_hz: [1.0, 3.0], amplitude_deg: [20.0, 30.0]}",
@@ -79,7 +66,7 @@ class TestRule:
 @pytest.mark.slow
 def test_the_goal_has_an_interval(tmp_path: Path) -> None:
     """It has the percentiles of single runs of the best gait with the same draws."""
-    path = parameters(tmp_path, {"c_d2": 0.8})
+    path = fitted(tmp_path, {"c_d2": 0.8})
     found = package.optimise_gait(
         params=path, frequency_hz=3.0, vary={"K_s": (0.1, 2.0)}, starts=1, draws=20, **BEAT
     )
@@ -98,7 +85,7 @@ def test_the_goal_has_an_interval(tmp_path: Path) -> None:
 
 
 def test_coefficients_of_a_fit_that_did_not_converge(tmp_path: Path) -> None:
-    path = parameters(tmp_path, {}, converged=False)
+    path = fitted(tmp_path, {}, converged=False)
     with pytest.warns(package.SwimidWarning, match="did not converge"):
         made = package.performance_map(params=path, over={"frequency_hz": (2.5, 3.0, 2)}, **BEAT)
     assert made.verdict != "good"
@@ -124,11 +111,7 @@ def test_a_fit_tells_its_drives_and_a_map_heeds_them(tmp_path: Path, samples: Pa
 def test_a_gait_that_swims_tail_first_is_bad() -> None:
     """Speed is that along the path: it does not tell which way."""
     found = package.optimise_gait(
-        robot="dolphin",
-        frequency_hz=3.0,
-        vary={"K_s": (0.1, 2.0)},
-        starts=1,
-        **BEAT,
+        robot="dolphin", frequency_hz=3.0, vary={"K_s": (0.1, 2.0)}, starts=1, **BEAT
     )
     found.file.quantities["mean_surge_from_start_m_s"] = -0.1
     assert optimise_gait.make_gait_evidence(found.file, [], {}).verdict.level == "bad"
@@ -138,7 +121,7 @@ def test_a_gait_that_swims_tail_first_is_bad() -> None:
 
 def test_a_slope_that_is_not_known_is_not_zero(tmp_path: Path) -> None:
     """Where a run beside the estimates diverges a quantity has no standard error, none too small."""
-    path = parameters(tmp_path, {"c_d2": 0.8, "c_d1": 0.6})
+    path = fitted(tmp_path, {"c_d2": 0.8, "c_d1": 0.6})
     options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
     applied: Applied = Performance.of_options(options).applied
     assert isinstance(applied.file, ParameterFile)

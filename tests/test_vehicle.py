@@ -20,6 +20,7 @@ from swimid.results import parameters
 from swimid.robots import file as robot_format
 from swimid.swimmer.trials import robot_model
 from tests.generators import vehicle
+from tests.generators.files import write_log, write_trials
 from tests.generators.vehicle import Vehicle
 
 #: A vehicle whose buoyancy keeps it upright, 5 cm above the centre of mass.
@@ -145,7 +146,7 @@ def test_fit_of_propellers(swimid, tmp_path):
     rng = np.random.default_rng(12)
     robot = yaml.safe_dump(_with_propellers().model_dump(mode="json", exclude_none=True))
     (tmp_path / "rov.yaml").write_text(robot)
-    lines = ["format: swimid-trials/1", "experiment: multibody", "robot: rov.yaml", "trials:"]
+    lines = []
     for k in range(2):
         time, thrusts = np.arange(0.0, 15.01, 0.05), vehicle.manoeuvre(rng)
         motion = vehicle.simulate(ADVANCING, time, thrusts)
@@ -154,10 +155,9 @@ def test_fit_of_propellers(swimid, tmp_path):
         kept = {n: v for n, v in found.items() if n in ("t_s", *vehicle.NOISE, *names)}
         for name, sd in vehicle.NOISE.items():
             kept[name] = kept[name] + rng.normal(0.0, sd, len(time))
-        table = np.column_stack(list(kept.values()))
-        np.savetxt(tmp_path / f"run{k}.csv", table, delimiter=",", header=",".join(kept), comments="")
-        lines.append(f"  - {{log: run{k}.csv}}")
-    (tmp_path / "trials.yaml").write_text("\n".join(lines) + "\n")
+        write_log(tmp_path / f"run{k}.csv", kept)
+        lines.append(f"log: run{k}.csv")
+    write_trials(tmp_path / "trials.yaml", "multibody", "rov.yaml", lines)
 
     ran = swimid("fit-graybox", tmp_path / "trials.yaml", "--fix", "k_t=1", "-o", tmp_path / "vehicle.yaml")
 
@@ -186,21 +186,6 @@ def test_fit_of_a_vehicle(swimid, tmp_path):
 
 
 @pytest.mark.slow
-def test_fit_of_a_blimp(swimid, tmp_path):
-    trials = vehicle.write_trials(tmp_path, vehicle.BLIMP, seed=7, trials=2, held_out=0, duration_s=20.0)
-
-    ran = swimid("fit-graybox", trials, "-o", tmp_path / "blimp.yaml")
-
-    assert ran.status == 0, ran.err
-    found = parameters.read(tmp_path / "blimp.yaml").parameters
-    truth = {"m_x": 0.0466, "m_y": 0.0466, "m_z": 0.0545, "z_g": 0.09705, "volume": 0.10758}
-    truth |= {"d_x": 0.0125, "d_y": 0.0125, "d_z": 0.048, "d_p": 0.000862, "d_q": 0.000862, "d_r": 0.000862}
-    for name, value in truth.items():
-        assert found[name].status == "estimated", name
-        assert found[name].value == pytest.approx(value, abs=4.0 * found[name].stderr), name
-
-
-@pytest.mark.slow
 def test_all_thrusts_and_masses_together_are_not_identifiable(swimid, tmp_path):
     trials = vehicle.write_trials(tmp_path, UPRIGHT, seed=4, trials=2, held_out=0, duration_s=15.0)
     free = [word for k in range(1, 9) for word in ("--free", f"k_{k}")]
@@ -217,11 +202,7 @@ CHANGES = {
     "thruster": (replace(UPRIGHT, thrust=(1, 1, 0.8, 1, 1, 1, 1, 1)), "parameter:k_3", {"k_3": 0.8}),
     "mass": (replace(UPRIGHT, mass_kg=1.05 * 13.5), "parameter:mass", {"mass": 1.05 * 13.5}),
     "centre of mass": (replace(UPRIGHT, com_m=(0.02, 0.0, 0.0)), "com-offset", {"along_m": 0.02}),
-    "current": (
-        replace(UPRIGHT, current_m_s=(0.1, 0.05, 0.0)),
-        "current",
-        {"cx_m_s": 0.1, "cy_m_s": -0.05},
-    ),
+    "current": (replace(UPRIGHT, current_m_s=(0.1, 0.05, 0.0)), "current", {"cx_m_s": 0.1, "cy_m_s": -0.05}),
     "lag": (replace(UPRIGHT, lag_s=0.15), "servo-lag", {"time_constant_s": 0.15}),
     "advance": (
         replace(UPRIGHT, slope=0.35),
@@ -302,17 +283,17 @@ def _swings(time: np.ndarray, torque: Callable[[float], float]) -> np.ndarray:
 def test_bench_driven_by_a_measured_torque(swimid, tmp_path):
     rng = np.random.default_rng(6)
     (tmp_path / "pendulum.yaml").write_text(PENDULUM)
-    rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: pendulum.yaml", "trials:"]
+    rows = []
     time = np.arange(0.0, 10.0, 0.01)
     for k, frequency in enumerate((0.6, 1.1, 1.7)):
         current = 0.2 * np.sin(2.0 * np.pi * frequency * time) + 0.1 * np.sin(2.0 * np.pi * 0.31 * time)
         angle = _swings(time, lambda now, c=current: float(np.interp(now, time, c)))
-        seen = np.column_stack([time, angle + rng.normal(0.0, 0.002, len(time)), current])
-        np.savetxt(
-            tmp_path / f"run{k}.csv", seen, delimiter=",", header="t_s,joint1_rad,motor_A", comments=""
+        write_log(
+            tmp_path / f"run{k}.csv",
+            {"t_s": time, "joint1_rad": angle + rng.normal(0.0, 0.002, len(time)), "motor_A": current},
         )
-        rows.append(f"  - {{log: run{k}.csv, start_state: rest}}")
-    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
+        rows.append(f"log: run{k}.csv, start_state: rest")
+    write_trials(tmp_path / "trials.yaml", "free-swim", "pendulum.yaml", rows)
 
     ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "bench.yaml")
 
@@ -388,8 +369,7 @@ def test_simulation_with_recorded_inputs(swimid, tmp_path):
     (tmp_path / "pendulum.yaml").write_text(PENDULUM)
     time = np.arange(0.0, 3.0, 0.01)
     current = 0.2 * np.sin(4.0 * time)
-    table = np.column_stack([time, current])
-    np.savetxt(tmp_path / "motor.csv", table, delimiter=",", header="t_s,motor_A", comments="")
+    write_log(tmp_path / "motor.csv", {"t_s": time, "motor_A": current})
 
     ran = swimid(
         "simulate", "--robot", tmp_path / "pendulum.yaml", "--input", tmp_path / "motor.csv",
@@ -599,26 +579,6 @@ def test_bag_becomes_a_log_with_the_thrusts(swimid, tmp_path):
     for k in range(8):
         # the thrusts are interpolated over 0.02 s
         assert found[f"thrust{k + 1}_N"][inside] == pytest.approx(expected[inside, k], abs=5e-3)
-
-
-@pytest.mark.slow
-def test_bags_become_coefficients(swimid, tmp_path):
-    lines = "".join(f'      - {{source: "data[{k}]", target: thrust{k}_N, unit: N}}\n' for k in range(1, 9))
-    (tmp_path / "map.yaml").write_text(BAG_MAPPING + lines)
-    rows = ["format: swimid-trials/1", "experiment: multibody", "robot: bluerov2", "trials:"]
-    for k in range(2):
-        (tmp_path / f"day{k}").mkdir()
-        path = _bag(tmp_path / f"day{k}", np.random.default_rng(30 + k), 15.0)
-        swimid("import", path, "--map", tmp_path / "map.yaml", "--raw", "-o", tmp_path / f"run{k}.csv")
-        rows.append(f"  - {{log: run{k}.csv, end_s: 14.9}}")
-    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
-
-    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "vehicle.yaml")
-
-    assert ran.status == 0, ran.err
-    found = parameters.read(tmp_path / "vehicle.yaml").parameters
-    for name, value in {"q_x": 141.0, "q_y": 217.0, "q_z": 190.0, "m_z": 18.68, "z_b": 0.05}.items():
-        assert found[name].value == pytest.approx(value, rel=0.03), name
 
 
 def test_joined_table_of_another_time_is_refused(swimid, tmp_path):

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.generators import gap_trials, rig
+from tests.generators import files, gap_trials, rig
 from validation.blind import cruises, decays, rig_effects, swim_actuation
 from validation.blind.common import write_parameters
 from validation.blind.swim_case import Act, Channels, Trial
@@ -215,15 +215,8 @@ def slipping(folder: Path) -> None:
 
 def write_trials(folder: Path, experiment: str, robot: str, entries: Mapping[str, str]) -> None:
     """The trials file of logs with these names, each with what else its entry says."""
-    lines = ["format: swimid-trials/1", f"experiment: {experiment}", f"robot: {robot}", "trials:"]
-    lines += [f"  - {{log: {name}.csv, id: {name}{more}}}" for name, more in entries.items()]
-    (folder / "trials.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def write_log(path: Path, **columns: np.ndarray) -> None:
-    """A log with columns in SI."""
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    trials = [f"log: {name}.csv, id: {name}{more}" for name, more in entries.items()]
+    files.write_trials(folder / "trials.yaml", experiment, robot, trials)
 
 
 def drops(
@@ -250,7 +243,7 @@ def drops(
             frames = np.arange(0.0, t[-1], 1.0 / 30.0)
             place = np.interp(frames, t, x) / 100.0 + own.normal(0.0, 0.001, len(frames))
             name = f"w{grams:g}{'abc'[k % repeats]}".replace(".", "_")
-            write_log(folder / f"{name}.csv", t_s=frames, x_m=place)
+            files.write_log(folder / f"{name}.csv", {"t_s": frames, "x_m": place}, "%.6f")
             entries[name] = f", pulling_mass_kg: {grams / 1000:g}"
         write_trials(folder, "falling-weight", "boxfish", entries)
 
@@ -338,7 +331,7 @@ def roll_decays(stiffer: Callable[[float], float]) -> Callable[[Path], None]:
             t, roll = decay.swing()
             frames = np.arange(0.0, t[-1], 0.02)
             seen = np.interp(frames, t, roll) + own.normal(0.0, np.radians(0.25), len(frames))
-            write_log(folder / f"roll{k + 1}.csv", t_s=frames, roll_rad=seen)
+            files.write_log(folder / f"roll{k + 1}.csv", {"t_s": frames, "roll_rad": seen}, "%.6f")
             entries[f"roll{k + 1}"] = ""
         (folder / "hull.yaml").write_text(
             f"format: swimid-robot/1\nname: hull\nbody: {{roll_inertia_kg_m2: {body:.6g}}}\n"
@@ -364,7 +357,7 @@ def stranger(
         for grams in weights_g:
             t, x = np.genfromtxt(SAMPLE / f"w{grams}.csv", delimiter=",", comments="#", skip_header=5).T
             t, x = change(grams, t, x)
-            write_log(folder / f"w{grams}.csv", t_s=t, x_m=x)
+            files.write_log(folder / f"w{grams}.csv", {"t_s": t, "x_m": x}, "%.6f")
         entries = {f"w{grams}": f", pulling_mass_kg: {grams / 1000:g}" for grams in weights_g}
         write_trials(folder, "falling-weight", "boxfish", entries)
 
@@ -395,7 +388,7 @@ def drifting_camera(folder: Path) -> None:
         "added_mass": (0.69, 0.02, "kg", "estimated"),
         "pulley_friction": (0.0305, 0.001, "N", "estimated"),
     }
-    write_parameters(folder / "params.yaml", model="falling-weight", robot="boxfish", parameters=known)
+    write_parameters(folder / "params.yaml", "falling-weight", "boxfish", known)
 
 
 # ---------------------------------------------------------------- the list
@@ -428,32 +421,19 @@ CASES: dict[str, Case] = {
         fit=("--fix", "quadratic_drag=0", "--free", "linear_drag", "--free", "force_offset"),
     ),
     "drops-dry": Case(
-        dry_drops,
-        "dry friction and nothing else",
-        Truth(ANY, FRICTION),
-        fit=("--fix", "pulley_friction=0"),
+        dry_drops, "dry friction and nothing else", Truth(ANY, FRICTION), fit=("--fix", "pulley_friction=0")
     ),
     "fish-backlash": Case(
         fish(swim_actuation.servo_backlash(rng(4, 2), 2.0, "tfish")),
         "servo-backlash and nothing else",
         Truth(frozenset({"explained", "ambiguous"}), frozenset({"servo-backlash"})),
     ),
-    "fish-slip": Case(
-        slipping,
-        "slip, or unexplained",
-        Truth(ANY, frozenset({"slip"})),
-    ),
+    "fish-slip": Case(slipping, "slip, or unexplained", Truth(ANY, frozenset({"slip"}))),
     "decay-tangent": Case(
-        roll_decays(tangent),
-        "hardening, or unexplained",
-        Truth(ANY, frozenset({"hardening"})),
-        fit=(),
+        roll_decays(tangent), "hardening, or unexplained", Truth(ANY, frozenset({"hardening"})), fit=()
     ),
     "decay-stops": Case(
-        roll_decays(stops),
-        "hardening, or unexplained",
-        Truth(ANY, frozenset({"hardening"})),
-        fit=(),
+        roll_decays(stops), "hardening, or unexplained", Truth(ANY, frozenset({"hardening"})), fit=()
     ),
     "drops-odd-one": Case(
         one_with_another_drag,

@@ -39,59 +39,6 @@ def test_a_spring_that_became_softer_is_the_cause(case: Case, swimid: Run) -> No
 
 
 @pytest.mark.slow
-def test_the_spring_as_it_is_now_leaves_no_gap(case: Case, swimid: Run) -> None:
-    folder = case("n-softer-spring")
-    now = folder / "day2.yaml"
-    text = (folder / "day1.yaml").read_text()
-    now.write_text(text.replace("k_t: {value: 0.059975735532110656", "k_t: {value: 0.0552"))
-    ran = swimid("diagnose", folder / "soft" / "trials.yaml", "--params", now, "-o", folder / "gap.yaml")
-    assert ran.status == 0, ran.err
-    file = GapFile.read(folder / "gap.yaml")
-    assert (file.verdict, file.causes, file.moved) == ("none", [], {})
-    assert Diagnosis.load(folder / "gap.yaml").verdict == "good"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("trials", ["d25_s0.04.yaml", "d25_s0.06.yaml"])
-def test_damping_that_was_added_to_a_real_decay_is_named_beside_what_remains(
-    trials: str, case: Case, swimid: Run
-) -> None:
-    """Its controller adds 23.4 N s/m to 1.9 N s/m. The delay of such a controller acts like inertia."""
-    case("t4-changed-damping-never-named")
-    fitted = swimid("fit-drag", "u15_s.yaml", "--fix", "quadratic_drag=0", "-o", "u15.yaml")
-    assert fitted.status == 0, fitted.err
-    ran = swimid("diagnose", trials, "--params", "u15.yaml", "-o", "gap.yaml")
-    assert (ran.status, "RuntimeWarning" in ran.err) == (0, False)
-    file = GapFile.read(Path("gap.yaml"))
-    assert (file.verdict, file.causes[0].effect) == ("partial", "parameter:linear_drag")
-    assert {e for c in file.causes[1:] for e in (c.effect, *c.equivalent)} <= {
-        "parameter:stiffness",
-        "added-mass",
-    }
-    assert file.causes[0].parameters["linear_drag"].value == pytest.approx(25.3, rel=0.15)
-    assert file.closed is not None
-    assert file.closed.share is not None
-    assert file.closed.share > 0.98
-
-
-@pytest.mark.slow
-def test_a_weight_that_was_added_to_a_real_pendulum_is_named_beside_what_remains(
-    case: Case, swimid: Run
-) -> None:
-    """The weight of 0.5 kg is 1.0 kg. The friction of the drive is no form of the model."""
-    case("t4-mass-added-never-named")
-    fitted = swimid("fit-graybox", "half.yaml", "-o", "half_params.yaml")
-    assert fitted.status == 0, fitted.err
-    ran = swimid("diagnose", "one.yaml", "--params", "half_params.yaml", "-o", "gap.yaml")
-    assert ran.status == 0, ran.err
-    file = GapFile.read(Path("gap.yaml"))
-    assert (file.verdict, [c.effect for c in file.causes]) == ("partial", ["parameter:m"])
-    m = file.causes[0].parameters["m"]
-    assert isinstance(m, ChangedValue)
-    assert m.value - m.given == pytest.approx(0.5, abs=0.2)
-
-
-@pytest.mark.slow
 def test_a_black_box_of_unrelated_noise_describes_nothing(case: Case, swimid: Run) -> None:
     folder = case("r-diagnose-none-noise", "make.py")
     made = swimid("rwls", "t.yaml", "--na", "3", "--nb", "2", "--validate", "0.25", "-o", "arx.yaml")
@@ -103,16 +50,6 @@ def test_a_black_box_of_unrelated_noise_describes_nothing(case: Case, swimid: Ru
     assert (file.verdict, file.causes) == ("unexplained", [])
     assert Diagnosis.load(folder / "gap.yaml").verdict == "bad"
     assert file.facts.unreproduced["y"] < 0.02
-
-
-@pytest.mark.slow
-def test_a_rate_loop_that_a_black_box_does_not_follow_stays_unexplained(case: Case, swimid: Run) -> None:
-    folder = case("r-diagnose-none-unfit", "make.py")
-    made = swimid("rwls", "fit.yaml", "--na", "3", "--nb", "2", "-o", "arx.yaml")
-    assert made.status in (0, 4), made.err
-    ran = swimid("diagnose", "load.yaml", "--params", "arx.yaml", "-o", "gap.yaml")
-    assert ran.status == 0, ran.err
-    assert GapFile.read(folder / "gap.yaml").verdict == "unexplained"
 
 
 @pytest.mark.slow

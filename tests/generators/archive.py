@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tests.generators import cruise, film_writer, rig
+from tests.generators import cruise, files, film_writer, rig
 from validation.coverage.tracks import HEIGHT, METRES_PER_PIXEL, RATE_HZ, WIDTH, Camera, Swim
 
 SETUP = f"""format: swimid-setup/1
@@ -54,8 +54,7 @@ def write_log(path: Path, seed: int) -> None:
     speed = np.zeros(400)
     for k in range(2, 400):
         speed[k] = 1.5 * speed[k - 1] - 0.7 * speed[k - 2] + 0.2 * command[k - 1] + noise[k]
-    table = np.column_stack([0.02 * np.arange(400), command, speed])
-    np.savetxt(path, table, delimiter=",", header="t_s,cmd1_rad,u_m_s", comments="", fmt="%.9g")
+    files.write_log(path, {"t_s": 0.02 * np.arange(400), "cmd1_rad": command, "u_m_s": speed}, "%.9g")
 
 
 def write_swims(folder: Path, seed: int) -> None:

@@ -114,9 +114,7 @@ def _solid(inside: np.ndarray, colour: tuple[int, int, int]) -> tuple[np.ndarray
 def disc(motion: Motion, radius: float, colour: tuple[int, int, int], ahead: float = 0.0) -> Thing:
     """A disc, ``ahead`` px in front of the place of what it sits on."""
     return Thing(
-        motion,
-        lambda u, v, t: _solid((u - ahead) ** 2 + v**2 < radius**2, colour),
-        radius + abs(ahead) + 3,
+        motion, lambda u, v, t: _solid((u - ahead) ** 2 + v**2 < radius**2, colour), radius + abs(ahead) + 3
     )
 
 

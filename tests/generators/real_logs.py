@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
+from tests.generators.files import write_log, write_trials
+
 Array = NDArray[np.float64]
 
 AMPLITUDES_DEG = (15, 20, 30)
@@ -135,7 +137,7 @@ def write_fish(
     Path
         The trials file.
     """
-    lines = ["format: swimid-trials/1", "experiment: free-swim", f"robot: {robot}", "trials:"]
+    lines = []
     for run in runs:
         time = run.rows[:, 0] + (run.phase_rad + lag_rad) / (2 * np.pi * run.frequency_hz)
         # by whole beats to after the start of the drive
@@ -150,15 +152,14 @@ def write_fish(
             "yaw_rate_rad_s": run.rows[:, 3],
         }
         kept = ("t_s", "u_m_s", "yaw_rate_rad_s") if rates_only else tuple(columns)
-        _write(folder / f"{run.name}.csv", {name: columns[name] for name in kept})
+        write_log(folder / f"{run.name}.csv", {name: columns[name] for name in kept})
         role = "validate" if run.amplitude_deg == HELD_OUT_DEG else "fit"
         drive = (
             f"frequency_hz: {run.frequency_hz:.4f}, amplitude_deg: {run.amplitude_deg}, "
             f"bias_deg: {run.bias_deg}, ramp_s: 0"
         )
-        lines.append(f"  - {{id: {run.name}, log: {run.name}.csv, role: {role}, drive: {{{drive}}}}}")
-    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
-    return folder / "trials.yaml"
+        lines.append(f"id: {run.name}, log: {run.name}.csv, role: {role}, drive: {{{drive}}}")
+    return write_trials(folder / "trials.yaml", "free-swim", robot, lines)
 
 
 @dataclass(frozen=True)
@@ -226,19 +227,12 @@ def write_pendulum(folder: Path, windows: list[Swing], robot: Path) -> Path:
     Path
         The trials file.
     """
-    lines = ["format: swimid-trials/1", "experiment: multibody", f"robot: {robot}", "trials:"]
+    lines = []
     for window in windows:
-        arms = window.rows.shape[1] - 1
-        np.savetxt(
-            folder / f"{window.name}.csv",
-            window.rows,
-            delimiter=",",
-            header=",".join(["t_s", *(f"joint{k + 1}_rad" for k in range(arms))]),
-            comments="",
-        )
-        lines.append(f"  - {{id: {window.name}, log: {window.name}.csv, role: {window.role}}}")
-    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
-    return folder / "trials.yaml"
+        names = ["t_s", *(f"joint{k}_rad" for k in range(1, window.rows.shape[1]))]
+        write_log(folder / f"{window.name}.csv", dict(zip(names, window.rows.T, strict=True)))
+        lines.append(f"id: {window.name}, log: {window.name}.csv, role: {window.role}")
+    return write_trials(folder / "trials.yaml", "multibody", robot, lines)
 
 
 #: Scale of the KVLCC2's model, and time between the rows of its files in full scale, s. Their time stamps
@@ -278,24 +272,13 @@ def write_zigzags(folder: Path, data: Path, *, held_out: Collection[str] = ("p10
     By default the fit has one side of each angle, and the other sides are held out.
     """
     for name, angle in ZIGZAGS.items():
-        _write(
+        write_log(
             folder / f"{name}.csv",
             read_zigzag(data / "kvlcc2_zigzag" / f"MARIN_FREE_KVLCC2_zz_{angle}_m.dat"),
         )
     robot = Path(__file__).parents[2] / "docs" / "examples" / "kvlcc2.yaml"
     entries = [f"log: {name}.csv" + ", role: validate" * (name in held_out) for name in ZIGZAGS]
-    return _trials(folder / "trials.yaml", "free-swim", os.path.relpath(robot, folder), entries)
-
-
-def _write(path: Path, columns: dict[str, Array]) -> None:
-    header = ",".join(columns)
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=header, comments="")
-
-
-def _trials(path: Path, experiment: str, robot: str, entries: list[str]) -> Path:
-    lines = ["format: swimid-trials/1", f"experiment: {experiment}", f"robot: {robot}", "trials:"]
-    path.write_text("\n".join([*lines, *(f"  - {{{entry}}}" for entry in entries)]) + "\n")
-    return path
+    return write_trials(folder / "trials.yaml", "free-swim", os.path.relpath(robot, folder), entries)
 
 
 def main(data: Path, folder: Path) -> None:

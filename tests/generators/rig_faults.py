@@ -9,27 +9,16 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from tests.generators.files import write_log, write_trials
+
 Array = np.ndarray
 Torque = Callable[[float, float], float]
 
 
-def _log(folder: Path, name: str, columns: dict[str, Array]) -> None:
-    np.savetxt(
-        folder / f"{name}.csv",
-        np.column_stack(list(columns.values())),
-        delimiter=",",
-        header=",".join(columns),
-        comments="",
-        fmt="%.7f",
-    )
-
-
 def _trials(folder: Path, experiment: str, robot: str, names: list[str]) -> Path:
     (folder / "robot.yaml").write_text(f"format: swimid-robot/1\nname: made\n{robot}")
-    lines = ["format: swimid-trials/1", f"experiment: {experiment}", "robot: robot.yaml", "trials:"]
-    lines += [f"  - {{id: {name}, log: {name}.csv}}" for name in names]
-    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
-    return folder / "trials.yaml"
+    trials = [f"id: {name}, log: {name}.csv" for name in names]
+    return write_trials(folder / "trials.yaml", experiment, "robot.yaml", trials)
 
 
 def _swing(time: Array, inertia: float, torque: Torque, start: tuple[float, float]) -> Array:
@@ -51,7 +40,11 @@ def pitch_pendulum(folder: Path) -> Path:
     time = np.arange(0.0, 25.0, 0.04)
     for name, angle in (("a", 0.9), ("b", 0.6)):
         pitch = _swing(time, 0.31, lambda x, v: -2.4 * math.sin(x) - 0.012 * v, (angle, 0.0))
-        _log(folder, name, {"t_s": time, "pitch_rad": pitch + 0.004 * rng.normal(size=len(time))})
+        write_log(
+            folder / f"{name}.csv",
+            {"t_s": time, "pitch_rad": pitch + 0.004 * rng.normal(size=len(time))},
+            "%.7f",
+        )
     return _trials(folder, "free-decay", "body: {pitch_inertia_kg_m2: 0.31}\n", ["a", "b"])
 
 
@@ -60,7 +53,7 @@ def hard_heave(folder: Path) -> Path:
     rng = np.random.default_rng(1)
     time = np.arange(0.0, 20.0, 0.05)
     rise = _swing(time, 6.5, lambda x, v: -90.0 * x - 4000.0 * x**3 - 1.1 * v, (-0.08, 0.0))
-    _log(folder, "a", {"t_s": time, "z_m": rise + 0.0006 * rng.normal(size=len(time))})
+    write_log(folder / "a.csv", {"t_s": time, "z_m": rise + 0.0006 * rng.normal(size=len(time))}, "%.7f")
     robot = "body: {inertial_mass_kg: 5.0}\nrig: {stiffness_N_m: 90}\n"
     return _trials(folder, "free-decay", robot, ["a"])
 
@@ -70,7 +63,7 @@ def rubbing_yaw(folder: Path) -> Path:
     rng = np.random.default_rng(2)
     time = np.arange(0.0, 6.0, 1.0 / 30.0)
     yaw = _swing(time, 0.04, lambda x, v: -1.5 * x - 0.002 * v - 0.02 * math.tanh(v / 0.002), (0.4, 0.0))
-    _log(folder, "a", {"t_s": time, "yaw_rad": yaw + 0.01 * rng.normal(size=len(time))})
+    write_log(folder / "a.csv", {"t_s": time, "yaw_rad": yaw + 0.01 * rng.normal(size=len(time))}, "%.7f")
     robot = "body: {yaw_inertia_kg_m2: 0.03}\nrig: {yaw_stiffness_N_m_rad: 1.5}\n"
     return _trials(folder, "free-decay", robot, ["a"])
 
@@ -80,7 +73,9 @@ def pushed_roll(folder: Path) -> Path:
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 3.2, 0.01)
     roll = _swing(time, 0.05, lambda x, v: -1.0 * x - 0.02 * v, (0.0, 1.1))
-    _log(folder, "a", {"t_s": time, "roll_rad": 0.1 + roll + 0.001 * rng.normal(size=len(time))})
+    write_log(
+        folder / "a.csv", {"t_s": time, "roll_rad": 0.1 + roll + 0.001 * rng.normal(size=len(time))}, "%.7f"
+    )
     robot = "body: {roll_inertia_kg_m2: 0.03}\nrig: {roll_stiffness_N_m_rad: 1.0}\n"
     return _trials(folder, "free-decay", robot, ["a"])
 
@@ -99,6 +94,6 @@ def towed(folder: Path, *, tare: float = 0.0, drift: float = 0.0, turned: tuple[
         force = force + tare + drift * time + 0.05 * rng.normal(size=len(time))
         sign = -1.0 if name in turned else 1.0
         measured = speed + 0.003 * rng.normal(size=len(time))
-        _log(folder, name, {"t_s": time, "u_m_s": measured, "force_N": sign * force})
+        write_log(folder / f"{name}.csv", {"t_s": time, "u_m_s": measured, "force_N": sign * force}, "%.7f")
         names.append(name)
     return _trials(folder, "towed", "body: {inertial_mass_kg: 30}\n", names)

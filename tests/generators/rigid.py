@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tests.generators import imu
+
 G = 9.80665
 MG = 1e-3 * G
 DEG = np.pi / 180
@@ -118,7 +120,7 @@ def run(
         yaw = motion.turning * tau + angles[2][0]
         d_roll, d_dip = angles[0][1] * pace, angles[1][1] * pace
         d_yaw = (motion.turning + angles[2][1]) * pace
-        turn = _matrices(roll, dip, yaw)
+        turn = imu.cosines(roll, dip, yaw)
         # Euler's kinematics of Rz Ry Rx
         rate = np.column_stack(
             [
@@ -303,13 +305,3 @@ def _place(m: Motion, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
             parts[order][axis] = parts[order][axis] + circle[order][axis]
     place, first, second = (np.column_stack(p) for p in parts)
     return place, first, second
-
-
-def _matrices(roll: np.ndarray, dip: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    cr, sr, cd, sd, cy, sy = (f(a) for a in (roll, dip, yaw) for f in (np.cos, np.sin))
-    rows = [
-        [cy * cd, cy * sd * sr - sy * cr, cy * sd * cr + sy * sr],
-        [sy * cd, sy * sd * sr + cy * cr, sy * sd * cr - cy * sr],
-        [-sd, cd * sr, cd * cr],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)

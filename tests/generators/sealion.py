@@ -17,12 +17,11 @@ The flow is not that of the package's elements in everything:
 - drag along y and z of a round link acts along the cross-flow, ``rho/2 A |v_yz| (C_y v_y, C_z v_z)``, with
   ``|v| = sqrt(v.v + smoothing^2)``, over fine slices as wide as an ellipse on the file's row of strips (or on
   the link's spheroid where the file has but a point), of the file's area. While nothing moves sideways this
-  is the file's law ``rho/2 C A |v| v`` but for the smoothing (`smoothing_bias`) and the slimmer ends;
+  is the file's law ``rho/2 C A |v| v`` but for the smoothing and the slimmer ends;
 - drag of the flippers is integrated along their span;
 - what comes out of the water loses the share of a spherical cap.
 
-Whoever fits the file's law to both strokes is off by a few per cent with data of no noise; a test prints by
-how much.
+Whoever fits the file's law to both strokes is off by a few per cent with data of no noise.
 
 Robot: a ``swimid-robot/1`` file's ``multibody`` part, as plain data ("Tuning hydrodynamic coefficients
 using a genetic algorithm for a numerical model of a bio-robotic sea lion"; Eqs 3 to 9).
@@ -31,7 +30,6 @@ using a genetic algorithm for a numerical model of a bio-robotic sea lion"; Eqs 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
@@ -475,12 +473,6 @@ def _derivative(time: float, state: np.ndarray, robot: Robot, motion: Motion) ->
     return rate
 
 
-def twist_of(robot: Robot, motion: Motion, time: float, state: np.ndarray) -> np.ndarray:
-    """Velocity of the base's origin and its rate of turn, world axes, shape (6,)."""
-    base = _moment(robot, motion, time, state).base
-    return np.concatenate([base[:3] + np.cross(base[3:], state[6:9]), base[3:]])
-
-
 def start_state(
     robot: Robot,
     motion: Motion,
@@ -488,7 +480,6 @@ def start_state(
     place: Sequence[float] = (0.0, 0.0, 0.0),
     attitude: Rotation | None = None,
     velocity: Sequence[float] = (0.0, 0.0, 0.0),
-    spin: Sequence[float] = (0.0, 0.0, 0.0),
     time: float = 0.0,
 ) -> np.ndarray:
     """State of a base with the given pose, velocity and rate of turn (world axes), its hinges moving."""
@@ -496,7 +487,7 @@ def start_state(
     pose = np.concatenate([place, quaternion]).astype(float)
     _, _, local, twist = _shape(robot, motion, time, pose)
     whole, carried = _impulse(robot, local, twist)
-    base = np.concatenate([np.asarray(velocity) - np.cross(spin, place), spin])
+    base = np.concatenate([velocity, np.zeros(3)])
     return np.concatenate([whole @ base + carried, pose])
 
 
@@ -546,27 +537,7 @@ def pose_columns(time: np.ndarray, state: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def smoothing_bias(robot: Robot, motion: Motion, time: np.ndarray, state: np.ndarray) -> float:
-    """Share by which the smoothing adds to the work of the round links' drag along z over a run.
-
-    A fit of the law without smoothing finds ``z_drag`` too high by about this share.
-    """
-    points = robot.drags
-    rough = smooth = 0.0
-    for t, row in zip(time, state, strict=True):
-        w = point_velocities(robot, _moment(robot, motion, t, row))[points.together, 2]
-        strength = points.strength[points.together, 2]
-        rough += strength @ np.abs(w) ** 3
-        smooth += strength @ (np.sqrt(w**2 + robot.water.smoothing_m_s**2) * w**2)
-    return float(smooth / rough - 1.0)
-
-
 # ---------------------------------------------------------------- hinges
-
-
-def still(body: Mapping[str, Any]) -> Motion:
-    """All hinges straight."""
-    return Motion(np.array([0.0, 1.0]), np.zeros((1, 1, len(driven_hinges(body)))))
 
 
 def stroke(body: Mapping[str, Any], name: str, duration_s: float, *, clock_s: float = 0.0) -> Motion:
@@ -622,11 +593,11 @@ class Scenario:
             return stroke(body, self.stroke, self.duration_s, clock_s=self.clock_s)
         return bend(body, self.bent, self.within_s)
 
-    def run(self, *, rate_hz: float = FRAMES_HZ, water: Water | None = None) -> dict[str, np.ndarray]:
+    def run(self) -> dict[str, np.ndarray]:
         """Columns without noise: time, pose and every driven hinge's angle."""
         body = read_robot()
         motion = self.motion(body)
-        robot = Robot(body, self.coefficients.values(), water)
+        robot = Robot(body, self.coefficients.values())
         start = start_state(
             robot,
             motion,
@@ -634,7 +605,7 @@ class Scenario:
             attitude=Rotation.from_rotvec([0.0, -np.radians(self.pitch_deg), 0.0]),
             velocity=(self.speed_m_s, 0.0, 0.0),
         )
-        time = np.arange(round(self.duration_s * rate_hz) + 1) / rate_hz
+        time = np.arange(round(self.duration_s * FRAMES_HZ) + 1) / FRAMES_HZ
         columns = pose_columns(time, states(robot, motion, start, time))
         angles = motion.angles(time).T
         return {**columns, **{f"joint{k}_rad": angle for k, angle in enumerate(angles, start=1)}}
@@ -647,85 +618,45 @@ NOSE_UP = {"neck_pitch": -60.0, "pelvis_pitch": 60.0}
 CYCLES, PERIOD_S = 3, 2.9
 
 
-def strokes(
-    seed: int, *, repeats: int = 3, coefficients: Coefficients | None = None, scatter: float = 1.0
-) -> list[Scenario]:
-    """Repeats of both strokes from rest, each let go a little otherwise; ``scatter`` multiplies how much."""
+def strokes(seed: int, *, repeats: int = 3) -> list[Scenario]:
+    """Repeats of both strokes from rest, each let go a little otherwise."""
     rng = np.random.default_rng(seed)
-    true = coefficients or Coefficients()
+    true = Coefficients()
     found = []
     for name in ("characteristic", "characteristic-pelvis"):
         for number in range(1, repeats + 1):
-            off = {key: scatter * width * rng.uniform(-1.0, 1.0) for key, width in SCATTER.items()}
+            off = {key: width * rng.uniform(-1.0, 1.0) for key, width in SCATTER.items()}
             own = replace(true, buoyancy=true.buoyancy + off.pop("buoyancy"))
             found.append(Scenario(f"{name}-{number}", CYCLES * PERIOD_S, name, coefficients=own, **off))
     return found
 
 
-def pitch_manoeuvre(coefficients: Coefficients | None = None) -> Scenario:
+def pitch_manoeuvre() -> Scenario:
     """Head and pelvis brought to 60 deg at 0.31 m/s (sea lion, section II); deep, since it climbs."""
-    return Scenario(
-        "pitch",
-        6.0,
-        bent=NOSE_UP,
-        place_m=(0.0, 0.0, -1.0),
-        speed_m_s=0.31,
-        role="validate",
-        coefficients=coefficients or Coefficients(),
-    )
+    return Scenario("pitch", 6.0, bent=NOSE_UP, place_m=(0.0, 0.0, -1.0), speed_m_s=0.31, role="validate")
 
 
-def write(
-    folder: str | Path,
-    seed: int,
-    *,
-    truth: str | Path | None = None,
-    scenarios: Sequence[Scenario] | None = None,
-) -> Path:
-    """Write a trials file, a side view's log of every trial, and apart from them what they were made with.
+def write(folder: Path, seed: int, *, repeats: int = 3) -> Path:
+    """Write trials of both `strokes` and of the held-out `pitch_manoeuvre`, and return the trials file.
 
-    Parameters
-    ----------
-    folder : path
-        Made if missing.
-    seed : int
-        Of the noise and of how the repeats differ.
-    truth : path, optional
-        YAML, outside ``folder``; default beside it.
-    scenarios : list of Scenario, optional
-        Default both `strokes` and the held-out `pitch_manoeuvre`. One without a stroke gets its hinges'
-        measured angles in the log.
-
-    Returns
-    -------
-    Path
-        The trials file.
-
-    Raises
-    ------
-    ValueError
-        When ``truth`` lies in the folder.
+    The seed is that of the noise, and of how the repeats differ. A trial without a stroke has the measured
+    angles of its hinges in the log.
     """
-    folder = Path(folder)
-    apart = Path(truth) if truth is not None else folder.with_name(f"{folder.name}-truth.yaml")
-    if folder.resolve() in apart.resolve().parents:
-        raise ValueError(f"{apart} lies among the trials")
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([seed, 1])
-    scenarios = [*strokes(seed), pitch_manoeuvre()] if scenarios is None else scenarios
     noise = {"x_m": POSITION_M, "z_m": POSITION_M, "pitch_rad": ANGLE_RAD}
     entries = []
-    for scenario in scenarios:
+    for scenario in (*strokes(seed, repeats=repeats), pitch_manoeuvre()):
         columns = scenario.run()
         joints = [] if scenario.stroke else [name for name in columns if name.startswith("joint")]
         spread = {**noise, **dict.fromkeys(joints, ENCODER_RAD)}
-        table = [columns["t_s"]]
-        table += [columns[n] + s * rng.standard_normal(len(table[0])) for n, s in spread.items()]
+        count = len(columns["t_s"])
+        table = {n: columns[n] + sd * rng.standard_normal(count) for n, sd in spread.items()}
         np.savetxt(
             folder / f"{scenario.id}.csv",
-            np.column_stack(table),
+            np.column_stack([columns["t_s"], *table.values()]),
             delimiter=",",
-            header="# source: simulated (tests/generators/sealion.py)\n" + ",".join(["t_s", *spread]),
+            header="# source: simulated (tests/generators/sealion.py)\n" + ",".join(["t_s", *table]),
             comments="",
             fmt=["%.6f", *["%.5f"] * len(spread)],
         )
@@ -736,22 +667,9 @@ def write(
     path = folder / "trials.yaml"
     head = {"format": "swimid-trials/1", "experiment": "multibody", "robot": "sealion"}
     path.write_text(yaml.safe_dump({**head, "trials": entries}, sort_keys=False), encoding="utf-8")
-    made = {s.id: _plain(asdict(s)) for s in scenarios}
-    apart.write_text(yaml.safe_dump({"seed": seed, "trials": made}, sort_keys=False), encoding="utf-8")
     return path
 
 
 def write_sample(folder: Path) -> None:
     """``sample_logs/sealion``: each stroke twice, and the held-out pitch manoeuvre."""
-    with tempfile.TemporaryDirectory() as apart:
-        scenarios = [*strokes(11, repeats=2), pitch_manoeuvre()]
-        write(folder, 11, truth=Path(apart) / "truth.yaml", scenarios=scenarios)
-
-
-def _plain(value: Any) -> Any:
-    """Without tuples and NumPy's numbers, which YAML does not know."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return float(value) if isinstance(value, np.floating) else value
+    write(folder, 11, repeats=2)

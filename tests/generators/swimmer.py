@@ -27,6 +27,8 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from tests.generators import files
+
 SLICES = 40
 WATER_KG_M3 = 1000.0
 
@@ -523,16 +525,10 @@ def write_trials(
     for run in runs:
         names = ["t_s", *(columns or [name for name in run.columns if name != "t_s"])]
         count = len(run.columns["t_s"])
-        table = [run.columns[name] + noise.get(name, 0.0) * rng.standard_normal(count) for name in names]
-        header = f"# source: simulated (tests/generators/swimmer.py)\n# seed: {seed}\n" + ",".join(names)
-        np.savetxt(
-            folder / f"{run.id}.csv",
-            np.column_stack(table),
-            delimiter=",",
-            header=header,
-            comments="",
-            fmt="%.10g" if decimals is None else f"%.{decimals}f",
-        )
+        table = {n: run.columns[n] + noise.get(n, 0.0) * rng.standard_normal(count) for n in names}
+        digits = "%.10g" if decimals is None else f"%.{decimals}f"
+        head = f"# source: simulated (tests/generators/swimmer.py)\n# seed: {seed}\n"
+        files.write_log(folder / f"{run.id}.csv", table, digits, head)
         lines.append(f"  - id: {run.id}\n    log: {run.id}.csv\n    role: {run.role}")
         if with_drive:
             drive = ", ".join(f"{key}: {value}" for key, value in run.drive.items())

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.generators import swimmer
+from tests.generators.files import write_log, write_trials
 
 TRUTH = {"c_d": 1.6, "c_f": 0.05, "c_ma": 0.8, "c_Ia": 0.8}
 LINK_M, MASS_KG, HEIGHT_M, LAG_DEG = 0.12, 0.3, 0.08, 70.0
@@ -92,7 +93,7 @@ def write(
     fish = swimmer.eel(
         TRUTH, links=3, link_length_m=LINK_M, link_mass_kg=MASS_KG, height_m=HEIGHT_M, lag_deg=LAG_DEG
     )
-    lines = ["format: swimid-trials/1", "experiment: free-swim", f"robot: {robot_file}", "trials:"]
+    lines = []
     for frequency in frequencies_hz:
         drive = {"frequency_hz": frequency, "amplitude_deg": 25.0}
         run = swimmer.swim(fish, drive, steady_after_s + duration_s, rate_hz=20.0, rtol=1e-7)
@@ -100,17 +101,12 @@ def write(
         columns = {n: run[n][kept] + rng.normal(0.0, sd, kept.sum()) for n, sd in NOISE.items()}
         if spoiled and frequency in spoiled:
             spoiled[frequency](columns)
-        table = np.column_stack((run["t_s"][kept] - steady_after_s, *columns.values()))
         log = f"{name}_{frequency:g}.csv"
-        np.savetxt(
-            folder / log, table, delimiter=",", header="t_s," + ",".join(columns), comments="", fmt="%.6f"
-        )
+        write_log(folder / log, {"t_s": run["t_s"][kept] - steady_after_s, **columns}, "%.6f")
         phase = np.degrees(2 * np.pi * frequency * steady_after_s) % 360.0
         role = ", role: validate" if frequency in held_out else ""
         lines.append(
-            f"  - {{id: f{frequency:g}, log: {log}, drive: {{frequency_hz: {frequency}, "
-            f"amplitude_deg: {25.0 * amplitude_factor}, phase_deg: {phase:.6f}}}{role}}}"
+            f"id: f{frequency:g}, log: {log}, drive: {{frequency_hz: {frequency}, "
+            f"amplitude_deg: {25.0 * amplitude_factor}, phase_deg: {phase:.6f}}}{role}"
         )
-    path = folder / f"{name}.yaml"
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    return write_trials(folder / f"{name}.yaml", "free-swim", robot_file, lines)

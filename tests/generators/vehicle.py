@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from tests.generators import files
+
 Array = NDArray[np.float64]
 S = np.sqrt(0.5)
 #: Position (m) and direction of each thruster, with z down.
@@ -216,19 +218,16 @@ def write_trials(
 ) -> Path:
     """Write logs with noise and a trials file, and return its path."""
     rng = np.random.default_rng(seed)
-    lines = ["format: swimid-trials/1", "experiment: multibody", f"robot: {vehicle.robot}", "trials:"]
+    lines = []
     for k in range(trials):
         time_s = np.arange(0.0, duration_s + 1e-9, 0.05)
         thrusts = manoeuvre(rng, vehicle)
         found = columns(time_s, simulate(vehicle, time_s, thrusts), thrusts, vehicle.inputs)
         for name, sd in NOISE.items():
             found[name] = found[name] + rng.normal(0.0, sd, len(time_s))
-        kept = [name for name in found if not name.endswith("_s") or name == "t_s"]
-        table = np.column_stack([found[name] for name in kept])
+        kept = {name: v for name, v in found.items() if not name.endswith("_s") or name == "t_s"}
         path = folder / f"run{k + 1}.csv"
-        np.savetxt(path, table, delimiter=",", header=",".join(kept), comments="", fmt="%.6f")
+        files.write_log(path, kept, "%.6f")
         role = ", role: validate" if k >= trials - held_out else ""
-        lines.append(f"  - {{log: {path.name}{role}}}")
-    file = folder / "trials.yaml"
-    file.write_text("\n".join(lines) + "\n")
-    return file
+        lines.append(f"log: {path.name}{role}")
+    return files.write_trials(folder / "trials.yaml", "multibody", vehicle.robot, lines)

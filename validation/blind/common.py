@@ -42,7 +42,6 @@ def stages_of(names: Iterable[str], outside: Iterable[str] = ()) -> list[str]:
 
 def write_parameters(
     path: Path,
-    *,
     model: str,
     robot: str,
     parameters: Mapping[str, tuple[float, float, str, str]],

@@ -289,9 +289,9 @@ def make_case(
     measured = np.array([cd, added / 1000]) * (1 + drag_error * rng.normal(size=2))
     write_parameters(
         folder / "drag.yaml",
-        model="falling-weight",
-        robot="boxfish",
-        parameters={
+        "falling-weight",
+        "boxfish",
+        {
             "drag_coefficient": (measured[0], drag_error[0] * measured[0], "1", "estimated"),
             "added_mass": (measured[1], drag_error[1] * measured[1], "kg", "estimated"),
             "pulley_friction": (0.0308, 0.001, "N", "estimated"),
@@ -320,11 +320,7 @@ def make_case(
         return [change]
 
     if len(names) == 2:
-        candidates = common.candidates(
-            CATALOGUE["cruise"],
-            dict(zip(names, acts, strict=True)),
-            change_of,
-        )
+        candidates = common.candidates(CATALOGUE["cruise"], dict(zip(names, acts, strict=True)), change_of)
         singles = _singles(misfit, ((speed - nominal) / sd)[good], candidates)
     channel = "mean_speed_m_s"
     motions = [rows[0]]
@@ -374,7 +370,7 @@ def _write_prior(
     if arbitrary is not None:
         own = arbitrary * 1e-7 * efficiency / value
         rows["inertia_2925Arb"] = (own, 0.03 * own, "kg m^2", "estimated")
-    write_parameters(folder / "params_prior.yaml", model="propulsion", robot="boxfish", parameters=rows)
+    write_parameters(folder / "params_prior.yaml", "propulsion", "boxfish", rows)
     return error, known
 
 

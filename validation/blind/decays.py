@@ -14,11 +14,7 @@ from validation.blind.common import PARAMETER, Catalogue, left_by_refit, stages_
 
 DURATION = 6.0
 #: Parameters that may change between the fit of the parameter file and the trials, with their units.
-PARAMETERS = {
-    "added_inertia": "kg m^2",
-    "quadratic_damping": "N m s^2/rad^2",
-    "linear_damping": "N m s/rad",
-}
+PARAMETERS = {"added_inertia": "kg m^2", "quadratic_damping": "N m s^2/rad^2", "linear_damping": "N m s/rad"}
 #: Relative prior standard deviation of each coefficient in a fit.
 PRIOR = 0.6
 
@@ -323,23 +319,12 @@ def _write_fit(
     for k, (name, unit) in enumerate(PARAMETERS.items()):
         rows[name] = (estimates[k], stderr[k], unit, "estimated")
     rows["stiffness"] = (others[0].stiffness, 0.0, "N m/rad", "fixed")
-    write_parameters(
-        folder / "params_prior.yaml",
-        model="free-decay",
-        robot="hull.yaml",
-        parameters=rows,
-        correlation=correlation,
-    )
+    write_parameters(folder / "params_prior.yaml", "free-decay", "hull.yaml", rows, correlation)
     return np.linalg.cholesky(covariance)
 
 
 def _write_prior(
-    folder: Path,
-    added: float,
-    quadratic: float,
-    linear: float,
-    stiffness: float,
-    rng: np.random.Generator,
+    folder: Path, added: float, quadratic: float, linear: float, stiffness: float, rng: np.random.Generator
 ) -> None:
     rows = {}
     for name, truth, unit, status in (
@@ -351,4 +336,4 @@ def _write_prior(
         error = 0.0 if status == "fixed" else rng.uniform(0.02, 0.05)
         value = truth * (1 + error * rng.normal())
         rows[name] = (value, error * value, unit, status)
-    write_parameters(folder / "params_prior.yaml", model="free-decay", robot="hull.yaml", parameters=rows)
+    write_parameters(folder / "params_prior.yaml", "free-decay", "hull.yaml", rows)

@@ -245,7 +245,7 @@ def _write_prior(
     for k, (name, (unit, si)) in enumerate(UNITS.items()):
         fixed = friction_known and name == "pulley_friction"
         rows[name] = (value[k] * si, error[k] * value[k] * si, unit, "fixed" if fixed else "estimated")
-    write_parameters(folder / "params_prior.yaml", model="falling-weight", robot="boxfish", parameters=rows)
+    write_parameters(folder / "params_prior.yaml", "falling-weight", "boxfish", rows)
     return error
 
 
@@ -277,13 +277,7 @@ def _write_fit(
     rows = {}
     for k, (name, (unit, si)) in enumerate(UNITS.items()):
         rows[name] = (estimates[k] * si, stderr[k] * si, unit, "estimated")
-    write_parameters(
-        folder / "params_prior.yaml",
-        model="falling-weight",
-        robot="boxfish",
-        parameters=rows,
-        correlation=correlation,
-    )
+    write_parameters(folder / "params_prior.yaml", "falling-weight", "boxfish", rows, correlation)
     return np.linalg.cholesky(covariance)
 
 

@@ -203,11 +203,7 @@ def vortex_shedding(rng: np.random.Generator, size: float, robot: str) -> Act:
 def wake_memory(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Thrust in step with how hard the fin beat a second ago."""
     gain = {"tfish": 0.12, "dolphin": 0.08}[robot] * size
-    water = {
-        "memory": gain,
-        "memory_rate": rng.uniform(0.8, 1.5),
-        "memory_damping": rng.uniform(0.15, 0.3),
-    }
+    water = {"memory": gain, "memory_rate": rng.uniform(0.8, 1.5), "memory_damping": rng.uniform(0.15, 0.3)}
     return Act(water=lambda trial: water)
 
 

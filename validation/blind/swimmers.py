@@ -107,10 +107,7 @@ FITTED = {
 #: Spring of the passive joint: name, published value, unit and upper bound.
 SPRING = {"tfish": ("d_p", 0.030, "m", 0.2), "dolphin": ("K_s", swimmer.DOLPHIN["K_s"], "N m/rad", 20.0)}
 #: Parameters that may change between the fit of the parameter file and the trials: masses, drag, springs.
-CHANGED = {
-    "tfish": ("c_ma", "c_d0", "c_d4", "d_p"),
-    "dolphin": ("c_m0", "c_d1", "c_d2", "K_s"),
-}
+CHANGED = {"tfish": ("c_ma", "c_d0", "c_d4", "d_p"), "dolphin": ("c_m0", "c_d1", "c_d2", "K_s")}
 
 
 #: What one trial of a robot may have of its own.
@@ -415,7 +412,7 @@ def _write_fit(
         rows[name] = (value, error, units[name], "estimated")
     for name, value, unit in swim_files.FIXED[robot]:
         rows.setdefault(name, (value, 0.0, unit, "fixed"))
-    common.write_parameters(path, model="multilink", robot=robot, parameters=rows, correlation=correlation)
+    common.write_parameters(path, "multilink", robot, rows, correlation)
     return np.linalg.cholesky(covariance)
 
 

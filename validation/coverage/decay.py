@@ -15,6 +15,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import swimid
+from tests.generators.files import write_log, write_trials
 from validation.coverage.rows import alarms
 
 REPEATS = 400
@@ -43,7 +44,7 @@ def one(seed: int) -> dict[str, float]:
     if dry:
         truth["dry_friction"] = dry
     samples_per_s, noise = rng.choice([25.0, 50.0, 100.0]), rng.uniform(0.002, 0.01) * amplitude
-    lines = ["format: swimid-trials/1", "experiment: free-decay", "robot: robot.yaml", "trials:"]
+    lines = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "robot.yaml").write_text(ROBOT)
@@ -53,16 +54,9 @@ def one(seed: int) -> dict[str, float]:
             time = np.arange(0.0, hold + rng.uniform(8.0, 16.0) * 2.0 * math.pi / rate, 1.0 / samples_per_s)
             roll = _decay(time - hold, share * amplitude, (INERTIA + added, linear, quadratic, dry))
             measured = rest + roll + noise * rng.normal(size=len(time))
-            np.savetxt(
-                folder / f"{trial}.csv",
-                np.c_[time, measured],
-                delimiter=",",
-                header="t_s,roll_rad",
-                comments="",
-                fmt="%.9f",
-            )
-            lines.append(f"  - {{id: {trial}, log: {trial}.csv}}")
-        (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+            write_log(folder / f"{trial}.csv", {"t_s": time, "roll_rad": measured}, "%.9f")
+            lines.append(f"id: {trial}, log: {trial}.csv")
+        write_trials(folder / "trials.yaml", "free-decay", "robot.yaml", lines)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = swimid.fit_drag(folder / "trials.yaml", freed=("dry_friction",) if dry else ())

@@ -7,18 +7,22 @@ squared voltages, times the cosine of the tilt, so that the link itself stays le
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Array, Gap, write_log
+from validation.real_gaps.row import AIR, Array, Gap, write_log, write_robot, write_trials
 
 #: Names of a quadcopter that is heavier than its robot file says.
 HEAVIER = frozenset({"parameter:m"})
 
 
-def robot(mass_kg: float) -> dict[str, object]:
+#: Duration of a window, s. A longer one shows the drift of the thrust.
+SPAN_S = 1.5
+
+
+def write_quadcopter(path: Path, mass_kg: float) -> None:
     """Robot file of a quadcopter of known mass and unknown thrust."""
     coefficients = {
         "m": {"value": mass_kg, "unit": "kg", "bounds": [0.01, 0.2], "free": False, "meaning": "mass"},
@@ -26,24 +30,37 @@ def robot(mass_kg: float) -> dict[str, object]:
     }
     link = {"name": "frame", "mass_kg": "m", "com_m": [0, 0, 0], "inertia_kg_m2": [2e-5, 2e-5, 3e-5]}
     rotors = {"kind": "load", "link": "frame", "input": "rotors", "force_N": [0, 0, "k_t"]}
-    return {
-        "format": "swimid-robot/1",
-        "name": "quadcopter",
-        "fluid": {"density_kg_m3": 1.2, "gravity_m_s2": 9.81},
-        "multibody": {
-            "base": "free",
-            "coefficients": coefficients,
-            "links": [link],
-            "inputs": {"rotors": {"column": "lift", "measured": True}},
-            "elements": [{"kind": "hydrostatics", "link": "frame"}, rotors],
-        },
-    }
+    multibody = {"base": "free", "coefficients": coefficients, "links": [link]}
+    multibody["inputs"] = {"rotors": {"column": "lift", "measured": True}}
+    multibody["elements"] = [{"kind": "hydrostatics", "link": "frame"}, rotors]
+    write_robot(path, fluid=AIR, multibody=multibody)
 
 
-def write_window(path: Path, time: Array, height: Array, lift: Array, begin: float, span: float) -> None:
-    """Write the log of a part of a flight. A long part would show the drift of the thrust."""
-    use = (time >= begin) & (time < begin + span)
-    write_log(path, {"t_s": time[use] - begin, "z_m": height[use], "lift": lift[use]})
+def write(
+    folder: Path,
+    mass_kg: float,
+    flights: Mapping[str, tuple[str, Sequence[str], str]],
+    begins_s: Sequence[float],
+    read: Callable[[str, str], tuple[Array, Array, Array]],
+) -> None:
+    """Robot file, logs and trials files; every start is estimated.
+
+    ``flights`` has the folder, the logs that are fitted and the log that is held out of each trials file, and
+    ``read`` returns times, heights and lift of a log in a folder.
+    """
+    write_quadcopter(folder / "quadcopter.yaml", mass_kg)
+    for name, (place, fitted, held_out) in flights.items():
+        trials = []
+        for flight in (*fitted, held_out):
+            time, height, lift = read(place, flight)
+            for index, begin in enumerate(begins_s):
+                log = f"{name}{flight[-2:]}-{index}.csv"
+                use = (time >= begin) & (time < begin + SPAN_S)
+                columns = {"t_s": time[use] - begin, "z_m": height[use], "lift": lift[use]}
+                write_log(folder / log, columns)
+                role = "validate" if flight == held_out else "fit"
+                trials.append({"log": log, "role": role, "start_state": "estimate"})
+        write_trials(folder / f"{name}.yaml", "multibody", "quadcopter.yaml", trials)
 
 
 def mass_reader(mass_kg: float) -> Callable[[Gap], tuple[float, float | None]]:

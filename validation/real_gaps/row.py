@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Gap = Mapping[str, Any]
+AIR = {"density_kg_m3": 1.2, "gravity_m_s2": 9.81}
 
 
 class MissingDataError(Exception):
@@ -135,6 +136,35 @@ def write_log(path: Path, columns: Mapping[str, Array]) -> None:
 def write_yaml(path: Path, document: Mapping[str, Any]) -> None:
     """Write a robot or trials file."""
     path.write_text(yaml.safe_dump(dict(document), sort_keys=False, default_flow_style=None, width=1000))
+
+
+def write_robot(path: Path, **parts: Any) -> None:
+    """Write a robot file whose robot has the name of the file."""
+    write_yaml(path, {"format": "swimid-robot/1", "name": path.stem, **parts})
+
+
+def write_pendulum(
+    path: Path,
+    coefficients: Mapping[str, Any],
+    arms: Sequence[Mapping[str, Any]],
+    hinges: Sequence[Mapping[str, Any]],
+    **inputs: Mapping[str, Any],
+) -> None:
+    """Write a robot file of arms that hang in a row from a block, in air."""
+    block = {"length_m": 0.1, "mass_kg": 1.0, "com_m": 0.05, "inertia_kg_m2": 8e-4}
+    names = ["block", *(f"arm{k}" for k in range(1, len(arms) + 1))]
+    links = [
+        {"name": name, **link, "inertia_about": "com"}
+        for name, link in zip(names, (block, *arms), strict=True)
+    ]
+    joints = [
+        {"name": f"hinge{k}", "parent": names[k - 1], "child": names[k], **hinge}
+        for k, hinge in enumerate(hinges, 1)
+    ]
+    multilink = {"plane": "vertical", "base": "fixed", "heading_deg": 90, "coefficients": coefficients}
+    multilink |= {"links": links, "inputs": inputs, "joints": joints}
+    multilink["elements"] = [{"kind": "hydrostatics", "link": name} for name in names[1:]]
+    write_robot(path, fluid=AIR, multilink=multilink)
 
 
 def write_trials(path: Path, experiment: str, robot: str, trials: Sequence[Mapping[str, Any]]) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
 
-from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_pendulum, write_trials
 
 SOURCE = {"source": "dynamicslab/MultiArm-Pendulum", "licence": "MIT"}
 #: Samples of a record at 1 kHz between two that are kept, and duration of a window, s.
@@ -18,42 +19,17 @@ SINGLE = ((0, 0.0), (1, 3.0), (2, 0.0), (3, 3.0))
 DOUBLE = ((0, 0.0), (3, 0.0), (6, 0.0), (9, 0.0), (12, 0.0), (15, 0.0))
 
 
-def robot(arms: int, damping: float, published: dict[str, float]) -> dict[str, object]:
-    """Robot file of arms that hang from a block; only ratios to the published masses can be estimated."""
-    block = {"length_m": 0.1, "mass_kg": 1.0, "com_m": 0.05, "inertia_kg_m2": 8e-4, "inertia_about": "com"}
-    links: list[dict[str, object]] = [{"name": "block", **block}]
-    joints, coefficients, parent = [], {}, "block"
-    for k in range(1, arms + 1):
-        inertia = published[f"I{k}"]
-        coefficients[f"I_{k}"] = {"value": round(inertia, 6), "unit": "kg m2", "bounds": [1e-6, 0.01]}
-        links.append(
-            {
-                "name": f"arm{k}",
-                "length_m": 0.25,
-                "mass_kg": round(published[f"m{k}"], 5),
-                "com_m": round(published[f"a{k}"], 5),
-                "inertia_kg_m2": f"I_{k}",
-                "inertia_about": "com",
-            }
-        )
+def write_robot(path: Path, count: int, published: dict[str, float]) -> None:
+    """Robot file without damping; only ratios to the published masses can be estimated."""
+    coefficients, arms, hinges = {}, [], []
+    for k in range(1, count + 1):
+        inertia = round(published[f"I{k}"], 6)
+        coefficients[f"I_{k}"] = {"value": inertia, "unit": "kg m2", "bounds": [1e-6, 0.01]}
+        mass, centre = (round(published[f"{name}{k}"], 5) for name in "ma")
+        arms.append({"length_m": 0.25, "mass_kg": mass, "com_m": centre, "inertia_kg_m2": f"I_{k}"})
         place = 0.0 if k == 1 else round(published["L1"], 5)
-        hinge = {"name": f"hinge{k}", "parent": parent, "child": f"arm{k}", "at_m": place}
-        joints.append({**hinge, "passive": {"damping_N_m_s_rad": damping}})
-        parent = f"arm{k}"
-    return {
-        "format": "swimid-robot/1",
-        "name": f"arms{arms}",
-        "fluid": {"density_kg_m3": 1.2, "gravity_m_s2": 9.81},
-        "multilink": {
-            "plane": "vertical",
-            "base": "fixed",
-            "heading_deg": 90,
-            "coefficients": coefficients,
-            "links": links,
-            "joints": joints,
-            "elements": [{"kind": "hydrostatics", "link": f"arm{k}"} for k in range(1, arms + 1)],
-        },
-    }
+        hinges.append({"at_m": place, "passive": {"damping_N_m_s_rad": 0.0}})
+    write_pendulum(path, coefficients, arms, hinges)
 
 
 def write(arms: int, sources: Sources, folder: Path) -> None:
@@ -67,7 +43,7 @@ def write(arms: int, sources: Sources, folder: Path) -> None:
     }[arms]
     place = sources.recording("multiarm_pendulum")
     values = loadmat(place / f"EstimatedParameters_{word}Pendulum.mat")["EstimatedParameters"].ravel()
-    write_yaml(folder / "arms.yaml", robot(arms, 0.0, dict(zip(names, map(float, values), strict=True))))
+    write_robot(folder / "arms.yaml", arms, dict(zip(names, map(float, values), strict=True)))
     record = loadmat(place / f"{word}PendulumDataForParameterEstimation.mat")
     step, trials = float(record["dt"][0, 0]), []
     for index, (number, begin) in enumerate(windows):
@@ -83,16 +59,6 @@ def write(arms: int, sources: Sources, folder: Path) -> None:
     write_trials(folder / "trials.yaml", "multibody", "arms.yaml", trials)
 
 
-def write_single(sources: Sources, folder: Path) -> None:
-    """Write the single pendulum."""
-    write(1, sources, folder)
-
-
-def write_double(sources: Sources, folder: Path) -> None:
-    """Write the double pendulum."""
-    write(2, sources, folder)
-
-
 STEPS = (
     "fit-graybox trials.yaml -o frictionless.yaml",
     "diagnose trials.yaml --params frictionless.yaml -o gap.yaml",
@@ -103,7 +69,7 @@ ROWS = (
         name="single-arm-damping",
         model="pendulum without friction",
         lacks="the friction of its hinge",
-        steps=(write_single, *STEPS),
+        steps=(partial(write, 1), *STEPS),
         causes=CAUSES,
         known=Known(2.24e-4, "N m s/rad", "published parameters", size_of("damping_N_m_s_rad")),
         **SOURCE,
@@ -112,7 +78,7 @@ ROWS = (
         name="double-arm-damping",
         model="double pendulum without friction",
         lacks="the friction of its hinges",
-        steps=(write_double, *STEPS),
+        steps=(partial(write, 2), *STEPS),
         causes=CAUSES,
         known=Known(
             1.24e-4, "N m s/rad", "published parameters, mean of both hinges", size_of("damping_N_m_s_rad")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_robot, write_trials
 
 REPOSITORY, COMMIT = "kyleyhw/PHY324_motion_in_fluids", "1f0af8edd894918a9f2bfe2f41e6664ce6924090"
 #: Logs of one bead: in the middle, and by the wall in two parts.
@@ -30,11 +30,9 @@ MIDDLE_MM_S, WALL_MM_S = 12.12, 10.35
 def write(sources: Sources, folder: Path) -> None:
     """Robot, logs and trials files. The weight in glycerol pulls, and half the displaced mass moves along."""
     force = (BEAD_KG_M3 - GLYCEROL_KG_M3) * VOLUME_M3 * GRAVITY_M_S2
-    robot = {
-        "fluid": {"density_kg_m3": GLYCEROL_KG_M3, "gravity_m_s2": GRAVITY_M_S2},
-        "body": {"inertial_mass_kg": float(f"{BEAD_KG_M3 * VOLUME_M3:.4g}")},
-    }
-    write_yaml(folder / "bead.yaml", {"format": "swimid-robot/1", "name": "bead", **robot})
+    fluid = {"density_kg_m3": GLYCEROL_KG_M3, "gravity_m_s2": GRAVITY_M_S2}
+    body = {"inertial_mass_kg": float(f"{BEAD_KG_M3 * VOLUME_M3:.4g}")}
+    write_robot(folder / "bead.yaml", fluid=fluid, body=body)
     pull = {"driving_force_N": float(f"{force:.5g}")}
     trials = []
     for name in (*MIDDLE, WALL):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from validation.real_gaps import quadcopter
-from validation.real_gaps.row import Array, Known, Row, Sources, write_trials, write_yaml
+from validation.real_gaps.row import Array, Known, Row, Sources
 
 REPOSITORY, COMMIT = "IMRCLab/crazyflie-data-collection", "4d777a5aef86ec45fb957f70dddb5b7fec2dfbe5"
 #: Flights along a figure of eight, by trials file: folder, logs that are fitted and log that is held out.
@@ -16,8 +16,8 @@ FLIGHTS = {
     "payload": ("brushless_flights_payload", ("06", "07", "08", "11", "12"), "13"),
 }
 MASS_KG, PAYLOAD_MASS_KG = 0.037, 0.0444
-#: Begin of the windows of each flight, and their duration, s. A longer window shows the drift of the thrust.
-BEGINS_S, SPAN_S = (1.0, 4.0), 1.5
+#: Begin of the windows of each flight, s.
+BEGINS_S = (1.0, 4.0)
 #: Weights of the mean over 10 ms, the time between two poses.
 MEAN = np.full(5, 0.2)
 #: Unit of the sum of the squared speeds, 1/min^2.
@@ -36,19 +36,12 @@ def read_flight(path: Path) -> tuple[Array, Array, Array]:
 
 
 def write(sources: Sources, folder: Path) -> None:
-    """Robot file, logs and trials files; every start is estimated."""
-    write_yaml(folder / "quadcopter.yaml", quadcopter.robot(MASS_KG))
-    for name, (place, fitted, held_out) in FLIGHTS.items():
-        trials = []
-        for number in (*fitted, held_out):
-            path = sources.repository(REPOSITORY, COMMIT, f"{place}/data/eckart{number}")
-            time, height, lift = read_flight(path)
-            for index, begin in enumerate(BEGINS_S):
-                log = f"{name}{number}-{index}.csv"
-                quadcopter.write_window(folder / log, time, height, lift, begin, SPAN_S)
-                role = "validate" if number == held_out else "fit"
-                trials.append({"log": log, "role": role, "start_state": "estimate"})
-        write_trials(folder / f"{name}.yaml", "multibody", "quadcopter.yaml", trials)
+    """Robot file, logs and trials files."""
+
+    def read(place: str, flight: str) -> tuple[Array, Array, Array]:
+        return read_flight(sources.repository(REPOSITORY, COMMIT, f"{place}/data/eckart{flight}"))
+
+    quadcopter.write(folder, MASS_KG, FLIGHTS, BEGINS_S, read)
 
 
 ROWS = (

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from validation.real_gaps import quadcopter
-from validation.real_gaps.row import Array, Row, Sources, write_trials, write_yaml
+from validation.real_gaps.row import Array, Row, Sources
 
 REPOSITORY, COMMIT = "AerialRoboticsUUST/CrazyPAD", "5448265fa1bbb3ce983a73a9336cc6e887886360"
 #: Flights by trials file: fitted logs and the log that is held out.
@@ -20,8 +20,8 @@ FLIGHTS = {
 }
 #: Crazyflie 2.1 with battery, positioning deck and SD card deck, kg; only the ratio to the thrust matters.
 MASS_KG = 0.034
-#: Begin of the windows of each flight at constant height, and their duration, s.
-BEGINS_S, SPAN_S = (6.0, 8.0, 20.0, 22.0), 1.5
+#: Begin of the windows of each flight at constant height, s.
+BEGINS_S = (6.0, 8.0, 20.0, 22.0)
 STEP_S = 0.02
 #: Full scale of the motor command, and the battery voltage in mV, at which the lift of a motor is 1.
 FULL, VOLTAGE_MV = 65535, 3700
@@ -41,19 +41,12 @@ def read_flight(path: Path) -> tuple[Array, Array, Array]:
 
 
 def write(sources: Sources, folder: Path) -> None:
-    """Robot file, logs and trials files; every start is estimated."""
-    write_yaml(folder / "quadcopter.yaml", quadcopter.robot(MASS_KG))
-    for name, (place, fitted, held_out) in FLIGHTS.items():
-        trials = []
-        for flight in (*fitted, held_out):
-            path = sources.repository(REPOSITORY, COMMIT, f"data/motor_data/{place}/{flight}")
-            time, height, lift = read_flight(path)
-            for index, begin in enumerate(BEGINS_S):
-                log = f"{name}{flight[-2:]}-{index}.csv"
-                quadcopter.write_window(folder / log, time, height, lift, begin, SPAN_S)
-                role = "validate" if flight == held_out else "fit"
-                trials.append({"log": log, "role": role, "start_state": "estimate"})
-        write_trials(folder / f"{name}.yaml", "multibody", "quadcopter.yaml", trials)
+    """Robot file, logs and trials files."""
+
+    def read(place: str, flight: str) -> tuple[Array, Array, Array]:
+        return read_flight(sources.repository(REPOSITORY, COMMIT, f"data/motor_data/{place}/{flight}"))
+
+    quadcopter.write(folder, MASS_KG, FLIGHTS, BEGINS_S, read)
 
 
 ROWS = (

@@ -6,12 +6,11 @@ a spring of 15 or 45 N/mm and a damping of 0, 23.4 or 46.8 N s/m, which the head
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Array, Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Array, Known, Row, Sources, size_of, write_log, write_robot, write_trials
 
 REPOSITORY, COMMIT = "harrislab-brown/CyberDiver", "85fb9d6bf7713ddb7f27512c77138f220afc4a3b"
 #: Recordings by programmed damping ratio, and with a stiffer spring.
@@ -29,8 +28,8 @@ TRIALS = (1, 2, 3, 4, 5)
 HELD_OUT = 2
 #: Fields of a sample: time in us, then current, force, position in mm, and others that are not used.
 SAMPLE = np.dtype([("time_us", "<u4"), ("before", "<f4", 2), ("position_mm", "<f4"), ("after", "<u4", 7)])
-#: Bytes before the programmed damping (N s/mm), and before the samples, in a file of firmware version 2.
-DAMPING_AT, SAMPLES_AT = 14652, 14720
+#: Bytes before the samples in a file of firmware version 2.
+SAMPLES_AT = 14720
 #: The drop begins after this time; a log begins where the position passes the threshold.
 DROP_S, THRESHOLD_MM = 0.39, 0.17
 EVERY = 10
@@ -52,11 +51,6 @@ def read_position(path: Path) -> tuple[Array, Array]:
     return time[use] - time[begin], 1e-3 * position[use].astype(float)
 
 
-def read_damping(path: Path) -> float:
-    """Programmed damping in N s/m."""
-    return 1e3 * float(struct.unpack_from("<f", path.read_bytes(), DAMPING_AT)[0])
-
-
 def write(sources: Sources, folder: Path) -> None:
     """Logs of all drops, with the drift of the rest position removed, and one trials file per damping.
 
@@ -67,8 +61,7 @@ def write(sources: Sources, folder: Path) -> None:
     drops = {n: [read_position(root / p.format(k)) for k in TRIALS] for n, p in RECORDINGS.items()}
     time = np.concatenate([t[t > DECAYED_S] for t, _ in drops["half"]])
     drift = np.polyfit(time, np.concatenate([x[t > DECAYED_S] for t, x in drops["half"]]), 2)
-    body = {"inertial_mass_kg": MASS_KG}
-    write_yaml(folder / "diver.yaml", {"format": "swimid-robot/1", "name": "diver", "body": body})
+    write_robot(folder / "diver.yaml", body={"inertial_mass_kg": MASS_KG})
     for name, records in drops.items():
         trials = []
         for number, (time, position) in zip(TRIALS, records, strict=True):
@@ -86,37 +79,30 @@ def write(sources: Sources, folder: Path) -> None:
 ENDS_S = {"none": 0.06, "quarter": 0.06, "half": 0.05, "stiff": 0.06}
 
 
-#: Parameters that state a damping added to that of the parameter file, N s/m.
-ADDED_DAMPING = size_of("linear_drag", "linear_N_s_m", "friction_N_s_m", "damping_N_s_m")
-COMMON = {"source": f"{REPOSITORY} @{COMMIT[:8]}", "licence": "CC BY-SA 4.0"}
-FIT = "fit-drag none.yaml --fix quadratic_drag=0 -o spring.yaml"
-CAUSES = frozenset({"parameter:linear_drag", "linear-drag", "pulley-viscous"})
-ROWS = (
+DAMPING = (
+    frozenset({"parameter:linear_drag", "linear-drag", "pulley-viscous"}),
+    "N s/m",
+    size_of("linear_drag", "linear_N_s_m", "friction_N_s_m", "damping_N_s_m"),
+)
+STIFFNESS = (frozenset({"parameter:stiffness"}), "N/m", size_of("stiffness"))
+ROWS = tuple(
     Row(
-        name="impactor-damping-0.25",
+        name=f"impactor-{name}",
         model="programmed spring of 15 N/mm",
-        lacks="programmed damping",
-        steps=(write, FIT, "diagnose quarter.yaml --params spring.yaml -o gap.yaml"),
-        causes=CAUSES,
-        known=Known(QUARTER_N_S_M, "N s/m", "header of each file", ADDED_DAMPING),
-        **COMMON,
-    ),
-    Row(
-        name="impactor-damping-0.5",
-        model="programmed spring of 15 N/mm",
-        lacks="twice the programmed damping",
-        steps=(write, FIT, "diagnose half.yaml --params spring.yaml -o gap.yaml"),
-        causes=CAUSES,
-        known=Known(HALF_N_S_M, "N s/m", "header of each file", ADDED_DAMPING),
-        **COMMON,
-    ),
-    Row(
-        name="impactor-stiffness",
-        model="programmed spring of 15 N/mm",
-        lacks="30 N/mm",
-        steps=(write, FIT, "diagnose stiff.yaml --params spring.yaml -o gap.yaml"),
-        causes=frozenset({"parameter:stiffness"}),
-        known=Known(30000.0, "N/m", "header of each file", size_of("stiffness")),
-        **COMMON,
-    ),
+        lacks=lacks,
+        source=f"{REPOSITORY} @{COMMIT[:8]}",
+        licence="CC BY-SA 4.0",
+        steps=(
+            write,
+            "fit-drag none.yaml --fix quadratic_drag=0 -o spring.yaml",
+            f"diagnose {trials}.yaml --params spring.yaml -o gap.yaml",
+        ),
+        causes=causes,
+        known=Known(change, unit, "header of each file", read),
+    )
+    for name, lacks, trials, change, (causes, unit, read) in (
+        ("damping-0.25", "programmed damping", "quarter", QUARTER_N_S_M, DAMPING),
+        ("damping-0.5", "twice the programmed damping", "half", HALF_N_S_M, DAMPING),
+        ("stiffness", "30 N/mm", "stiff", 30000.0, STIFFNESS),
+    )
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_pendulum, write_trials
 
 REPOSITORY = "dfki-ric-underactuated-lab/double_pendulum"
 COMMIT = "1e8544e67f3da72a51ee52fbbb278e131ce2a43f"
@@ -26,61 +26,29 @@ WINDOWS = (
 )
 HELD_OUT = 2
 STEP_S, SPAN_S = 0.01, 1.5
-#: Masses and lengths as identified by the authors (model 1.0).
-MASSES_KG, LENGTHS_M, CENTRES_M, INERTIAS_KG_M2 = (
-    (0.608, 0.630),
-    (0.3, 0.2),
-    (0.275, 0.166),
-    (0.05472, 0.02522),
-)
+#: Mass (kg), length (m), centre (m) and inertia about the hinge (kg m2) as the authors identified them.
+ARMS = ((0.608, 0.3, 0.275, 0.05472), (0.630, 0.2, 0.166, 0.02522))
 
 
-def robot() -> dict[str, object]:
+def write_robot(path: Path) -> None:
     """Robot file with inertias, centres and damping as coefficients, without dry friction."""
-    coefficients: dict[str, object] = {}
-    block = {"length_m": 0.1, "mass_kg": 1.0, "com_m": 0.05, "inertia_kg_m2": 8e-4, "inertia_about": "com"}
-    links: list[dict[str, object]] = [{"name": "block", **block}]
-    joints: list[dict[str, object]] = []
-    for k in (1, 2):
-        mass, centre = MASSES_KG[k - 1], CENTRES_M[k - 1]
-        inertia = round(INERTIAS_KG_M2[k - 1] - mass * centre**2, 5)
+    coefficients, arms, hinges = {}, [], []
+    for k, (mass, length, centre, about_hinge) in enumerate(ARMS, 1):
+        inertia = round(about_hinge - mass * centre**2, 5)
         coefficients[f"r_{k}"] = {"value": centre, "unit": "m", "bounds": [0.05, 0.35]}
         coefficients[f"I_{k}"] = {"value": inertia, "unit": "kg m2", "bounds": [1e-4, 0.2]}
         coefficients[f"k_{k}"] = {"value": 0.02, "unit": "N m s/rad", "bounds": [0, 1]}
-        links.append(
-            {
-                "name": f"arm{k}",
-                "length_m": LENGTHS_M[k - 1],
-                "mass_kg": mass,
-                "com_m": f"r_{k}",
-                "inertia_kg_m2": f"I_{k}",
-                "inertia_about": "com",
-            }
-        )
-        passive = {"damping_N_m_s_rad": f"k_{k}"}
-        parent, place = ("block", 0.0) if k == 1 else ("arm1", LENGTHS_M[0])
-        hinge = {"name": f"hinge{k}", "parent": parent, "child": f"arm{k}", "at_m": place}
-        joints.append({**hinge, "passive": passive, "torque": {"input": f"motor{k}", "gain_N_m": 1.0}})
-    return {
-        "format": "swimid-robot/1",
-        "name": "arms",
-        "fluid": {"density_kg_m3": 1.2, "gravity_m_s2": 9.81},
-        "multilink": {
-            "plane": "vertical",
-            "base": "fixed",
-            "heading_deg": 90,
-            "coefficients": coefficients,
-            "links": links,
-            "inputs": {f"motor{k}": {"column": f"torque{k}_N_m", "measured": True} for k in (1, 2)},
-            "joints": joints,
-            "elements": [{"kind": "hydrostatics", "link": f"arm{k}"} for k in (1, 2)],
-        },
-    }
+        arms.append({"length_m": length, "mass_kg": mass, "com_m": f"r_{k}", "inertia_kg_m2": f"I_{k}"})
+        torque = {"input": f"motor{k}", "gain_N_m": 1.0}
+        place = 0.0 if k == 1 else ARMS[0][1]
+        hinges.append({"at_m": place, "passive": {"damping_N_m_s_rad": f"k_{k}"}, "torque": torque})
+    inputs = {f"motor{k}": {"column": f"torque{k}_N_m", "measured": True} for k in (1, 2)}
+    write_pendulum(path, coefficients, arms, hinges, **inputs)
 
 
 def write(sources: Sources, folder: Path) -> None:
     """Robot, logs and trials files. The drives follow the commanded torque up to their friction."""
-    write_yaml(folder / "arms.yaml", robot())
+    write_robot(folder / "arms.yaml")
     trials = []
     for index, (number, begin) in enumerate(WINDOWS):
         path = sources.repository(REPOSITORY, COMMIT, f"{FOLDER}/trajectory_{number:02d}.csv")

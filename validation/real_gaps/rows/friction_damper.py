@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_robot, write_trials
 
 REPOSITORY, COMMIT = (
     "ARTS-Laboratory/Dataset-Friction-Damper-with-Backlash",
@@ -29,8 +29,7 @@ LOOSE_KIP, TIGHT_KIP = 2.15, 3.65
 
 def write(sources: Sources, folder: Path) -> None:
     """Robot, logs and trials files. The band resists, so the force on the body is that of the actuator."""
-    body = {"inertial_mass_kg": MASS_KG}
-    write_yaml(folder / "damper.yaml", {"format": "swimid-robot/1", "name": "damper", "body": body})
+    write_robot(folder / "damper.yaml", body={"inertial_mass_kg": MASS_KG})
     for name, tension in TENSIONS.items():
         trials = []
         for number, (frequency, amplitude) in enumerate(SETTINGS):

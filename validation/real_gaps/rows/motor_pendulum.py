@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_pendulum, write_trials
 
 REPOSITORY = "dfki-ric-underactuated-lab/torque_limited_simple_pendulum"
 COMMIT = "ed17ea2d32a35ad944944ca03ef57693e2986732"
@@ -30,7 +30,7 @@ ONE_KG = (
 ROD_M = 0.5
 
 
-def robot(name: str, friction: str | float) -> dict[str, object]:
+def write_robot(path: Path, friction: str | float) -> None:
     """Robot file of a mass at the end of a light rod."""
     coefficients = {
         "m": {"value": 0.6, "unit": "kg", "bounds": [0.1, 3], "meaning": "mass at the end of the rod"},
@@ -39,31 +39,17 @@ def robot(name: str, friction: str | float) -> dict[str, object]:
     }
     if not isinstance(friction, str):
         del coefficients["f"]
-    base = {"length_m": 0.1, "mass_kg": 1.0, "com_m": 0.05, "inertia_kg_m2": 8e-4, "inertia_about": "com"}
-    rod = {"length_m": ROD_M, "mass_kg": "m", "com_m": ROD_M, "inertia_kg_m2": 2e-3, "inertia_about": "com"}
-    hinge = {"name": "hinge", "parent": "block", "child": "rod", "at_m": 0.0}
+    rod = {"length_m": ROD_M, "mass_kg": "m", "com_m": ROD_M, "inertia_kg_m2": 2e-3}
     passive = {"damping_N_m_s_rad": "k", "friction_N_m": friction}
-    return {
-        "format": "swimid-robot/1",
-        "name": name,
-        "fluid": {"density_kg_m3": 1.2, "gravity_m_s2": 9.81},
-        "multilink": {
-            "plane": "vertical",
-            "base": "fixed",
-            "heading_deg": 90,
-            "coefficients": coefficients,
-            "links": [{"name": "block", **base}, {"name": "rod", **rod}],
-            "inputs": {"motor": {"column": "torque_N_m", "measured": True}},
-            "joints": [{**hinge, "passive": passive, "torque": {"input": "motor", "gain_N_m": 1.0}}],
-            "elements": [{"kind": "hydrostatics", "link": "rod"}],
-        },
-    }
+    hinge = {"at_m": 0.0, "passive": passive, "torque": {"input": "motor", "gain_N_m": 1.0}}
+    motor = {"column": "torque_N_m", "measured": True}
+    write_pendulum(path, coefficients, [rod], [hinge], motor=motor)
 
 
 def write(sources: Sources, folder: Path) -> None:
     """Robot files with and without dry friction, logs and trials files; every start is estimated."""
-    write_yaml(folder / "pendulum.yaml", robot("pendulum", "f"))
-    write_yaml(folder / "frictionless.yaml", robot("frictionless", 0.0))
+    write_robot(folder / "pendulum.yaml", "f")
+    write_robot(folder / "frictionless.yaml", 0.0)
     for name, windows in (("half", HALF_KG), ("one", ONE_KG)):
         trials = []
         for number, (record, begin, end, role) in enumerate(windows):
@@ -77,9 +63,8 @@ def write(sources: Sources, folder: Path) -> None:
             trials.append({"log": f"{name}{number}.csv", "role": role, "start_state": "estimate"})
         write_trials(folder / f"{name}.yaml", "multibody", "pendulum.yaml", trials)
     # the same trials with the robot that has no dry friction
-    for name in ("half",):
-        text = (folder / f"{name}.yaml").read_text().replace("pendulum.yaml", "frictionless.yaml")
-        (folder / f"{name}-frictionless.yaml").write_text(text)
+    text = (folder / "half.yaml").read_text().replace("pendulum.yaml", "frictionless.yaml")
+    (folder / "half-frictionless.yaml").write_text(text)
 
 
 COMMON = {"source": f"{REPOSITORY} @{COMMIT[:8]}", "licence": "BSD 3"}

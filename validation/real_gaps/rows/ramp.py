@@ -6,11 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Gap, Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import (
+    AIR,
+    Gap,
+    Known,
+    Row,
+    Sources,
+    size_of,
+    write_log,
+    write_robot,
+    write_trials,
+)
 
 #: No length is known in the films: this many pixels are called a metre.
 PX_M = 700.0
-GRAVITY_M_S2 = 9.81
 #: Films, and the slope of their ramp, deg.
 FILMS = {"R1": 21.9, "R3": 26.6}
 #: The block slides if it is this far from its first place and this far from the edge of the picture, px.
@@ -19,8 +28,7 @@ AWAY_PX, EDGE_PX = 8, 30
 
 def write(_sources: Sources, folder: Path) -> None:
     """Logs and trials file from the tracked films; the weight along the track drives the block."""
-    robot = {"fluid": {"density_kg_m3": 1.2, "gravity_m_s2": GRAVITY_M_S2}, "body": {"inertial_mass_kg": 1.0}}
-    write_yaml(folder / "block.yaml", {"format": "swimid-robot/1", "name": "block", **robot})
+    write_robot(folder / "block.yaml", fluid=AIR, body={"inertial_mass_kg": 1.0})
     trials = []
     for name in FILMS:
         tracked = (folder / f"{name}-px.csv").read_text().splitlines()
@@ -37,14 +45,14 @@ def write(_sources: Sources, folder: Path) -> None:
         time = rows["t_s"][part] - rows["t_s"][part][0]
         write_log(folder / f"{name}.csv", {"t_s": time, "x_m": (place - place[there][0]) @ along / PX_M})
         trials.append(
-            {"log": f"{name}.csv", "driving_force_N": round(GRAVITY_M_S2 * abs(float(along[1])), 4)}
+            {"log": f"{name}.csv", "driving_force_N": round(AIR["gravity_m_s2"] * abs(float(along[1])), 4)}
         )
     write_trials(folder / "ramps.yaml", "falling-weight", "block.yaml", trials)
 
 
 def coefficient(gap: Gap) -> tuple[float, float | None]:
     """Friction over the mean weight across the two slopes."""
-    across = GRAVITY_M_S2 * np.cos(np.radians(list(FILMS.values()))).mean()
+    across = AIR["gravity_m_s2"] * np.cos(np.radians(list(FILMS.values()))).mean()
     return size_of("friction_N", factor=float(1 / across))(gap)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_robot, write_trials
 
 #: Records, and the samples between two that are kept.
 RECORDS = {"simulator": ("fnpf_kvlcc2_rolldecay_0kn.csv", 2), "basin": ("model_test_21337.csv", 5)}
@@ -16,7 +16,7 @@ SPAN_S = 62.0
 
 def write(sources: Sources, folder: Path) -> None:
     """Logs and trials files of the simulator's and the basin's record."""
-    write_yaml(folder / "ship.yaml", {"format": "swimid-robot/1", "name": "ship"})
+    write_robot(folder / "ship.yaml")
     for name, (record, every) in RECORDS.items():
         path = sources.recording(f"kvlcc2_rolldecay/{record}")
         with path.open() as stream:

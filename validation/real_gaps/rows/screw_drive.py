@@ -8,7 +8,17 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.signal import butter, filtfilt
 
-from validation.real_gaps.row import Array, Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import (
+    AIR,
+    Array,
+    Known,
+    Row,
+    Sources,
+    size_of,
+    write_log,
+    write_robot,
+    write_trials,
+)
 
 #: The carriage moves as one mass; its drive turns along, which makes up the rest, kg.
 MASS_KG = 60
@@ -32,13 +42,7 @@ def smoothed(values: Array) -> Array:
 
 def write(sources: Sources, folder: Path) -> None:
     """Log and trials files of the whole record and of its parts; position and force are low-passed alike."""
-    robot = {
-        "format": "swimid-robot/1",
-        "name": "carriage",
-        "fluid": {"density_kg_m3": 1.2, "gravity_m_s2": 9.81},
-        "body": {"inertial_mass_kg": MASS_KG},
-    }
-    write_yaml(folder / "carriage.yaml", robot)
+    write_robot(folder / "carriage.yaml", fluid=AIR, body={"inertial_mass_kg": MASS_KG})
     time, position, force = read(sources.recording("emps/DATA_EMPS.mat"))
     rows = {"t_s": time, "x_m": smoothed(position), "force_N": smoothed(force)}
     write_log(folder / "drive.csv", {name: values[::EVERY] for name, values in rows.items()})

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import Known, Row, Sources, size_of, write_log, write_robot, write_trials
 
 REPOSITORY, COMMIT = "Mattia04/Smorzamento", "794f446870f50866e98f4d0ea32bcca1b39475e7"
 #: Recordings on the spring without pretension, and the masses below it, g, as in the notebook of the authors.
@@ -28,8 +28,8 @@ RADIUS_M, AIR_KG_M3 = 0.06, 1.2
 
 def write(sources: Sources, folder: Path) -> None:
     """Robot, logs and trials files; each trial has its own mass."""
-    robot = {"fluid": {"density_kg_m3": AIR_KG_M3, "gravity_m_s2": 9.805}, "body": {"inertial_mass_kg": 0.08}}
-    write_yaml(folder / "spring.yaml", {"format": "swimid-robot/1", "name": "spring", **robot})
+    fluid = {"density_kg_m3": AIR_KG_M3, "gravity_m_s2": 9.805}
+    write_robot(folder / "spring.yaml", fluid=fluid, body={"inertial_mass_kg": 0.08})
     for name, (record, masses) in RECORDINGS.items():
         path = sources.repository(REPOSITORY, COMMIT, record)
         lines = path.read_text(encoding="utf-8-sig").replace(",", ".").splitlines()[1:]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Row, Sources, write_log, write_yaml
+from validation.real_gaps.row import Row, Sources, write_log, write_robot, write_trials
 
 #: Recordings by log, with the same random motion of the tendon.
 RECORDINGS = {"air": "data_airtest.csv", "water": "data_baseline.csv"}
@@ -22,7 +22,7 @@ TIME, TENDON, FIRST, LAST = 0, 1, 3, 9
 
 def write(sources: Sources, folder: Path) -> None:
     """Logs at 50 Hz of contraction and of the height of the tip above the base, in mm, and trials file."""
-    write_yaml(folder / "limb.yaml", {"format": "swimid-robot/1", "name": "limb"})
+    write_robot(folder / "limb.yaml")
     for name, record in RECORDINGS.items():
         rows = np.genfromtxt(sources.recording(f"starfish/{record}"), delimiter=",", skip_header=1)
         rows = rows[np.isfinite(rows).all(axis=1)]
@@ -31,12 +31,11 @@ def write(sources: Sources, folder: Path) -> None:
         tip = np.interp(time, 1e-3 * rows[:, TIME], rows[:, LAST] - rows[:, FIRST])
         columns = {"t_s": time - BEGIN_S, "u": tendon - tendon.mean(), "y": tip - tip.mean()}
         write_log(folder / f"{name}.csv", columns)
-    head = {"format": "swimid-trials/1", "experiment": "arma", "robot": "limb.yaml"}
     trials = [
         {"id": f"part{k}", "log": "water.csv", "start_s": begin, "end_s": end, "role": role}
         for k, (begin, end, role) in enumerate(PARTS_S)
     ]
-    write_yaml(folder / "water.yaml", {**head, "trials": trials})
+    write_trials(folder / "water.yaml", "arma", "limb.yaml", trials)
 
 
 ROWS = (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Row, Sources, write_log, write_yaml
+from validation.real_gaps.row import Row, Sources, write_log, write_robot, write_trials
 
 #: Columns of input and output of the two records.
 RECORDS = {"estimation": (0, 2), "validation": (1, 3)}
@@ -17,14 +17,14 @@ def write(sources: Sources, folder: Path) -> None:
     """Logs, and a trials file of both records."""
     path = sources.recording("cascaded_tanks/dataBenchmark.csv")
     rows = np.genfromtxt(path, delimiter=",", skip_header=1)
-    write_yaml(folder / "tanks.yaml", {"format": "swimid-robot/1", "name": "tanks"})
+    write_robot(folder / "tanks.yaml")
     for name, (u, y) in RECORDS.items():
         write_log(
             folder / f"{name}.csv",
             {"t_s": np.arange(0.0, STEP_S * len(rows), STEP_S), "u": rows[:, u], "y": rows[:, y]},
         )
-    head = {"format": "swimid-trials/1", "experiment": "arma", "robot": "tanks.yaml"}
-    write_yaml(folder / "levels.yaml", {**head, "trials": [{"log": f"{name}.csv"} for name in RECORDS]})
+    trials = [{"log": f"{name}.csv"} for name in RECORDS]
+    write_trials(folder / "levels.yaml", "arma", "tanks.yaml", trials)
 
 
 ROWS = (

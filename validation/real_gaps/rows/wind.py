@@ -9,14 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.real_gaps.row import Array, Known, Row, Sources, size_of, write_log, write_trials, write_yaml
+from validation.real_gaps.row import (
+    AIR,
+    Array,
+    Known,
+    Row,
+    Sources,
+    size_of,
+    write_log,
+    write_robot,
+    write_trials,
+)
 
 REPOSITORY, COMMIT = "aerorobotics/neural-fly", "0ed50246b1f1db194e8f0726749351636d3501bf"
 FLIGHTS = {"calm": "nowind", "wind": "35wind"}
 #: Begin of the windows and their duration, s. The last one is held out. A figure takes 12.6 s.
 BEGINS_S, SPAN_S = (12.0, 18.0, 24.0, 30.0, 36.0), 6.0
 #: Mass of the quadcopter, kg; only ratios to it show in the motion.
-MASS_KG, GRAVITY_M_S2 = 2.53, 9.81
+MASS_KG = 2.53
 
 
 def read_columns(path: Path) -> dict[str, Array]:
@@ -36,37 +46,24 @@ def write(sources: Sources, folder: Path) -> None:
     The thrust is the weight times throttle over throttle in hover. The robot stays level, and the part of the
     thrust along x is its input. A constant force takes up a small tilt of the axes.
     """
+    tilt = "constant force by a tilt of the axes"
     coefficients = {
         "d": {"value": 0.5, "unit": "N s/m", "bounds": [0, 20], "meaning": "linear drag"},
-        "b": {
-            "value": 0.1,
-            "unit": "N",
-            "bounds": [-10, 10],
-            "meaning": "constant force by a tilt of the axes",
-        },
+        "b": {"value": 0.1, "unit": "N", "bounds": [-10, 10], "meaning": tilt},
     }
     link = {"name": "frame", "mass_kg": MASS_KG, "com_m": [0, 0, 0], "inertia_kg_m2": [0.02, 0.02, 0.04]}
-    robot = {
-        "format": "swimid-robot/1",
-        "name": "quadcopter",
-        "fluid": {"density_kg_m3": 1.2, "gravity_m_s2": GRAVITY_M_S2},
-        "multibody": {
-            "base": "free",
-            "coefficients": coefficients,
-            "links": [link],
-            "inputs": {"thrust": {"column": "push_N", "measured": True}},
-            "elements": [
-                {"kind": "load", "link": "frame", "input": "thrust", "force_N": [1, 0, 0]},
-                {"kind": "force", "link": "frame", "force_N": ["b", 0, 0]},
-                {"kind": "drag", "link": "frame", "linear_N_s_m": ["d", "d", "d"]},
-            ],
-        },
-    }
-    write_yaml(folder / "quadcopter.yaml", robot)
+    multibody = {"base": "free", "coefficients": coefficients, "links": [link]}
+    multibody["inputs"] = {"thrust": {"column": "push_N", "measured": True}}
+    multibody["elements"] = [
+        {"kind": "load", "link": "frame", "input": "thrust", "force_N": [1, 0, 0]},
+        {"kind": "force", "link": "frame", "force_N": ["b", 0, 0]},
+        {"kind": "drag", "link": "frame", "linear_N_s_m": ["d", "d", "d"]},
+    ]
+    write_robot(folder / "quadcopter.yaml", fluid=AIR, multibody=multibody)
     for name, condition in FLIGHTS.items():
         path = f"data/experiment/custom_figure8_baseline_{condition}.csv"
         flight = read_columns(sources.repository(REPOSITORY, COMMIT, path))
-        thrust = MASS_KG * GRAVITY_M_S2 * flight["T_sp"][:, 0] / flight["hover_throttle"][:, 0]
+        thrust = MASS_KG * AIR["gravity_m_s2"] * flight["T_sp"][:, 0] / flight["hover_throttle"][:, 0]
         push = thrust * flight["R"][:, 0, 2]
         trials = []
         for index, begin in enumerate(BEGINS_S):
