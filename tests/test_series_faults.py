@@ -28,7 +28,7 @@ def level(made: swimid.Result) -> str:
 def test_a_motor_is_fitted_at_the_rate_of_its_sensor(
     make: Callable[[np.random.Generator], pd.DataFrame], rng: np.random.Generator
 ) -> None:
-    with pytest.warns(SwimidWarning, match="SWM058.*speed_rad_s repeat the sample before"):
+    with pytest.warns(SwimidWarning, match="SWM058.*speed_rad_s repeat the previous sample"):
         made = swimid.rwls([make(rng)], **MOTOR)
     assert made.document.sample_time_s == pytest.approx(0.04, rel=1e-3)
     a1 = made["a1"]

@@ -165,7 +165,7 @@ def test_a_marker_seen_in_few_frames_is_refused(tmp_path, setup):
         (SETUP + "  - {name: body, method: background}\n", ["is the only marker of a setup"]),
         (
             SETUP + "scale: {metres_per_pixel: 0.002, points_px: [[0, 0], [9, 9]], distance_m: 1}\n",
-            ["contradicting"],
+            ["incomplete or contradicts itself"],
         ),
         (SETUP + "scale: {metres_per_pixel: -1}\n", ["metres_per_pixel"]),
         (SETUP + "scale: {points_px: [[0, 0], [9, 9]], points_m: [[0, 0], [1, 1]]}\n", ["four or more"]),
