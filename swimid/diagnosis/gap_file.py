@@ -350,7 +350,8 @@ class GapFile(yamlio.ResultFile):
     held_out: HeldOut | None = None
     #: Text that states from which data the noise floor was computed.
     floor_from: str = ""
-    #: Trials that were left out because they have parameters of their own, with the parameters that differ.
+    #: Trials that were left out because they have parameters of their own, each with a text on the
+    #: differences.
     odd_trials: dict[str, str] = {}
     #: Random effects: standard deviation between trials, in units of the typical scale of the effect.
     random_effects: dict[str, float] = {}

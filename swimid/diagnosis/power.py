@@ -40,9 +40,9 @@ class EffectPower(yamlio.Document):
 
     effect: str
     stage: str
-    #: Parameter that states the size of the effect (``parameter``), and its smallest value that is detected
-    #: with 90 % power (``size``). The size is null if no value within the bounds of the parameter is
-    #: detected.
+    #: Name of the parameter that states the size of the effect (``parameter``), and its smallest value that
+    #: is detected with 90 % power (``size``). The size is null if no value within the bounds of the parameter
+    #: is detected.
     parameter: str
     size: Number = None
     unit: str
