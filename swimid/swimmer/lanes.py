@@ -69,8 +69,8 @@ COSINE_COEFFICIENTS = (
     -1.38888888888730564116e-3,
     4.16666666666665929218e-2,
 )
-#: The angle pi / 2, rad, as a sum of three numbers. They are short enough for exact products (Cody and Waite
-#: 1980).
+#: The angle pi / 2, rad, as a sum of three numbers. The numbers have so few digits that products with them
+#: are exact (Cody and Waite 1980).
 QUARTER = (1.5707962512969971, 7.549789415861596e-08, 5.390302858158119e-15)
 #: Logarithm of 2 as a sum of two numbers. The first number ends in zero bits (Cephes: exp.c, double
 #: precision).
@@ -1014,9 +1014,10 @@ def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64])
 class Kernels:
     """Kernels of one robot: one for simulations without effects, and one for simulations with effects.
 
-    They compute every simulation, a single one or many, so that equal inputs always give equal digits. The
-    scalar engine computes only what no kernel can: unusual combinations of effects. It computes everything
-    if the environment variable ``SWIMID_LANES`` is ``never``. Results of both agree to about fourteen digits.
+    The kernels compute every simulation, a single one or many, so that equal inputs always give equal digits.
+    The scalar engine computes only unusual combinations of effects, for which no kernel exists. It computes
+    everything if the environment variable ``SWIMID_LANES`` is ``never``. Results of kernels and of the scalar
+    engine agree to about fourteen digits.
 
     Parameters
     ----------
@@ -1043,12 +1044,12 @@ class Kernels:
 
     @cached_property
     def wide(self) -> Kernel | None:
-        """Kernel for simulations with effects; None if they cannot act."""
+        """Kernel for simulations with effects; None if no effect can act."""
         room = self._room()
         return None if room is None else Kernel(self._tree, room)
 
     def prepare(self, name: str, progress: Progress = silent, *, effects: bool = False) -> None:
-        """Compile the kernel of the robot with the given name, and with ``effects`` also the wide kernel."""
+        """Compile the kernel of the robot with the given name, and with ``effects`` also :attr:`wide`."""
         if not self.used:
             return
         self.own.compile_module(progress, name)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 #: amplitude of the motion. With steps of 1e-6 of a parameter (:mod:`swimid.fitting.problem`), derivatives in
 #: fits are then accurate to 1e-4.
 STATE_RTOL = 1e-10
-#: Numbers of periods that are simulated from rest before Newton's method, and between two attempts of
-#: Newton's method.
+#: Number of periods that are simulated from rest before Newton's method (N_FIRST_PERIODS), and between two
+#: attempts of Newton's method (N_MORE_PERIODS).
 N_FIRST_PERIODS, N_MORE_PERIODS = 20, 60
 #: Maximum number of attempts of Newton's method, and maximum number of iterations per attempt.
 MAX_ATTEMPTS, MAX_ITERATIONS = 8, 12
@@ -134,7 +134,7 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
 
 
 def _slopes(period: Callable[[Array], Array], state: Array, end: Array, steps: Array) -> Array:
-    """Return the derivative of the state after one period with respect to the state before it.
+    """Return the derivative of the state after one period with respect to the state at its beginning.
 
     The derivative is computed by forward differences.
     """
@@ -188,7 +188,7 @@ class SteadySwimming:
     def cruise(self, values: Array, trial: Trial, hooks: Hooks) -> SteadySpeed:
         """Return the speed at which the model settles under the periodic drive of a trial, with effects.
 
-        It is the speed through the water.
+        The speed is that through the water.
 
         Parameters
         ----------

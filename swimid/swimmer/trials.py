@@ -43,8 +43,8 @@ MIN_OPENING = 7
 MIN_F_RATIO = 6.0
 #: Maximum start time of a log that begins at rest, as a fraction of the duration of its drive's ramp.
 MAX_RAMP_SHARE = 0.3
-#: Minimum number of samples of a joint angle that drives a trial, and minimum number of samples of a heading
-#: whose beat frequency is estimated.
+#: Minimum number of samples of a joint angle that drives a trial (MIN_JOINT_SAMPLES), and of a heading whose
+#: beat frequency is estimated (MIN_BEAT_SAMPLES).
 MIN_JOINT_SAMPLES, MIN_BEAT_SAMPLES = 5, 17
 #: Number of drive phases that are tried as start values for a trial that begins in steady swimming.
 N_PHASES = 12
@@ -445,7 +445,7 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
 
 
 def _with_starts(recordings: Sequence[RobotTrial], model: Swimmer) -> list[Trial]:
-    """Free the start parameters in the model, and return the trials with their start values."""
+    """Free the parameters of the initial state in the model, and return trials with their start values."""
     measured = {name for r in recordings for name in r.trial.measured}
     free = _list_offsets(recordings, model, measured)
     initial = set(model.list_determined_starts(measured))

@@ -194,7 +194,7 @@ class PlanarBody:
         Channels of the reference point. The pose has two positions and the heading. The velocity has two
         components along the body's axes and the rate of the heading.
     words : tuple of str
-        Names of these channels in words.
+        Descriptions of the channels of pose and velocity.
     lengths_m : tuple of float
         Length of each link; the base is the first.
     reference_m : (float, float)
@@ -502,7 +502,7 @@ class PlanarBody:
         damping: float = 0.0,
         friction: float = 0.0,
     ) -> None:
-        """Add to the law of a passive joint.
+        """Add stiffness, damping or friction to the law of a passive joint.
 
         The arguments are stiffness (N m/rad), cubic stiffness (N m/rad3), damping (N m s/rad) and dry
         friction (N m).
@@ -525,7 +525,7 @@ class SwimmerScales(Scales):
 
     @property
     def force(self) -> float:
-        """Drag at the typical speed, plus the force that accelerates the robot to it in one trial, N."""
+        """Drag at the typical speed, plus the force for accelerating to this speed in one trial, N."""
         return self.model.typical_force(self)
 
 
@@ -603,7 +603,7 @@ class MultilinkModel(Swimmer):
         return tuple(name.removesuffix("_m") for name in self.pose[:2])
 
     def shift(self, tables: dict[str, Any], by: Array) -> None:
-        """Move the centre of mass of the heaviest link, and its weight, by a vector (m) in its axes."""
+        """Move centre of mass and weight of the heaviest link by a vector (m) in the axes of the link."""
         body = self.body
         link, mass, centre = body.hull, body.masses_kg[body.hull], body.centre(body.hull)
         body.weigh(tables, link, centre, -mass, -mass)
@@ -650,7 +650,7 @@ class MultilinkModel(Swimmer):
         return float(trial.swim.get_pose()[2]) + self.value(values, self.starts[2])
 
     def at_reference(self, wrench: Array) -> Array:
-        """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
+        """Convert a wrench at the origin of a fixed base to one at the reference point, in world axes."""
         fx, fy, moment = wrench.T
         a, b = self.reference_m
         along, across = rotate_vector(fx, fy, math.radians(self.links.heading_deg))
