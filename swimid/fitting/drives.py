@@ -99,7 +99,7 @@ class TailBeat:
             Phase by which the joint leads the beat.
         cell_s : ndarray, shape (n,), optional
             Duration of the interval around each time (:func:`cells`) over which the acceleration is averaged.
-            It is used for waveforms whose acceleration jumps (a-cpg).
+            The average is used for waveforms whose acceleration jumps (a-cpg).
         """
         phase = self.phase_rad + phase_rad
         value, rate, bend = self._wave(time_s, phase)

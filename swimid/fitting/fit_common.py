@@ -408,8 +408,8 @@ def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
 
     The second value is this difference divided by the largest measured magnitude.
 
-    This is Eq 14 of "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
-    Samples missing in either series, shape (n,), are left out.
+    The peak error is Eq 14 of "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive
+    Tail Fin". Samples missing in either series, shape (n,), are left out.
 
     >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
     (1.0, 0.25)
@@ -769,8 +769,8 @@ def parameter_file(
 def robot_reference(experiment: Experiment, folder: Path) -> str:
     """Return the reference to the robot that a parameter file in a folder stores.
 
-    It is the name of a built-in robot, or the path of a robot file relative to the folder. If the experiment
-    does not know the path of the robot file, it is the name of the robot.
+    The reference is the name of a built-in robot, or the path of a robot file relative to the folder. If the
+    experiment does not know the path of the robot file, the reference is the name of the robot.
     """
     name = experiment.robot.name
     if experiment.robot_path is None:

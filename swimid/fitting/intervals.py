@@ -313,9 +313,9 @@ class _Scores:
     def _of_trials(self, chosen: Sequence[int], own: Sequence[int]) -> Iterator[tuple[Array, Array]]:
         """Yield the information and the score of each trial, for one noise model of each channel.
 
-        Both refer to the whitened coordinates, followed by the trial's own unknowns. Residuals of different
-        channels may be correlated, as those of one camera are. The information then follows from the
-        covariance of the scores.
+        Information and score refer to the whitened coordinates, followed by the trial's own unknowns.
+        Residuals of different channels may be correlated, as those of one camera are. The information then
+        follows from the covariance of the scores.
         """
         white = [self._whiten(c, form) for c, form in enumerate(chosen)]
         parts, s = list(self.series.values()), len(self.backward)
@@ -348,7 +348,7 @@ class _Scores:
 def _draw_forms(posteriors: Sequence[NoisePosterior]) -> tuple[list[tuple[int, ...]], Array]:
     """Return noise models drawn with their probabilities, and the frequency of each.
 
-    Each has one index for each channel. The most frequent one comes first.
+    A model has one index for each channel. The most frequent model comes first.
     """
     points = _points(len(posteriors), LOG2_FORMS)
     drawn = [

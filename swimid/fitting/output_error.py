@@ -536,9 +536,9 @@ class NoiseSearch:
     def _noise_limits(self) -> Patience:
         """Return the rule that ends a search when its steps have a smaller effect than the noise.
 
-        This is so if five successive steps together lower the squared residuals by less than one parameter
-        that is fitted to noise alone (:attr:`Sandwich.gain`), and move each shared estimate by less than
-        :data:`NEGLIGIBLE_MOVE` standard errors.
+        The search ends if five successive steps together lower the squared residuals by less than one
+        parameter that is fitted to noise alone (:attr:`Sandwich.gain`), and move each shared estimate by less
+        than :data:`NEGLIGIBLE_MOVE` standard errors.
         """
         problem, theta = self.problem, self.theta
         self._insist_unbroken()
@@ -999,8 +999,8 @@ def estimate_start(
 ) -> dict[str, float]:
     """Estimate the per-trial parameters of one trial, with the shared parameters held.
 
-    A held-out trial has its own initial pose, initial speed and clock offset. They are estimated, because
-    they are not part of the test.
+    A held-out trial has its own initial pose, initial speed and clock offset. These values are estimated,
+    because they are not part of the test.
 
     Parameters
     ----------

@@ -836,7 +836,7 @@ class Patience:
     def last(self, steps: int) -> tuple[float, Array]:
         """Return the decrease of the cost and the change of the parameters over the last ``steps`` steps.
 
-        Both are infinite if the search has made fewer steps.
+        The decrease and the change are infinite if the search has made fewer steps.
         """
         if not self.path:
             return math.inf, np.empty(0)

@@ -278,7 +278,8 @@ def count_absorbed(fitted: np.ndarray, tested: np.ndarray) -> float:
     """Return the number of tested regressors that a fit has made orthogonal to its residuals.
 
     A regression removes from the residuals what its own regressors explain. A test of whether the residuals
-    depend on other regressors loses a degree of freedom only as far as the fitted regressors explain those.
+    depend on other regressors loses a degree of freedom only as far as the fitted regressors explain the
+    tested ones.
 
     Parameters
     ----------
@@ -597,9 +598,9 @@ def sandwich(
     Notes
     -----
     With the singular value decomposition ``J = U S V'`` the middle factor ``U' R U`` is computed from the
-    orthogonal matrix U. A direction that the data hardly determine then has a large variance. It would
-    otherwise have a small variance that is only rounding error. The derivatives of each trial are replaced by
-    their triangular factor first, because few unknowns affect each of many trials.
+    orthogonal matrix U. A direction that the data hardly determine then has a large variance, and not a small
+    variance that is only rounding error. The derivatives of each trial are replaced by their triangular
+    factor first, because few unknowns affect each of many trials.
     """
     samples, unknowns = blocks.shape
     squares = np.zeros(unknowns)

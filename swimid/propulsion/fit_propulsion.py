@@ -561,7 +561,7 @@ def _speed_figure(
 ) -> ev.Figure:
     """Return the figure of the average speed of cruise runs over beat frequency and over beat amplitude.
 
-    It shows the measured runs as points and the fitted recoil law as lines.
+    The figure shows the measured runs as points and the fitted recoil law as lines.
     """
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])

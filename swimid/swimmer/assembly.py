@@ -255,8 +255,8 @@ def _add_water(element: Water, link: Any, rows: TableRows) -> None:
 def _add_slender_body(element: SlenderBody, link: Any, rows: TableRows) -> None:
     """Add added mass ``c_m rho pi h^2 / 4`` and drag ``rho/2 (c_f p, c_d h) |v| v`` per length.
 
-    Both act on strips of a link with a height h and a perimeter p that vary along the link (Eqs 4, 7 and 8 of
-    the paper on the built-in robot ``dolphin``).
+    Added mass and drag act on strips of a link with a height h and a perimeter p that vary along the link
+    (Eqs 4, 7 and 8 of the paper on the built-in robot ``dolphin``).
     """
     at = np.array([s.station_m for s in element.sections])
     heights = np.array([s.height_m for s in element.sections])

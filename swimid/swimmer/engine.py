@@ -248,8 +248,8 @@ def reduce_input(size, loss, along):  # type: ignore[no-untyped-def]
 def thrust_of(n, advance, static, slope, curve):  # type: ignore[no-untyped-def]
     """Return the thrust of a propeller, N, at a rate n (1/s) and a velocity of advance u (m/s).
 
-    It is ``static n |n| + slope |n| u + curve sign(n) u^2``. With K_T = k_0 + k_1 J + k_2 J^2 and
-    J = u / (n D), the coefficients are ``rho D^4 k_0``, ``rho D^3 k_1`` and ``rho D^2 k_2``. A propeller that
+    The thrust is ``static n |n| + slope |n| u + curve sign(n) u^2``. With K_T = k_0 + k_1 J + k_2 J^2 and J =
+    u / (n D), the coefficients are ``rho D^4 k_0``, ``rho D^3 k_1`` and ``rho D^2 k_2``. A propeller that
     turns backwards has the thrust of its mirror image, ``T(-n, -u) = -T(n, u)``.
     """
     side = positive(n, 1.0, positive(-n, -1.0, 0.0))
@@ -298,8 +298,8 @@ def rudder_force(along, aside, lift, port, starboard, sine, cosine):  # type: ig
 def wake_growth(aside, speed, decay, port, starboard):  # type: ignore[no-untyped-def]
     """Return the factor of 1 - w of a propeller in oblique motion (Yasukawa and Yoshimura 2015, Eq 18).
 
-    It multiplies 1 - w with the wake fraction w. It is ``1 + (1 - exp(-C_1 |b_P|)) (C_2 - 1)``, with the sine
-    of the drift angle of the propeller for b_P.
+    The factor multiplies 1 - w, with the wake fraction w. Its value is
+    ``1 + (1 - exp(-C_1 |b_P|)) (C_2 - 1)``, with the sine of the drift angle of the propeller for b_P.
 
     Parameters
     ----------

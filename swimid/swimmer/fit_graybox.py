@@ -334,7 +334,7 @@ def _least_squares(posed: FitSetup, begins: Sequence[Array] | None, progress: Pr
 def _deserves_starts(first: FitResult) -> bool:
     """Return whether to fit again from other starting points.
 
-    This is so if the first fit was quick, if it did not converge, or if its errors are too large.
+    Fit again if the first fit was quick, if it did not converge, or if its errors are too large.
     """
     lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
     steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step

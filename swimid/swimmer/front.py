@@ -260,7 +260,8 @@ class FrontResult:
     def starts(self, count: int) -> list[Array]:
         """Return starting points for least squares.
 
-        They are the chosen point, the points that the other rules choose, and then points along the front.
+        The first is the chosen point, followed by the points that the other rules choose, and by points along
+        the front.
         """
         ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
         along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]

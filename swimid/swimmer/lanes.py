@@ -1,9 +1,9 @@
 """Compiled kernels of a robot, which integrate a batch of simulations at once. They are stored on disk.
 
-An engine is the compiled equations of motion of a robot. Its functions can also run as Python functions on
-symbols instead of numbers. They then run through their loops over links and elements once, and record a list
-of sums and products. Operations with input entries that are always 0 or 1 are removed. An engine must be
-written for this: it may branch on a value only by :func:`swimid.swimmer.engine.positive`, ``max``,
+An engine is the compiled equations of motion of a robot. The functions of an engine can also run as Python
+functions on symbols instead of numbers. They then run through their loops over links and elements once, and
+record a list of sums and products. Operations with input entries that are always 0 or 1 are removed. An
+engine that runs on symbols may branch on a value only by :func:`swimid.swimmer.engine.positive`, ``max``,
 ``min`` and ``abs``.
 
 :func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
@@ -539,7 +539,8 @@ def _write_check(size: int, blocks: tuple[int, int, int]) -> Program:
 def source_of(traced: Traced) -> str:
     """Return the text of the module that integrates a batch of simulations with a traced engine.
 
-    Its function is ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``:
+    The function of the module is ``integrate(start, step, table0, ..., shared, steps, parameters, states,
+    rates, work)``:
 
     - ``start``, ``step`` and ``parameters`` are flat. The simulation is the last axis.
     - ``table0`` and so on are drive arrays of shape (2 steps + 1 or fewer, width).

@@ -296,7 +296,7 @@ class Swimmer(Model, ABC):
     def _memory(self) -> list[int]:
         """Indices of the state entries on which the motion over a period of the drive depends.
 
-        They are passive joint angles, velocities of a free base and passive joint rates.
+        These entries are passive joint angles, velocities of a free base and passive joint rates.
         """
         passives, first = len(self.passive), self.coordinates + len(self.passive)
         begin = first + self.speeds * (not self.free_base)

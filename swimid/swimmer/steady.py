@@ -37,7 +37,8 @@ DIFFERENCE_SHARE = 1e-6
 class LimitCycle(NamedTuple):
     """Limit cycle of a periodically driven motion.
 
-    It is the fixed point of the map from the state at the beginning of a period to the state at its end.
+    The cycle is the fixed point of the map from the state at the beginning of a period to the state at its
+    end.
 
     Attributes
     ----------
@@ -54,7 +55,7 @@ class LimitCycle(NamedTuple):
     def multiplier(self) -> float:
         """Factor by which the slowest perturbation changes in one period.
 
-        It is the largest magnitude of an eigenvalue of :attr:`slopes`.
+        The factor is the largest magnitude of an eigenvalue of :attr:`slopes`.
         """
         return float(np.max(np.abs(np.linalg.eigvals(self.slopes)), initial=0.0))
 

@@ -345,7 +345,8 @@ class PlanarBody:
     def length(self, values: Array) -> float:
         """Return the length of the robot, m.
 
-        It is the length in the robot file, or else the distance from the front end to the farthest rear end.
+        The length is that in the robot file, or else the distance from the front end to the farthest rear
+        end.
         """
         return self._model.robot.body.length_m or float(self.straight(values)[1].max())
 
@@ -542,7 +543,7 @@ class MultilinkModel(Swimmer):
     robot : Robot
         The robot must have a ``multilink`` part.
     max_step : float, s
-        Each sampling interval is divided into equal steps no longer than this.
+        Maximum integration step. Each sampling interval is divided into equal steps that are not longer.
     """
 
     name = "multilink"
@@ -637,7 +638,7 @@ class MultilinkModel(Swimmer):
     def _heading_matters(self) -> bool:
         """Return whether the heading affects the motion.
 
-        This is so if forces with a fixed direction in the world, such as weight, act on a free base.
+        The heading matters if forces with a fixed direction in the world, such as weight, act on a free base.
         """
         return self.tree.world_forces and self.free_base
 

@@ -460,7 +460,7 @@ def _rotate_matrix(w, product, k):  # type: ignore[no-untyped-def]
 def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     """Add the wrench and composite inertia of a link to those of its parent.
 
-    They are first converted to the axes and the origin of the parent.
+    The wrench and the inertia are first converted to the axes and the origin of the parent.
     """
     w, u, place = work[i], work[p], _at(joint[i], 0)
     x, y, z = place
@@ -509,8 +509,8 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
 def _add_external_forces(time, state, work, forced):  # type: ignore[no-untyped-def]
     """Add the external forces of effects (:class:`swimid.fitting.model.ExternalForce`).
 
-    They act in the horizontal plane. Their axes are horizontal, and the first one has the heading of the
-    link.
+    The forces act in the horizontal plane. Their axes are horizontal, and the first axis has the heading of
+    the link.
     """
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):

@@ -132,7 +132,7 @@ class MultibodyModel(Swimmer):
     robot : Robot
         The robot must have a ``multibody`` part.
     max_step : float, s
-        Each sampling interval is divided into equal steps no longer than this.
+        Maximum integration step. Each sampling interval is divided into equal steps that are not longer.
     """
 
     name = "multibody"
@@ -213,8 +213,8 @@ class MultibodyModel(Swimmer):
     def cycle_states(self, states: Array) -> Array:
         """Return those quantities of states on which the motion over a period of the drive depends.
 
-        They include roll and pitch if weight or buoyancy acts, and the height above the base if the robot may
-        surface.
+        The quantities include roll and pitch if weight or buoyancy acts, and the height above the base if the
+        robot may surface.
         """
         parts = [states[:, self._memory]]
         if self._attitude_matters():
