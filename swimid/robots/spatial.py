@@ -162,7 +162,7 @@ class Spheroid(InSpace):
 class Plate(InSpace):
     """Added mass of a rectangular flat plate that moves normal to its plane.
 
-    It is ``pi rho k b c^2 / 4`` with the span b and the chord c (sea lion paper, Eq 9).
+    The added mass is ``pi rho k b c^2 / 4`` with the span b and the chord c (sea lion paper, Eq 9).
     """
 
     kind: Literal["plate"]
