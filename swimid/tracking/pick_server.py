@@ -142,8 +142,7 @@ class PageServer(ThreadingHTTPServer):
                 self.requests.get().reply.put(CLOSED)
 
     def _answer_next(self, answer: Callable[[PageRequest], PageAnswer]) -> bool:
-        """Answer the next request, and return whether this answer is the last; raise ``Empty`` if none waits.
-        """
+        """Answer the next request; return whether this answer is the last. Raise ``Empty`` if none waits."""
         request = self.requests.get(timeout=POLL_S)
         given = CLOSED
         try:
