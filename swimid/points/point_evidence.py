@@ -216,7 +216,7 @@ def wave_of(posed: Posed | None, frequency_hz: float | None) -> wave.Wave | None
 
 
 def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:
-    """Return a body wave as a dict of plain data for the file of the result."""
+    """Return a body wave as plain data: a dict by quantity."""
     found: dict[str, Any] = {"frequency_hz": beat.frequency_hz, "windows": beat.windows}
     for name, one, of in (("wavelength", beat.length, unit), ("wave_speed", beat.speed, f"{unit}_s")):
         found |= {f"{name}_{of}": None, f"{name}_ci95": None}

@@ -188,9 +188,7 @@ def groups_of(recordings: Iterable[SurveyedFile]) -> list[RecordingGroup]:
 
 
 def _match_films(recordings: list[SurveyedFile]) -> tuple[set[Path], dict[Path, float]]:
-    """Return the films of which the folder has a table of tracked points, and the frame rates of these
-    tables.
-    """
+    """Return the films of which the folder has a table of tracked points, and frame rates of the tables."""
     tracked: set[Path] = set()
     rates: dict[Path, float] = {}
     films = [one for one in recordings if one.kind == "film"]

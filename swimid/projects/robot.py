@@ -442,8 +442,7 @@ class _Draft:
         return [(int(compiled.wrap_objid[w]), gear * float(compiled.wrap_prm[w])) for w in wraps]
 
     def _markers(self) -> dict[str, Any]:
-        """Return the entry ``points`` of the draft: link of each site in the file, and position on the link.
-        """
+        """Return the entry ``points`` of the draft: link and position on the link, for each site."""
         points = {}
         for site in range(self.compiled.nsite):
             body = next((b for b in self.bodies if b.number == self.compiled.site_bodyid[site]), None)
