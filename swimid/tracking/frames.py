@@ -850,9 +850,9 @@ class RawTrack:
         front, rear = (np.stack(self.centre(row))[:, every] for row in (i, j))
         line = front - rear
         length = np.hypot(*line)
-        # Use only frames in which the distance between the two markers differs from its median by at most 30
-        # %. In other frames one of the two detections is false: perspective of an inclined camera changes the
-        # distance by less than 30 %.
+        # Use only frames in which the distance between the two markers is within 30 % of its median. In other
+        # frames one of the two detections is false: perspective of an inclined camera changes the distance by
+        # less than 30 %.
         sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
         ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
         return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
