@@ -109,7 +109,7 @@ class Setup(Document):
     #: Robot file that states the position of each marker without ``at_m``. The robot file must have a marker
     #: of the same name.
     robot: str | None = None
-    #: Scale; without it positions are in pixels.
+    #: Scale from pixels to metres; without a scale, positions are in pixels.
     scale: Scale | None = None
     camera: Camera | None = None
     #: Frame rate of the film, Hz. It replaces the time stamps in the container.

@@ -1,9 +1,10 @@
 """Reader of COCO keypoints (JSON): annotations of pictures, or the results of a pose estimator.
 
-An annotation has x, y and v of each keypoint, in pixels from the upper left corner, with y down. They are
-converted to y up. In annotations v is 0 for a point that is not labelled, and 1 or 2 for others. In results
-(a list) v is the score of the point. The number at the end of the file name of a picture is its frame; if
-the names have no numbers that differ, the id of the picture is its frame. COCO states no frame rate.
+An annotation has x, y and v of each keypoint, in pixels from the upper left corner, with y down. The reader
+converts the coordinates to y up. In annotations v is 0 for a point that is not labelled, and 1 or 2 for a
+labelled point. In results (a list) v is the score of the point. The number at the end of the file name of a
+picture is its frame; if the names have no numbers that differ, the id of the picture is its frame. COCO
+states no frame rate.
 """
 
 from __future__ import annotations
