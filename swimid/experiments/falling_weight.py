@@ -76,7 +76,7 @@ class FallingWeight(Trials):
     trials: Annotated[list[FallingWeightTrial], Field(min_length=1)]
 
     def load(self, path: Path, *, params: Params | None = None, **options: Any) -> Experiment:
-        """Read the drops (see :meth:`Trials.load`). Parameters state how the encoder rounds."""
+        """Read the drops (see :meth:`Trials.load`). ``params`` states the rounding of encoder counts."""
         robot = self.read_robot(path.parent)
         factors = area_factors(self.trials, robot, path)
         drops = [_drop(e, path, robot, factor) for e, factor in zip(self.trials, factors, strict=True)]
