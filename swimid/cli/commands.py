@@ -77,7 +77,7 @@ OTHERS = {
 
 @takes(SchemaOptions)
 def schema(name: str | None = None, *, options: SchemaOptions, output: Path | None = None) -> Result:
-    """Return the JSON Schema of a file format or of the output of ``--json``; without a name, all names.
+    """Return the JSON Schema of a file format or of the output of ``--json``, or the list of all formats.
 
     Parameters
     ----------
@@ -143,8 +143,8 @@ def doctor(
 ) -> Installation:
     """Check the installation of swimid: versions of packages, optional packages and video decoding.
 
-    With ``warm_up``, also compile the numerical functions, so that no later command waits for compilation. With
-    ``clean``, remove the compiled functions instead.
+    With ``warm_up``, also compile the numerical functions, so that no later command waits for compilation.
+    With ``clean``, remove the compiled functions instead.
 
     Parameters
     ----------

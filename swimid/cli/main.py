@@ -1,7 +1,8 @@
 """Command-line interface of swimid, with a click command for each row of the table of commands.
 
-The function and the options of a command are imported when it runs. The standard output has the result only: plain text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and
-errors go to the standard error.
+The function and the options of a command are imported when it runs. The standard output has the result only:
+plain text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and errors go
+to the standard error.
 """
 
 from __future__ import annotations
@@ -270,7 +271,7 @@ def _bar(description: str, total: int | None = None) -> Iterator[Step]:
 
 
 class _FilePath(click.Path):
-    """Click type of a path. A path that is not UTF-8 is an error, because result files state paths in UTF-8."""
+    """Click type of a path. A path that is not UTF-8 is an error, because results state paths in UTF-8."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)

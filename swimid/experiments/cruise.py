@@ -116,7 +116,7 @@ class Cruise(Trials):
 
     @classmethod
     def prepare_run(cls, options: Any, params: Params, time_s: Array) -> SimulationRun:
-        """Return a simulated cruise with the options ``--fin``, ``--frequency-hz`` and ``--amplitude-deg``."""
+        """Return a simulated cruise for ``--fin``, ``--frequency-hz`` and ``--amplitude-deg``."""
         path, file = params
         fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg
         if fin is None or frequency is None or amplitude is None:

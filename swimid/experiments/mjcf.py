@@ -26,7 +26,8 @@ SMALL_CHANGE = 1e-3
 class MjcfParameter(SimulatorParameter):
     """Attribute of an element of a MuJoCo model file that is fitted as a parameter."""
 
-    #: Kind and name of the element, and attribute: ``joint/tail/stiffness``, ``geom/fin/fluidcoef[0]``, ``option/density``.
+    #: Kind and name of the element, and attribute: ``joint/tail/stiffness``, ``geom/fin/fluidcoef[0]``,
+    #: ``option/density``.
     path: str
     #: Whether the moments of inertia of a body change in proportion to a fitted mass.
     scale_inertia: bool = False
@@ -42,7 +43,8 @@ class MjcfEntry(yamlio.Document):
     parameters: Annotated[dict[str, MjcfParameter], Field(min_length=1)]
     #: Column of the log with the command of each actuator, by the name of the actuator.
     inputs: dict[str, str] = {}
-    #: Quantity of the MuJoCo model that each channel measures: ``site/led/x``, ``body/head/yaw``, ``joint/tail``, ``sensor/gyro/2``.
+    #: Quantity of the MuJoCo model that each channel measures: ``site/led/x``, ``body/head/yaw``,
+    #: ``joint/tail``, ``sensor/gyro/2``.
     outputs: Annotated[dict[str, str], Field(min_length=1)]
 
 

@@ -1,9 +1,9 @@
 """Application of the effects in a parameter file (causes) to the exported robot.
 
 A cause is an effect whose parameters are in the parameter file. The hooks of the effect change the exported
-robot as they change a simulation. The hooks ``tables`` change the masses, springs and force elements of every export.
-Forces and motion of the water are exported only if the simulator can apply them. Changes of the commands need
-a simulator with the same servo law, or a filter of :mod:`swimid.exporters.filters`.
+robot as they change a simulation. The hooks ``tables`` change the masses, springs and force elements of every
+export. Forces and motion of the water are exported only if the simulator can apply them. Changes of the
+commands need a simulator with the same servo law, or a filter of :mod:`swimid.exporters.filters`.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ FILTERS: dict[str, type[Filter]] = {
 
 
 def filter_arguments(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    """Return the arguments of an effect's command filter for an actuator; empty for effects without filter."""
+    """Return the arguments of an effect's command filter for an actuator; empty if it has no filter."""
     lock = f"locked_{actuator.column.removesuffix('_rad')}"
     if cause.name == "load-friction":
         inertia, drag = model.body.loads[model.actuators.index(actuator)]

@@ -61,9 +61,9 @@ def export(
     params : path, ParameterFile or result of a fit
         Parameters of a robot with links in one plane.
     output : path, optional
-        Path of the file to write. With None or ``-`` the text is only returned. Further files are written beside
-        ``tfish.xml``: ``tfish_mjcf_causes.py`` filters the commands for causes that the simulator cannot
-        express, and ``tfish_draws.csv`` has the random samples.
+        Path of the file to write. With None or ``-`` the text is only returned. Further files are written
+        beside ``tfish.xml``: ``tfish_mjcf_causes.py`` filters the commands for causes that the simulator
+        cannot express, and ``tfish_draws.csv`` has the random samples.
 
     Returns
     -------

@@ -155,8 +155,8 @@ def _settings_of(source: ExportSource, cause: ExportedCause) -> list[Mapping[str
 def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
     """Return the description of the MuJoCo actuator that moves a driven joint as a servo.
 
-    The keys ``tag`` and ``attributes`` describe its XML element. The key ``play`` describes an additional hinge
-    between the servo and the joint, and is None for a servo without play.
+    The keys ``tag`` and ``attributes`` describe its XML element. The key ``play`` describes an additional
+    hinge between the servo and the joint, and is None for a servo without play.
     """
     stiffness, damping, joint = servo["stiffness"], servo["damping"], servo["joint"]
     attributes: dict[str, Any] = {"name": joint, "joint": joint}

@@ -88,7 +88,7 @@ class ExportedLink:
 
     @cached_property
     def directional(self) -> Array:
-        """Added-mass matrix minus that of a body whose mass is the mean of the added mass over both directions."""
+        """Direction-dependent part of the added-mass matrix, without its mean over the two directions."""
         mass, (x, y), moment = central(self.added)
         rest = self.added - about(np.diag([mass, mass, moment]), -x, -y)
         return rest * (np.abs(rest).max() > 1e-9 * np.abs(self.added).max())
@@ -176,13 +176,13 @@ class ExportSource:
 
     @property
     def input_limits(self) -> list[str]:
-        """Sentences on the inputs and hydrodynamic derivatives of the robot, which no format can represent."""
+        """Sentences on inputs and hydrodynamic derivatives of the robot, which no format can represent."""
         limits = [f"the loads of the input {name} are left out" for name in self.model.inputs]
         return [*limits, *self.derivative_limits]
 
     @property
     def derivative_limits(self) -> list[str]:
-        """Sentence on forces from products of velocities, which no format can represent; empty without them."""
+        """Sentence on forces from products of velocities, which no format can represent; else empty."""
         count = len(self.tables["term"])
         return [f"{count} hydrodynamic derivatives (kind: derivatives) are left out"] * (count > 0)
 

@@ -1,9 +1,9 @@
 """Export of a vehicle in 3-D with one link to Gazebo as an SDF model.
 
-The plugin Hydrodynamics has drag and damping, and the tag ``<fluid_added_mass>`` has the added mass. The frame of the link is
-at its centre of mass, as in :mod:`swimid.exporters.gazebo`. Each thruster is a propeller link with the plugin
-Thruster, whose commands are forces. The plugin Buoyancy computes the buoyancy from the volume of a collision
-box, if the world loads it.
+The plugin Hydrodynamics has drag and damping, and the tag ``<fluid_added_mass>`` has the added mass. The
+frame of the link is at its centre of mass, as in :mod:`swimid.exporters.gazebo`. Each thruster is a propeller
+link with the plugin Thruster, whose commands are forces. The plugin Buoyancy computes the buoyancy from the
+volume of a collision box, if the world loads it.
 """
 
 from __future__ import annotations

@@ -28,8 +28,9 @@ from swimid.results.result import FileResult
 from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import draw_parameters
 
-#: Two tolerances. The first is the maximum distance from a bound at which a varied parameter counts as at this
-#: bound, as a fraction of its range. The second is the relative distance at which a limit counts as reached.
+#: Two tolerances. The first is the maximum distance from a bound at which a varied parameter counts as at
+#: this bound, as a fraction of its range. The second is the relative distance at which a limit counts as
+#: reached.
 BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
 #: Maximum relative difference between the goal values of the searches from two starting points at which the
 #: searches count as agreeing.
@@ -58,8 +59,8 @@ class GaitFile(StudyFile):
     kind: ClassVar[str] = "gait file"
     format: Literal["swimid-gait/2"] = "swimid-gait/2"
     vary: dict[str, Varied]
-    #: Name of the goal as in the option ``--goal``, name of the optimised quantity of the simulation, and unit
-    #: of this quantity.
+    #: Name of the goal as in the option ``--goal``, name of the optimised quantity of the simulation, and
+    #: unit of this quantity.
     goal: str
     quantity: str
     unit: str

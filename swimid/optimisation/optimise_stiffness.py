@@ -93,8 +93,8 @@ class RuleFile(StudyFile):
     between: tuple[float, float]
     objective: Literal["speed", "cost-of-transport"]
     objectives: tuple[str, str]
-    #: Reference stiffness with which the rule is compared: the fixed stiffness in the parameter file or in the
-    #: robot file.
+    #: Reference stiffness with which the rule is compared: the fixed stiffness in the parameter file or in
+    #: the robot file.
     reference: float
     #: Ranges of frequency (Hz) and amplitude (deg) in which the rule is valid.
     frequency_hz: tuple[float, float]

@@ -31,8 +31,9 @@ PENALTY = 10.0
 #: Maximum relative violation at which a limit of a gait still counts as satisfied.
 LIMIT_RTOL = 1e-3
 #: Type of an objective function with limits. Its arguments are n points in the unit cube of d varied
-#: parameters, shape (n, d), and the index of the search to which each point belongs, shape (n,). It returns the goal and the penalty for each
-#: limit, shape (n, 1 + limits). A penalty is negative if the limit is satisfied.
+#: parameters, shape (n, d), and the index of the search to which each point belongs, shape (n,). It returns
+#: the goal and the penalty for each limit, shape (n, 1 + limits). A penalty is negative if the limit is
+#: satisfied.
 Evaluate = Callable[[Array, NDArray[np.int64]], Array]
 
 
@@ -82,9 +83,10 @@ def descend(
     Notes
     -----
     Central differences give the gradient, and the curvature along each axis, of the goal and of each limit.
-    Gradient and curvature define a quadratic model with penalties. The minimum of the model within twice the radius along each
-    axis is compared with the points of the differences. The radius is halved if none of these points is
-    better, or if the step is shorter than the radius. Points outside the cube are moved to its surface.
+    Gradient and curvature define a quadratic model with penalties. The minimum of the model within twice the
+    radius along each axis is compared with the points of the differences. The radius is halved if none of
+    these points is better, or if the step is shorter than the radius. Points outside the cube are moved to
+    its surface.
 
     >>> def bowl(x, owner):
     ...     return np.column_stack([(x[:, 0] - 0.3) ** 2 + 4 * (x[:, 1] - 1.2) ** 2])
@@ -235,7 +237,7 @@ class GaitProblem:
     def quantity(self, table: Array, name: str) -> Array:
         """Return one quantity of each simulation in a table, shape (n,).
 
-        The name may also be ``basin_m``, which is not a column of the table: the side of the square basin that
+        The name may also be ``basin_m``, which is no column of the table: the side of the square basin that
         encloses the motion of the robot.
         """
         units = list(self.performance.units)

@@ -303,7 +303,7 @@ class OptimisationStudy:
     head: dict[str, Any]
 
     def save(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
-        """Return file content and evidence as a result, after they are written to the output if one is given."""
+        """Write file content and evidence to the output, if one is given; return both as a result."""
         file.verdict = evidence.verdict.level
         result = made.of(file, evidence).write_output(self.output)
         self.checkpoint.finish()

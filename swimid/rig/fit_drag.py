@@ -13,11 +13,11 @@ have another initial state or pulley friction in each trial, one trial with para
 sign of the force.
 
 The two-point method of the boxfish paper (Chan et al., see :func:`fit_drag`) uses speeds at two displacements
-(Eqs 13-19). At a fixed displacement the squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
-and hence the drag coefficient and the added mass. Slope and intercept give the pulley friction (Eq 17). The
-method assumes the same moving mass for all pulling weights. The bias is the error of the method on noise-free
-data that are simulated with its own estimates. The reported standard error includes the bias. The
-output-error fit does not assume an equal moving mass.
+(Eqs 13-19). At a fixed displacement the squared speed is a linear function of the pulling mass. The slopes at
+two displacements give ``a1`` (Eq 18), and hence the drag coefficient and the added mass. Slope and intercept
+give the pulley friction (Eq 17). The method assumes the same moving mass for all pulling weights. The bias is
+the error of the method on noise-free data that are simulated with its own estimates. The reported standard
+error includes the bias. The output-error fit does not assume an equal moving mass.
 """
 
 from __future__ import annotations
@@ -1051,7 +1051,7 @@ def two_point(
     Parameters
     ----------
     trials : sequence of Trial
-        Falling-weight trials without missing samples. Only trials with a pulley and the role ``fit`` are used.
+        Falling-weight trials without missing samples. Only those with a pulley and the role ``fit`` are used.
         These must have at least three different pulling masses.
     points_m : (x1, x2), optional
         The two displacements. The default is :data:`POINT_SHARES` of the displacement that all drops reached.
@@ -1124,8 +1124,9 @@ def _random_variance(
 ) -> Array:
     """Return the variances of the estimates due to the random errors of the squared speeds, shape (3,).
 
-    The random errors are estimated from the residuals of squared speed about its regression lines over pulling
-    mass. The variances are infinite if the method has no result for a squared speed displaced by its error.
+    The random errors are estimated from the residuals of squared speed about its regression lines over the
+    pulling mass. The variances are infinite if the method has no result for a squared speed displaced by its
+    error.
     """
     scatter = squared - np.array([np.polyval(line, masses) for line in lines])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
