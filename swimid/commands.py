@@ -123,8 +123,9 @@ class CommandUsage:
         Kind of file that the command makes, by which a batch connects steps: ``log``, ``parameters``,
         ``setup``, ``picture``, ``page``, or the format of a result, such as ``gap`` for ``swimid-gap/1``.
     metrics : tuple of str
-        Dotted names of numbers in the ``--json`` output, which the summary of a batch shows in addition to the
-        estimates. ``*`` stands for any name. After ``|`` follows the name of the 95 % interval of the number.
+        Dotted names of numbers in the ``--json`` output, which the summary of a batch shows in addition to
+        the estimates. ``*`` stands for any name. After ``|`` follows the name of the 95 % interval of the
+        number.
     lock : bool
         Whether the output is locked while the command runs.
     """

@@ -267,9 +267,9 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 def file_errors(file: str | Path, done: str = "read", *, noted: bool = True) -> Iterator[None]:
     """Convert an error of the operating system in the ``with`` block into an :class:`InputError` for a file.
 
-    The message states the failed action ``done`` (``"read"``, ``"written"``) and the reason. Reading a device or
-    a pipe is also an error, because it may have no end and cannot be read twice. A file that is read is noted
-    as an input of the command (:mod:`swimid.reading`), unless ``noted`` is False.
+    The message states the failed action ``done`` (``"read"``, ``"written"``) and the reason. Reading a device
+    or a pipe is also an error, because it may have no end and cannot be read twice. A file that is read is
+    noted as an input of the command (:mod:`swimid.reading`), unless ``noted`` is False.
 
     Examples
     --------

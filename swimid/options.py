@@ -29,9 +29,9 @@ from swimid.notices import automatic
 
 Returned = TypeVar("Returned")
 
-#: Smallest and largest magnitude of a number other than 0 in a file or an option. The limits prevent overflow:
-#: fits raise accelerations, which are values divided by squared times, to at most the third power, and the
-#: result must be within the range of double precision (1e-308 to 1e308).
+#: Smallest and largest magnitude of a number other than 0 in a file or an option. The limits prevent
+#: overflow: fits raise accelerations, which are values divided by squared times, to at most the third power,
+#: and the result must be within the range of double precision (1e-308 to 1e308).
 SMALLEST, LARGEST = 1e-30, 1e30
 
 #: Type of an option whose value is an input: a file, or an object in memory with the content of the file. On
@@ -220,9 +220,9 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
     """Decorate a function so that it takes the options of a class as keyword arguments.
 
     The function as it is written has one argument ``options``, an object of the class. The caller of the
-    decorated function passes each option as a keyword argument, or such an object as ``options=...``. Signature
-    and docstring list all options. An unknown option is an error, with the most similar name as a hint. Messages name arguments in
-    place of options, unless the function is called from the command line.
+    decorated function passes each option as a keyword argument, or such an object as ``options=...``.
+    Signature and docstring list all options. An unknown option is an error, with the most similar name as a
+    hint. Messages name arguments in place of options, unless the function is called from the command line.
     """
 
     def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
@@ -400,8 +400,8 @@ def describe_problem(problem: Any) -> str:
 # ---------------------------------------------------------------- options that several commands share
 
 
-#: Type of the option ``--start-state``. ``auto``: the log shows whether a trial starts at rest. ``rest``: trials
-#: are assumed to start at rest. ``estimate``: the fit estimates the initial state of each trial.
+#: Type of the option ``--start-state``. ``auto``: the log shows whether a trial starts at rest. ``rest``:
+#: trials are assumed to start at rest. ``estimate``: the fit estimates the initial state of each trial.
 StartState = Literal["auto", "rest", "estimate"]
 
 

@@ -20,8 +20,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-#: Maximum size of files whose SHA-256 is computed when they are opened, bytes. The SHA-256 of a larger file is
-#: computed only when it is needed, because some commands open many large files and need no SHA-256.
+#: Maximum size of files whose SHA-256 is computed when they are opened, bytes. The SHA-256 of a larger file
+#: is computed only when it is needed, because some commands open many large files and need no SHA-256.
 MAX_AT_ONCE = 1 << 20
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 #: Folders that contain the home folders of users on Linux and macOS.
@@ -49,8 +49,8 @@ class Opened:
     def digest(self) -> tuple[str, bool]:
         """Return the SHA-256 of the content, and whether the content has changed since it was opened.
 
-        If the content has changed, the SHA-256 is that of the former content. It is empty if it was not computed
-        before the change.
+        If the content has changed, the SHA-256 is that of the former content. It is empty if it was not
+        computed before the change.
         """
         same = stamp_of(self.files) == self.stamp
         if self.sha256 and same:
@@ -188,7 +188,8 @@ def files_of(path: Path) -> list[Path]:
 def stamp_of(files: Sequence[Path]) -> list[int] | None:
     """Return the total size of files, bytes, and their time of modification; None if a file is missing.
 
-    For one file the time is in ns. For several files it is replaced by a hash of their names, sizes and times.
+    For one file the time is in ns. For several files it is replaced by a hash of their names, sizes and
+    times.
     """
     try:
         found = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
@@ -225,8 +226,8 @@ def name_of(path: str | Path, folder: str | Path | None = None) -> str:
     """Return the name by which a result states a file.
 
     The name is the path relative to the folder of the result, or to ``folder``. For a file of swimid it
-    begins with ``swimid/``. A path that leads through the root folder or a folder of home folders is reduced to
-    the file name, so that a published result does not state the folders of its author.
+    begins with ``swimid/``. A path that leads through the root folder or a folder of home folders is reduced
+    to the file name, so that a published result does not state the folders of its author.
     """
     place, now = os.path.abspath(path), _RECORD.get()
     if folder is None and now is not None:

@@ -550,8 +550,8 @@ def find_working_point(records: Sequence[ArxRecord], orders: Orders, mode: str =
 def _simulate_fit(records: Sequence[ArxRecord], orders: Orders) -> tuple[float, float]:
     """Fit an ARX model by least squares, and return the error of its free run and its largest pole.
 
-    The error is the root mean square, and infinite if the free run has no samples. The largest pole is given by
-    its magnitude.
+    The error is the root mean square, and infinite if the free run has no samples. The largest pole is given
+    by its magnitude.
     """
     plain = replace(orders, nc=0)
     data = regression(records, plain)
@@ -603,8 +603,8 @@ def about_own_level(
 ) -> tuple[list[ArxRecord], float]:
     """Subtract from the outputs of records the level that minimises the free-run error of a model.
 
-    Return the changed records and this level. It accounts for held-out data with another working point than the
-    fitted data. The level is subtracted from all outputs, also from those that start the free run.
+    Return the changed records and this level. It accounts for held-out data with another working point than
+    the fitted data. The level is subtracted from all outputs, also from those that start the free run.
     """
     measured, run = simulate_all(records, orders, theta)
     _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
@@ -623,8 +623,9 @@ class Part:
     diverged: bool
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
-    #: Free-run error of held-out records at the output level of the fitted data. It is None for fitted records,
-    #: and if no means were subtracted. All other errors are computed at the level of the records themselves.
+    #: Free-run error of held-out records at the output level of the fitted data. It is None for fitted
+    #: records, and if no means were subtracted. All other errors are computed at the level of the records
+    #: themselves.
     strict: SeriesScore | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:

@@ -59,7 +59,8 @@ class ComparedRuns(FileResult[RunComparison]):
     Attributes
     ----------
     file : RunComparison
-        Estimates of each quantity in each run, tests, and differences of items. :meth:`save` writes this file.
+        Estimates of each quantity in each run, tests, and differences of items. :meth:`save` writes this
+        file.
     """
 
     file_type = RunComparison

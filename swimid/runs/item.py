@@ -28,9 +28,11 @@ from swimid.runs import status as states
 from swimid.runs.plan import TRIALS, Item, ItemStep, folder_of, is_linked, item_of
 from swimid.runs.status import LOG, STAMPS, STATUS_FILE, Status, StepStatus
 
-#: Exit status of the process of an item that another process holds (EX_TEMPFAIL), and exit status after Ctrl-C.
+#: Exit status of the process of an item that another process holds (EX_TEMPFAIL), and exit status after
+#: Ctrl-C.
 BUSY, INTERRUPTED = 75, 130
-#: Number of bytes at the end of the log of an item that are kept, and number of its lines in an error message.
+#: Number of bytes at the end of the log of an item that are kept, and number of its lines in an error
+#: message.
 MAX_LOG, MAX_LINES = 100_000, 15
 #: Environment variables of the process of an item, with which each library uses one thread.
 ONE_THREAD = dict.fromkeys(
@@ -225,7 +227,7 @@ def _run_steps(item: Item, folder: Path) -> Status | None:
             sketch = sketch or sketched
             continue
         state = {4: "no result"}.get(code, "refused")
-        if "cannot be written" in error.get("message", ""):  # The disk may be full, so the input is not at fault.
+        if "cannot be written" in error.get("message", ""):  # The disk may be full: do not blame the input.
             state = "failed"
         if error.get("type") == "NotEnoughMemory":
             state = "failed"

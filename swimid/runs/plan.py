@@ -1,8 +1,8 @@
 """Plan file (``swimid-plan/1``) of a batch, and its resolution into items with their command lines.
 
 A plan names files by globs and states the steps for these files. A step is a command of swimid with its
-options as they are typed, or ``trials``, which writes a trials file for the logs of the item. Files in a plan are
-relative to its folder. The resolved plan names files relative to the folder of each item.
+options as they are typed, or ``trials``, which writes a trials file for the logs of the item. Files in a plan
+are relative to its folder. The resolved plan names files relative to the folder of each item.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ class PlanFile(yamlio.Document):
     #: Steps of the groups that state no steps.
     steps: Steps = []
     items: list[ItemGroup] = Field(min_length=1)
-    #: Options of each command for files whose path matches a pattern. If several patterns match, the last wins.
+    #: Options of each command for files whose path matches a pattern. If several patterns match, the last
+    #: wins.
     overrides: dict[str, dict[str, dict[str, Any]]] = {}
 
     _read_steps = field_validator("steps", mode="before")(_steps)
@@ -131,8 +132,8 @@ class ItemStep(BaseModel):
 class Item(BaseModel):
     """Item of a run: one or several files that go through the steps together.
 
-    ``files`` are relative to the folder of the plan, and ``inputs`` to the folder of the item. ``root`` is the
-    path from the folder of the item to the folder of the plan.
+    ``files`` are relative to the folder of the plan, and ``inputs`` to the folder of the item. ``root`` is
+    the path from the folder of the item to the folder of the plan.
     """
 
     id: str
@@ -221,8 +222,8 @@ def resolve(path: Path, run: Path, data: Any = None) -> Resolved:
     Raises
     ------
     InputError
-        If the plan is invalid: a pattern that matches no files, an unknown command or option, or a step without
-        input. The message names the line of the plan.
+        If the plan is invalid: a pattern that matches no files, an unknown command or option, or a step
+        without input. The message names the line of the plan.
     """
     if data is None:
         data = yamlio.load(path)
@@ -286,7 +287,7 @@ class _Resolution:
         )
 
     def distinct(self, number: int, name: str, counts: Mapping[str, int]) -> str:
-        """Return the name of an item, with the name of its group if several groups have an item of this name."""
+        """Return the name of an item, with the name of its group if several groups use this item name."""
         if counts[name] == 1:
             return name
         group = self.plan.items[number].name
@@ -408,7 +409,7 @@ def _matches(root: Path, pattern: str) -> Iterator[str]:
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """Return the path of a file relative to a folder. Symbolic links in the path to the folder are resolved."""
+    """Return the path of a file relative to a folder, whose symbolic links are resolved first."""
     if ".." in path.parts:
         path = path.parent.resolve() / path.name
     return Path(os.path.relpath(path, folder)).as_posix()
@@ -508,7 +509,8 @@ class _Chain:
     def argument(self, spec: CommandSpec, place: tuple[Any, ...]) -> list[str]:
         """Return the files of the positional argument of a command.
 
-        For an import, the files are the logs that tracking has made. A mapping joins other files to these logs.
+        For an import, the files are the logs that tracking has made. A mapping joins other files to these
+        logs.
         """
         made = self.made
         if spec.usage.argument == "FILE" and len(made.get("log", [])) == len(self.sources):
@@ -582,7 +584,8 @@ class _Chain:
     def with_paths(self, entry: Declared, value: Any, place: tuple[Any, ...]) -> Any:
         """Replace the files in the value of an option by their paths relative to the folder of the item.
 
-        The plan states a file as the name of the earlier step that makes it, or as a path relative to the plan.
+        The plan states a file as the name of the earlier step that makes it, or as a path relative to the
+        plan.
         """
         if isinstance(value, list):
             return [self.with_paths(entry, one, place) for one in value]

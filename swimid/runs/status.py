@@ -24,7 +24,8 @@ from swimid.runs.plan import Item, is_linked
 
 State = Literal["done", "no result", "refused", "failed"]
 #: States of an item in the order in which they need attention. An item is ``missing`` before it is processed,
-#: and ``busy`` while another process processes it. Results of ``outdated`` and ``missing`` items are not used.
+#: and ``busy`` while another process processes it. Results of ``outdated`` and ``missing`` items are not
+#: used.
 STATES = ("failed", "refused", "no result", "busy", "missing", "outdated", "done")
 #: Levels of a verdict from the worst to the best; empty for a result without a verdict.
 VERDICT_LEVELS = ("bad", "caution", "good", "")

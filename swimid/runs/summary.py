@@ -33,8 +33,8 @@ from swimid.runs.status import Metric, Sketch
 MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
 #: Maximum number of estimates that the page draws unfolded for a group, and of items listed on the terminal.
 MAX_STRIPS, MAX_LISTED = 8, 10
-#: Maximum numbers on the page: table rows, sketches of a group, and points of a strip plot. The CSV files have
-#: all items.
+#: Maximum numbers on the page: table rows, sketches of a group, and points of a strip plot. The CSV files
+#: have all items.
 MAX_TABLE_ROWS, MAX_SKETCHES, MAX_STRIP_POINTS = 2000, 500, 1000
 #: Pattern of control and other characters that must not occur in tables and pages.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
