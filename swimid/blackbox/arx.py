@@ -479,7 +479,7 @@ class ArxEstimate:
     #: Result of the test of the one-step errors for whiteness. For an ARX model with forgetting, the
     #: innovations of the recursion are tested instead.
     whiteness: rt.TestResult
-    #: Whether the covariance of the estimates accounts for autocorrelated residuals (sandwich estimator).
+    #: Whether the covariance of the estimates takes autocorrelated residuals into account (sandwich form).
     robust: bool
     #: Whether the model fits the data exactly, so that the residuals are rounding errors only.
     exact: bool

@@ -241,8 +241,9 @@ def simulate_all(
 def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
     """Return the output level of the working point at which a free run has the smallest squared error.
 
-    A free run is a simulation that uses no measured output after its start. It is linear in its initial
-    samples, so that at level L it is ``run + L (raised - run)``. The result is 0 if the level has no effect.
+    A free run is a simulation that uses no measured output after its start. The free run is linear in its
+    initial samples, so that at level L it is ``run + L (raised - run)``. The result is 0 if the level has no
+    effect.
 
     Parameters
     ----------
@@ -486,9 +487,9 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
 
     Notes
     -----
-    The rows are the times of new measurements of the output, at its first sample. The input of a row is the
-    mean of the input until the next row, as for a zero-order hold. If the measurements of the output
-    have no constant rate, the repeated samples are set to NaN instead. An input with repeated samples is used
+    Each new measurement of the output gives one row, at its first sample. The input of a row is the mean of
+    the input until the next row, as for a zero-order hold. If the measurements of the output have no constant
+    rate, the repeated samples are set to NaN instead. An input with repeated samples is used
     as it is.
     """
     repeats, even, columns = [], None, dict(log.columns)

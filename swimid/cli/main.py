@@ -420,7 +420,7 @@ def _option(entry: Declared) -> click.Option:
     names = [entry.flags, entry.name]
     about: dict[str, Any] = {"help": entry.help, "metavar": entry.metavar, **word_of(entry)}
     if entry.required:
-        # Pass no default to click, which does not require an option with a default, even if it is None.
+        # Pass no default to click, because click does not require an option with a default, even None.
         return click.Option(names, required=True, **about)
     default, shown = entry.default, entry.default is not None
     if entry.kind is bool:

@@ -237,8 +237,8 @@ def _drop(
     travelled = position - position[0]
     from_origin = abs(position[0]) <= ORIGIN_RTOL * float(travelled.max())
     # If the body has already moved in the first row of a drop, it was released before this row. The release
-    # is at time zero if the driving force can have moved the body that far since time zero. Otherwise the
-    # time of release is estimated from the time that the driving force needs.
+    # is at time zero if the driving force can have moved the body that far since time zero. If not, the time
+    # of release is estimated from the time that the driving force needs.
     quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
     at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
     # Accept only the count of an encoder as proof that the body has moved before the first row, because a

@@ -66,7 +66,7 @@ class FreeDecay(Trials):
         params : (Path, ParameterFile), optional
             Parameter file, which states the coordinate.
         coordinate : str, optional
-            Coordinate of the decay. It is needed if the logs hold several coordinates.
+            Coordinate of the decay, which is required if the logs have several coordinates.
         """
         robot = self.read_robot(path.parent)
         if params is not None and params[1].fit is not None and len(params[1].fit.channels) == 1:

@@ -200,7 +200,7 @@ def _refuse_waveforms(waveforms: Mapping[tuple[str, float], str], path: Path) ->
 def _waveform(drive: Drive) -> tuple[str, float]:
     """Return the name of the waveform of a drive and its asymmetry.
 
-    A Hopf oscillator without asymmetry counts as a sine, which it gives on its limit cycle.
+    A Hopf oscillator without asymmetry counts as a sine, because its limit cycle is a sine.
     """
     if drive.waveform == "a-cpg" and drive.asymmetry != 0:
         return "a-cpg", drive.asymmetry

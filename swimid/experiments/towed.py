@@ -85,7 +85,7 @@ class Towed(Trials):
                 float(log.time_s[0]),
                 float(x[np.isfinite(x)][0]),
             )
-            # A body that coasts down has no measured force. Use the mean drag, which reduces its momentum.
+            # A body that coasts down has no measured force. Estimate its mean drag from its momentum.
             taken = mass * speeds[-1] / float(np.ptp(log.time_s))
             forces.append(max(float(np.sqrt(np.mean(force**2))), taken))
             rig_input = RigInput(mass, area_factor=factor, release_s=begin, x0=first)

@@ -47,7 +47,7 @@ DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default);
 
 
 def export(source: ExportSource, options: ExportOptions) -> Exported:
-    """Return the SDF document of a multi-link robot, and sentences on what it cannot represent."""
+    """Return the SDF document of a multi-link robot, and sentences on what SDF cannot represent."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     rigid = [central(inertia) for inertia in inertias]
     return export_xml(

@@ -68,7 +68,7 @@ NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
 
 
 def export(source: ExportSource, options: ExportOptions) -> Exported:
-    """Return the MJCF document of a multi-link robot, and sentences on what it cannot represent."""
+    """Return the MJCF document of a multi-link robot, and sentences on what MJCF cannot represent."""
     fold = options.added_mass == "fold"
     inertias = source.inertias(fold=fold)
     directional = [fold * link.directional for link in source.links]
@@ -200,7 +200,7 @@ def _wires(source: ExportSource) -> list[dict[str, Any]]:
     """Return a MuJoCo spatial tendon for each passive joint that has a wire with a spring.
 
     The tension of the wire is ``K_t (D + constant)``, where D is the distance between the ends of the wire.
-    If the constant is positive, the path of the tendon is longer than D by the constant. Otherwise the tendon
+    If the constant is positive, the path of the tendon is longer than D by the constant. If not, the tendon
     has a rest length. The restoring moment is therefore exact at every angle.
     """
     wires = []

@@ -54,7 +54,7 @@ class VehicleSource(ExportSource):
 
 
 def export(source: VehicleSource, options: ExportOptions) -> Exported:
-    """Return the SDF document of a vehicle with one link, and sentences on what it cannot represent.
+    """Return the SDF document of a vehicle with one link, and sentences on what SDF cannot represent.
 
     Raises
     ------

@@ -460,7 +460,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
     found = []
     for name, (low, high) in region.items():
         slack = 1e-9 * (1.0 + max(abs(low), abs(high)))
-        # Skip a parameter that the gait does not state, such as the frequency of a stroke with its own.
+        # Skip a parameter that the gait does not state, such as the frequency of a predefined stroke.
         value = at.get(name, NEUTRAL_DRIVE.get(name))
         if value is not None and not low - slack <= value <= high + slack:
             found.append(name)

@@ -247,7 +247,7 @@ def make_check(
     otherwise: Literal["warn", "fail"] = "warn",
     reason: str = "",
 ) -> Check:
-    """Return a check of a value against a limit, as an entry of the evidence of a result.
+    """Return a check of a value against a limit, for the evidence (checks, tables, figures) of a result.
 
     Parameters
     ----------
@@ -325,7 +325,7 @@ def sidecar(result: str | Path) -> Path:
 
 
 def write(path: str | Path, evidence: Evidence) -> None:
-    """Write the evidence of a result to a JSON file, completely or not at all.
+    """Write the evidence (verdict, checks, figures) of a result to a JSON file, completely or not at all.
 
     Numbers that are not finite are written as null.
     """
@@ -333,7 +333,7 @@ def write(path: str | Path, evidence: Evidence) -> None:
 
 
 def check_beside(result: Path) -> None:
-    """Check that writing a result does not replace the evidence of another file.
+    """Check that writing a result does not replace the evidence file of another result.
 
     The evidence files of two results have the same name if the names of the two result files differ only in
     the extension.

@@ -175,8 +175,8 @@ class ParameterFile(yamlio.ResultFile):
     stable: bool | None = None
     fit: Fit | None = None
     provenance: yamlio.Provenance = Field(default_factory=dict)
-    #: Drag parameters that a fit of the recoil law used; None for other fits. They are not written to the
-    #: file.
+    #: Drag parameters that a fit of the recoil law (``fit-propulsion``) used; None for other fits. These
+    #: parameters are not written to the file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     @field_validator("correlation")
@@ -346,7 +346,7 @@ class Fitted(FileResult[ParameterFile]):
 
     @property
     def next_step(self) -> str:  # type: ignore[override]
-        """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
+        """Command that usually follows: a comparison if the fit has a trials file, and else a report."""
         if not find_inputs(self):
             return FileResult.next_step
         own = "{own}" * (not self.file.effects)

@@ -135,7 +135,7 @@ def _sources(given: str | Path | Result) -> list[Path | Result]:
 
 
 def _read(path: Path | Result) -> Result:
-    """Read a result file with its evidence, and add warnings that the reading raises to the evidence.
+    """Read a result file with its evidence file, and add warnings of this reading to the evidence.
 
     A result in memory is returned as it is.
 
@@ -200,7 +200,7 @@ def overall(results: Sequence[Result], contents: Sequence[ev.Evidence]) -> ev.Ve
 def _sort_by_level(
     results: Sequence[Result], contents: Sequence[ev.Evidence], leading: Sequence[ev.Evidence]
 ) -> tuple[dict[str, list[str]], list[ev.Evidence]]:
-    """Return the names of results with a verdict other than good, by level, and the evidence that counts."""
+    """Return the names of results that are not good, by level, and the evidence that sets the level."""
     solved = [_digests(content) for content in leading if content.verdict.level == "good"]
     names: dict[str, list[str]] = {"bad": [], "caution": [], "before the repair": [], "good": []}
     counted = []

@@ -56,9 +56,9 @@ from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
 #: Minimum relative change of an estimate at which an omitted parameter makes a result bad. Drag and added
-#: mass are proportional to the stated force, mass or density, which are rarely known to better than 1 % (the
-#: density of water alone differs by 0.4 % between 5 and 30 °C). In simulated tows without an omission the
-#: estimates change by at most 0.4 %, and by 3 % or more if an effect is omitted.
+#: mass are proportional to the stated force, mass or density. No fit can check these values, which are rarely
+#: known to better than 1 % (the density of water alone differs by 0.4 % between 5 and 30 °C). In simulated
+#: tows without an omission the estimates change by at most 0.4 %, and by 3 % or more if an effect is omitted.
 MATERIAL_SHARE = 0.01
 #: Parameters of the force sensor, not of the body. The estimate of one changes if the other is estimated too.
 OF_SENSOR = ("force_offset", "force_drift")
@@ -335,12 +335,11 @@ def is_held_by_default(model: Model, name: str) -> bool:
 
 
 def find_omitted(stated: FitResult, judged: Sequence[Judged]) -> list[Judged]:
-    """Return the alternative fits whose additional parameter the data support, best fit first.
+    """Return the alternative fits whose additional parameter the data support, with intervals, best first.
 
-    An additional parameter must improve the fit, and its interval must exclude the value at which it was
-    held.
-    A parameter that replaces others must fit at least as well, and move an estimate of the fit ``stated`` out
-    of its 95 % interval.
+    A freed parameter must improve the fit, and its interval must exclude the value at which it was held. A
+    fit with a parameter that replaces others must be as good as the fit ``stated``, and move one of its
+    estimates out of its 95 % interval.
     """
     found = []
     for one in judged:
@@ -406,8 +405,8 @@ def find_material(stated: FitResult, other: FitResult) -> list[str]:
 def explains_differences(stated: FitResult, other: FitResult) -> bool:
     """Return whether a further parameter explains why the trials of the fit ``stated`` differ.
 
-    A further parameter increases the standard errors of the estimates. It decreases them if they included
-    differences between trials that the parameter explains.
+    A further parameter usually increases the standard errors of the estimates. It decreases them only if they
+    included differences between trials that the parameter explains.
     """
     if stated.differences is None or not stated.differences.are_likely:
         return False
@@ -856,7 +855,7 @@ def max_added_mass_in_box(
     Parameters
     ----------
     along : bool
-        Whether the body moves along its length. Otherwise it may move in any direction.
+        Whether the body moves along its length. If False, the body may move in any direction.
 
     Notes
     -----
@@ -882,8 +881,8 @@ def max_added_inertia(length_m: float, width_m: float, height_m: float, density_
 
     Notes
     -----
-    The limit is derived as in :func:`max_added_mass_in_box`. It is the moment of inertia of a sphere of water
-    whose radius is the diagonal of the box.
+    The limit is derived as in :func:`max_added_mass_in_box`. The limit is the moment of inertia of a sphere
+    of water whose radius is the diagonal of the box.
 
     >>> round(max_added_inertia(1.0, 1.0, 1.0, 1000.0))
     26119

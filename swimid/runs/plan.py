@@ -488,7 +488,7 @@ class _Chain:
         self.made.setdefault(spec.usage.kind, []).extend(step.outputs)
 
     def name_output(self, spec: CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
-        """Return the name of the output of a step, with the usual ending if the stated name has none."""
+        """Return the name of the output of a step, with the usual extension if the stated name has none."""
         name = str(stated or stem)
         if Path(name).name != name or name.startswith("."):
             raise self.plan.error(f"'as: {name}' must be the name of a file without a folder", *place)

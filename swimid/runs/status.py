@@ -217,7 +217,7 @@ def _find_numbers(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
 
 
 def sketch_of(evidence: ev.Evidence) -> Sketch | None:
-    """Return a sketch of the first figure in the evidence of a result; None if it has no figure."""
+    """Return a sketch of the first figure in the evidence of a result; None if there is no figure."""
     for figure in evidence.figures:
         for panel in figure.panels:
             if panel.traces:

@@ -647,8 +647,8 @@ def _speeds_figure(file: ComparisonFile) -> ev.Figure:
 def _select_trials(done: Sequence[Compared]) -> dict[str, Compared]:
     """Return the trials to plot, by the title of their panel.
 
-    They are the trials with the largest and the smallest error, and the held-out trial with the largest
-    error.
+    These are the fitted trials with the largest and the smallest error, and the held-out trial with the
+    largest error.
     """
 
     def error(one: Compared) -> float:

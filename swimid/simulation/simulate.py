@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-#: Frame rate of a film, Hz, and width of a frame for each file ending, px.
+#: Frame rate of a film, Hz, and width of a frame for each file extension, px.
 FILM_RATE_HZ, FILM_PX = 25.0, {".mp4": 960, ".gif": 560}
 #: Width of the view of a film, and drawn width of a link, both in body lengths.
 FILM_WIDTH, LINK_WIDTH = 2.4, 0.08
@@ -438,7 +438,7 @@ def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
 
 
 def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[str]) -> ev.Evidence:
-    """Return the evidence of ``simulate``.
+    """Return the evidence (verdict, checks, tables) of the command ``simulate``.
 
     The evidence has the quantities, and the checks of the integration step and of steady swimming.
     """
