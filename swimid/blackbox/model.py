@@ -280,12 +280,15 @@ class ArxModel(Model):
     def __init__(self, parameters: ParameterFile, path: Path | None = None) -> None:
         delay, step_s, found = parameters.delay, parameters.sample_time_s, parameters.parameters
         if parameters.model != NAME:
-            raise InputError(f"model '{parameters.model}' is not '{NAME}'", file=path, column="model")
+            raise InputError(
+                f"the model is '{parameters.model}'; it must be '{NAME}'", file=path, column="model"
+            )
         if delay is None or step_s is None:
             text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
             raise InputError(text, file=path, column="delay")
         if "b1" not in found:
-            raise InputError("this parameter is missing", file=path, column="parameters.b1")
+            text = f"this parameter is missing; a model '{NAME}' has at least b1"
+            raise InputError(text, file=path, column="parameters.b1")
         na, nb = (next(k for k in itertools.count() if f"{x}{k + 1}" not in found) for x in "ab")
         self.orders, self.sample_time_s = Orders(na, nb, delay), step_s
         settings = parameters.settings
@@ -421,7 +424,7 @@ class ArxModel(Model):
         if column is not None:
             return np.asarray(column, dtype=float)
         if self.sine is None:
-            hint = f"it has: {', '.join(trial.inputs) or 'no inputs'}"
+            hint = f"the trial has: {', '.join(trial.inputs) or 'no inputs'}"
             raise InputError(f"trial {trial.id} lacks the model's input", column=self.source, hint=hint)
         return sine_input(time, *self.sine)
 
@@ -507,7 +510,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         if own is None:
             columns[column] = np.where(held.repeated, np.nan, values)
             text += (
-                f" at an uneven rate: these are left out, and the others may be {held.lateness_s:.6g} s late"
+                f" at an uneven rate and are left out; the other samples may be {held.lateness_s:.6g} s late"
             )
         else:
             text += f": it is measured every {usual_step(own[1]):.6g} s"
@@ -652,7 +655,7 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     _refuse_repeats(groups)
     columns = _columns(options, listed)
     if all(entry.role == "validate" for entry in entries):
-        raise UsageError("every trial is a validation trial; at least one must be fitted")
+        raise UsageError("all trials have role: validate: give role: fit to at least one trial")
     ids = [entry.id for entry in entries]
     names = [entry.id if ids.count(entry.id) == 1 else entry.log for entry in entries]
     required = tuple(name for name in (columns.input_column, columns.output) if name)
@@ -698,7 +701,7 @@ def _list_entries(
             continue
         if listed is not None:
             hint = "list logs to fit and logs to hold out (role: validate) in one trials file"
-            raise UsageError("two trials files are given; only one is allowed", hint=hint)
+            raise UsageError("two trials files are given; only one trials file is allowed", hint=hint)
         path = trials_format.place(source)
         listed = trials_format.read(source, "rwls")
         files += [path] * (not listed._in_memory)
@@ -765,7 +768,7 @@ def _columns(options: RwlsOptions, listed: Any) -> Columns:
         hint = "name the input column, --input COLUMN, or compute the input, --input-sine A F PHASE"
         raise UsageError("exactly one input column or input sine is needed", hint=hint)
     if source == output:
-        raise UsageError(f"input and output are the same column '{source}'")
+        raise UsageError(f"input and output are the same column '{source}': name two columns")
     return Columns(source or "F_u", output, options.input_sine)
 
 

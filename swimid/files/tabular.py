@@ -63,7 +63,7 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
         raise InputError(text, file=path, line=line)
     twice = find_repeated(names)
     if twice is not None:
-        raise InputError("two columns have this name", file=path, line=line, column=twice)
+        raise InputError("two columns have this name: rename one column", file=path, line=line, column=twice)
     return names
 
 

@@ -157,7 +157,7 @@ class Column(yamlio.Document):
     @classmethod
     def _plain_name(cls, value: str) -> str:
         if not _KEY_NAME.fullmatch(value):
-            raise ValueError(f"'{value}' must be letters, digits and underscores, as in x_m")
+            raise ValueError(f"'{value}' must consist of letters, digits and underscores, as in x_m")
         return value
 
     @model_validator(mode="after")
@@ -251,7 +251,7 @@ class Mapping(TableSource):
         targets = [column.target for column in columns]
         twice = find_repeated(targets)
         if twice:
-            raise ValueError(f"two columns have the target '{twice}'")
+            raise ValueError(f"two columns have the target '{twice}': rename or omit one column")
         targets = [column.target for column in self.columns]
         if self.profile is not None:
             return self
@@ -1030,7 +1030,7 @@ def _time_columns(
         rate = table.scalars.get(str(time.rate_hz), time.rate_hz)
         if isinstance(rate, str) or not 0 < rate < np.inf:
             known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
-            hint = f"single numbers in it: {known or 'none'}"
+            hint = f"single numbers in the file: {known or 'none'}"
             raise InputError(f"holds no positive number '{time.rate_hz}' for the rate", file=path, hint=hint)
         return parts or [table.before + np.arange(rows, dtype=float)], [1.0 / rate], False
     if any(map(is_text, parts)):
@@ -1042,7 +1042,8 @@ def _frames(table: ForeignTable, name: str, path: Path) -> Array:
     """Return a column of frame numbers as floats; raise an error if a cell is a fraction or text."""
     values = table.columns[name]
     if is_text(values) or values.dtype.kind == "M":
-        raise InputError("holds no frame numbers", file=path, column=name)
+        kind = "text" if is_text(values) else "dates"
+        raise InputError(f"holds {kind}, not frame numbers", file=path, column=name)
     frames = values.astype(float)
     broken = np.isfinite(frames) & (frames != np.round(frames))
     if broken.any():

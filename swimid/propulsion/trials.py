@@ -189,7 +189,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
             raise tabular.column_error(column, names, path, line, reason)
     rows = _rows(text, path, line, names)
     if not rows:
-        raise InputError("has a header and no runs", file=path, line=line)
+        raise InputError("has a header, but no line with a run", file=path, line=line)
     columns = {name: _numbers(rows, name, path) for name in (*NUMBERS, speed)}
     distance, speeds = columns["distance_m"], columns[speed]
     if np.isnan(speeds).all():

@@ -87,7 +87,10 @@ def _find_frames(annotations: list[dict[str, Any]], images: list[dict[str, Any]]
     frames = _frames(images)
     at = np.array([frames.get(one["image_id"], one["image_id"]) for one in annotations])
     if at.dtype.kind not in "iu":
-        raise InputError("its image_id are no numbers, and its pictures are not listed", file=path)
+        text = f"the frame of the image_id '{max(map(str, at))}' is unknown"
+        raise InputError(
+            text, file=path, hint="number image_id, or the file_name of each image under 'images'"
+        )
     values, counts = np.unique(at, return_counts=True)
     if (counts > 1).any():
         text = f"{counts.max()} individuals in one picture have no numbers to distinguish them"

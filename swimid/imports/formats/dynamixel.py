@@ -59,7 +59,9 @@ def _read(path: Path, options: ReaderOptions, select: str | None, device: str = 
             columns = {TIME: mapping.seconds(table, time, rows, path, {})}
     for name, hit in fields.items():
         if is_text(table.columns[name]):
-            raise InputError("holds text, not ticks", file=path, column=name)
+            cell = max(map(str, table.columns[name]))
+            text = f"'{cell}' is text; positions and speeds are whole numbers of servo ticks"
+            raise InputError(text, file=path, column=name)
         ticks = table.columns[name].astype(float)
         stem = {"present": "joint", "goal": "cmd"}[hit["what"].lower()]
         joint = f"{stem}{numbers.index(servos[name]) + 1}"
