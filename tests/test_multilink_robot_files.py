@@ -133,9 +133,9 @@ WRONG = {
     "infinite": ("mass_kg: 0.8", "mass_kg: .inf", "mass_kg", "finite", ""),
     "infinite product": ("1.2 * c_m", "1e200 * 1e200 * c_m", "sway_kg", "not finite", ""),
     "beyond reason": ("mass_kg: 0.8", "mass_kg: 8.0e+300", "mass_kg", "from 1e-30 to 1e+30", ""),
-    "bounds exchanged": ("bounds: [0, 9]", "bounds: [9, 0]", "c_d", "wrong way round", ""),
-    "value out of bounds": ("value: 1.5", "value: 15", "c_d", "outside its bounds", ""),
-    "start out of bounds": ("start: 2", "start: 20", "c_d", "outside its bounds", ""),
+    "bounds exchanged": ("bounds: [0, 9]", "bounds: [9, 0]", "c_d", "must be below the upper bound, 0", ""),
+    "value out of bounds": ("value: 1.5", "value: 15", "c_d", "15 lies outside the bounds, 0 to 9", ""),
+    "start out of bounds": ("start: 2", "start: 20", "c_d", "20 lies outside the bounds, 0 to 9", ""),
     "crank longer than its arm": (
         "stiffness_N_m_rad: stiff",
         "tendon: {spring_N_m: 80, pretension_m: 0.01, arm_m: 0.02, crank_m: 0.03}",
@@ -270,7 +270,7 @@ def test_nothing_to_simulate(tmp_path: Path) -> None:
     fixed = fixed.replace(", driven: {gain: 1, servo: {natural_frequency_hz: 5}}", "")
     fixed = fixed.replace("passive: {", "# {")
     path.write_text(fixed)
-    with pytest.raises(InputError, match="nothing to simulate") as caught:
+    with pytest.raises(InputError, match="needs a driven or passive joint") as caught:
         experiment.robot_model(str(path))
     assert caught.value.line == 1 + fixed[: fixed.index("base: fixed")].count("\n")
 

@@ -424,7 +424,7 @@ class TestErrors:
         "python, text",
         [
             ("sim.py:simulat", "has no function 'simulat'"),
-            ("sim.py", "is not 'module:function'"),
+            ("sim.py", "must have the form module:function"),
             ("no_such_module:simulate", "cannot be imported"),
             ("other.py:simulate", "there is no such file"),
         ],

@@ -659,8 +659,8 @@ def find_mount(record: ImuRecord, rests: list[Rest], options: TrackImuOptions) -
             "az is negative at rest; a sensor with z up shows +9.81",
             file=record.name,
             column="az_m_s2",
-            hint="for a sensor of the other sign, give factor: -1 for all three axes in a mapping (--map); for "
-            "a sensor mounted upside down, give --mount-deg 180 0 0",
+            hint="for a sensor of the other sign, give factor: -1 for all three axes in a mapping (--map); "
+            "for a sensor mounted upside down, give --mount-deg 180 0 0",
         )
     text = (
         f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest "
