@@ -279,7 +279,7 @@ class TestCruiseTable:
             (HEADER + "A,2,16,1.15,1e-320\n", ["line 2", "time_s", "the speed is inf"]),
             (
                 HEADER.replace("time_s", "time"),
-                ["line 1", "one of the columns time_s and mean_speed_m_s is needed", "did you mean 'time'"],
+                ["line 1", "a column time_s or mean_speed_m_s is needed", "did you mean 'time'"],
             ),
             (HEADER.replace(",", ";"), ["line 1", "semicolons"]),
         ],

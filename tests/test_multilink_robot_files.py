@@ -68,7 +68,7 @@ WRONG = {
     "negative mass": ("mass_kg: 0.8", "mass_kg: -0.8", "trunk.mass_kg", "must be positive", ""),
     "no mass": ("mass_kg: 0.8", "mass_kg: 0", "trunk.mass_kg", "must be positive", ""),
     "mass by a coefficient": ("mass_kg: 0.8", "mass_kg: -1 * c_m", "trunk.mass_kg", "-0.5 kg", ""),
-    "inertia about the front below m l^2": ("0.019", "0.011", "head.inertia_kg_m2", "leaves -0.001", "0.012"),
+    "inertia about the front below m l^2": ("0.019", "0.011", "head.inertia_kg_m2", "is -0.001", "0.012"),
     "negative inertia": ("1.0e-4", "-1.0e-4", "tail.inertia_kg_m2", "must be positive", ""),
     "no inertia": ("1.0e-4", "0", "tail.inertia_kg_m2", "must be positive", ""),
     "added mass below zero": (
@@ -167,7 +167,7 @@ WRONG = {
     "unknown plane": ("plane: vertical", "plane: upright", "plane", "'upright'", ""),
     "reading not there": ("chosen: some", "chosen: sum", "readings.lift", "the options are", ""),
     "reading of a key not there": (
-        "chosen: some", "chosen: none", "readings.lift.options.none", "there is no 'plate'", "",
+        "chosen: some", "chosen: none", "readings.lift.options.none", "the robot file has no 'plate'", "",
     ),
     "no links": (
         ROBOT[ROBOT.index("    - {name: head") : ROBOT.index("  joints:")], "    []\n", "links",

@@ -237,7 +237,7 @@ def test_hostile_texts_are_escaped(tmp_path: Path) -> None:
 def test_missing_evidence_is_said(tmp_path: Path) -> None:
     """The parameters are still shown, with a caution and SWM050."""
     path = cases.drag(tmp_path, proof=False)
-    with pytest.warns(SwimidWarning, match=r"SWM050 drag\.yaml has no evidence"):
+    with pytest.warns(SwimidWarning, match=r"SWM050 the evidence file drag\.evidence\.json is missing"):
         report(inputs=[path], output=tmp_path / "r.html")
     words = outline(tmp_path / "r.html").words
     assert "0.705 ± 0.033" in words
@@ -259,7 +259,7 @@ def test_a_file_that_was_edited_is_no_longer_good(before: str, after: str, tmp_p
     path = cases.drag(tmp_path)
     _good(path)
     path.write_text(path.read_text().replace(before, after))
-    with pytest.warns(SwimidWarning, match=r"SWM052 drag\.yaml was edited or replaced after its evidence"):
+    with pytest.warns(SwimidWarning, match=r"SWM052 drag\.yaml was edited or replaced after the evidence"):
         result = load_result(path)
     assert result.verdict == "caution"
     assert result.evidence is not None

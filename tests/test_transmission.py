@@ -345,7 +345,7 @@ class TestErrors:
         run = truth()
         log = {name: run[name] for name in ("t_s", "x_m", "y_m", "yaw_rad", "joint1_rad")}
         trials = swims(log, tmp_path, fish(tmp_path, by_ratio(*RATIOS), {"tendon": {}}), None)
-        with pytest.raises(InputError, match="'tendon' needs this column, or 'cmd_tendon_rad'") as caught:
+        with pytest.raises(InputError, match="'tendon' needs this column or 'cmd_tendon_rad'") as caught:
             load_experiment(trials)
         assert caught.value.column == "joint_tendon_rad"
 

@@ -752,7 +752,7 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
         raise UsageError(f"--validate has several shares, {shown}: give one share and any number of logs")
     for share in shares:
         if not 0 < share < 1:
-            hint = "0.25 is the last quarter"
+            hint = "give 0.25 to hold out the last quarter"
             raise UsageError(f"--validate {share:g}: a share must lie between 0 and 1", hint=hint)
     return sum(shares), logs
 
@@ -780,7 +780,7 @@ def _check_distinct(log: Log, columns: Columns) -> None:
     both = np.isfinite(u) & np.isfinite(y)
     if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
         text = f"holds the same values as the input column '{columns.source}' in every row"
-        hint = "one of the two is a copy: name the measured output with --output"
+        hint = "name the measured output with --output"
         raise InputError(text, file=log.path, column=columns.output, hint=hint)
 
 
@@ -792,7 +792,7 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
         step = f"every {rate.step_s:.6g} s, the first log every {first_s:.6g} s"
         if not rate.uniform:
             step = (
-                f"at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole multiples of "
+                f"at a constant rate: only {100 * rate.on_grid:.0f} % of the steps are whole multiples of "
                 f"{rate.step_s:.6g} s"
             )
         if not rate.uniform or abs(rate.step_s / first_s - 1) > SAME_RATE:

@@ -426,7 +426,7 @@ def _take_out_track(
         return out
     if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
         text = f"{name}: only {good} of {len(out)} samples are valid (no repeats, no jumps)"
-        hint = "--raw keeps them all; is this a track of positions in metres?"
+        hint = "--raw keeps all samples; is this a track of positions in metres?"
         raise NoTrustworthyResult(text, hint=hint)
     lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
     warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} are left out of the track")

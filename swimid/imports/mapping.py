@@ -415,8 +415,8 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
         time_s = time_s + _offset(log, joined, joined.align, time_s, other, order.index, place)
     ends = np.nanmin(log.time_s), np.nanmax(log.time_s)
     if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
-        text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
-        hint = "give its offset as 'offset_s' under 'time:', or two columns that move together under 'align:'"
+        text = f"none of the {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
+        hint = "give the offset as 'offset_s' under 'time:', or two columns that move together under 'align:'"
         raise InputError(text, file=place, column=f"join: {joined.select or joined.file}", hint=hint)
     outside = ~((log.time_s >= time_s[0]) & (log.time_s <= time_s[-1]))
     before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 1)
@@ -617,8 +617,8 @@ def _map_columns(
         chosen &= ~padding | padding.all()
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
     if there:
-        text = f"its rows are those of {len(there)} instances in turn: {', '.join(there)}"
-        hint = f"choose one in the mapping: where: {{{by}: {there[0]}}}; 'join:' adds the columns of another"
+        text = f"the rows are those of {len(there)} instances in turn: {', '.join(there)}"
+        hint = f"choose an instance: where: {{{by}: {there[0]}}}; 'join:' adds the columns of another"
         if not mapping.columns:
             hint = f"write a mapping with the lines 'as: {table.profile}' and {hint.partition(': ')[2]}"
         raise InputError(text, file=path, column=by, hint=hint)
@@ -734,7 +734,10 @@ def _identity(table: ForeignTable, path: Path, metadata: dict[str, Any]) -> list
         raise InputError(text, file=path, hint=hint)
     twice = [column.target for column in kept if f"{column.target} (2)" in out]
     if twice:
-        text, hint = "several columns have this name", "a mapping chooses one by its number, as in source: 2"
+        text, hint = (
+            "several columns have this name",
+            "choose a column by number in a mapping, as in source: 2",
+        )
         raise InputError(text, file=path, column=twice[0], hint=hint)
     if out and not own:
         warn("SWM004", f"{path.name}: columns whose names state no unit are left out: {', '.join(out[:20])}")

@@ -593,5 +593,5 @@ def complete(path: Path, stated: str | int | None, held: int, line: int | None =
         Frames are missing.
     """
     if stated is not None and held < int(stated):
-        text = f"its header states {int(stated)} frames, and it ends after {held}"
+        text = f"the header states {int(stated)} frames, but the file ends after {held}"
         raise InputError(text, file=path, line=line, hint="export or copy the file again")

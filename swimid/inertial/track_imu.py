@@ -639,8 +639,8 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
         return
     deviations = f"{held['deviations']:.2f} sd (rms)"
     value, passed = f"{deviations} of {held['fixes']}", held["deviations"] <= MAX_HELD_OUT
-    size = f"{held['deviations']:.2f} standard deviations (rms)"
-    reason = f"the errors of predicted held-out fixes are {size}, not {limit}"
+    error = f"{held['deviations']:.2f} standard deviations (rms)"
+    reason = f"the errors of predicted held-out fixes are {error}, not {limit}"
     yield "", "Fixes left out", value, limit, passed, reason
 
 
@@ -703,7 +703,7 @@ def _methods(run: ImuRun) -> list[str]:
             f"{options.threshold_rad_s:g} rad/s set to zero, rotation to earth axes (Eqs 10 and 11), "
             "trapezoids (Eqs 12 and 13)."
         ]
-    more = ", mounting, lever arm and clock offset against a second log of the trial"
+    more = ", mounting, lever arm and clock offset against the camera log of the trial"
     return [
         "Motion was estimated from an inertial unit by an error-state Kalman filter and Rauch-Tung-Striebel "
         f"smoother over position, velocity, attitude and sensor biases{more * (run.fusion is not None)}; "
@@ -720,7 +720,7 @@ def _figures(run: ImuRun) -> list[Figure]:
         "Position": _panels(run, "xyz", "m", "position"),
         "Attitude": _panels(run, ANGLE_NAMES, "deg", "angle", 1 / DEG),
     }
-    caption = "The estimate with its 95 % band, rests shaded; points are those of the other log."
+    caption = "The estimate with its 95 % band, rests shaded; points are those of the camera log."
     return [ev.panels(title.split()[-1].lower(), title, caption, panels) for title, panels in parts.items()]
 
 

@@ -257,7 +257,7 @@ class Request:
             where = str(path)
             if not robot.multilink.points:
                 text = f"the robot '{robot.name}' places no points"
-                hint = "give their places with --points: points: {snout: {link: head, at_m: [0, 0]}}"
+                hint = "give the places with --points: points: {snout: {link: head, at_m: [0, 0]}}"
                 raise InputError(text, file=path, column="multilink.points", hint=hint)
         return spec, robot.multilink, robot.name, where
 

@@ -180,7 +180,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     else:
         names, text = [str(name) for name in source.columns], source.to_csv(index=False)
         held = InputInMemory("table", hashlib.sha256(text.encode()).hexdigest())
-    speed, what = "time_s", "one of the columns time_s and mean_speed_m_s is needed, and both are missing"
+    speed, what = "time_s", "a column time_s or mean_speed_m_s is needed, and both are missing"
     if "mean_speed_m_s" in names:
         speed = "mean_speed_m_s"
     for column in ("fin", *NUMBERS, speed):

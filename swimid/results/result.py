@@ -399,8 +399,8 @@ def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence
     if evidence.sha256 == document.digest():
         return in_memory
     text = (
-        f"{name} was edited or replaced after its evidence was made: figures, checks and tables may not "
-        "describe its numbers; run its command again"
+        f"{name} was edited or replaced after the evidence file was made: figures, checks and tables may "
+        "not describe the result; run the command again"
     )
     warn("SWM052", text)
     said = f"The file was changed after this verdict: {evidence.verdict.text}"

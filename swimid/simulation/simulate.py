@@ -345,7 +345,7 @@ def _refuse_run_options(options: SimulateOptions) -> None:
     """Refuse options that describe a drive together with recorded trials, which have their own drives."""
     for name, entry in options.declarations().items():
         if name not in WITH_TRIALS and getattr(options, name) != entry.default:
-            text = f"{entry.flag} cannot be combined with --trials: trials have their own drives, so omit it"
+            text = f"{entry.flag} cannot be combined with --trials: trials state drives. Omit it"
             raise UsageError(text)
 
 

@@ -625,7 +625,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
         if not name.removesuffix("_s").endswith("_rad") or name not in log:
             continue
         if np.isfinite(log[name]).sum() >= MIN_BEAT_SAMPLES:
-            used = "correct it if it is wrong: it is used"
+            used = "the stated value is used: correct it if it is wrong"
             return compare_frequencies(entry.id, entry.drive.frequency_hz, log.time_s, log[name], used)
     return None
 

@@ -252,10 +252,12 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
 
     robot = robot_format.read(str(robot_format.locate(name, path.parent, {"file": path, "column": "robot"})))
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
-        raise refuse(f"moves in the {robot.multilink.plane} plane, the film shows another")
+        raise refuse(f"moves in the {robot.multilink.plane} plane, but the film shows another plane")
     places = robot.marker_places(setup.plane)
     for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
-            text = f"names no marker '{marker.name}'; it names: {', '.join(places) or 'none'}"
-            raise refuse(text, "name the markers of the film as the robot file does, or give their at_m")
+            text = f"names no marker '{marker.name}'; the robot names: {', '.join(places) or 'none'}"
+            raise refuse(
+                text, "name the markers of the film as the robot file does, or give at_m of the markers"
+            )
     return places

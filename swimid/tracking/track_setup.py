@@ -300,7 +300,7 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
             reasons[name] = f"is rarely detected together with {first}"
         elif change > limits[0]:
             text = f"its distance to {first} changes by {100 * change:.1f} %"
-            reasons[name] = f"{text}: the two are not on one rigid part"
+            reasons[name] = f"{text}: these markers are not on one rigid part"
     if len(names) > 1 and (run.track.head_first(*names) or 0.0) < 0.5:
         names.reverse()
     return names, first

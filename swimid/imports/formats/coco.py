@@ -59,7 +59,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     lists = [one["keypoints"] for one in chosen]
     widths = set(map(len, lists))
     if len(widths) > 1 or max(widths) % 3:
-        text = f"its annotations have {', '.join(map(str, sorted(widths)))} values; each must have x, y and v"
+        text = f"annotations have {', '.join(map(str, sorted(widths)))} values; each must have x, y and v"
         raise InputError(text, file=path)
     cells = np.array(lists, dtype=float)[np.argsort(at)]
     cells = cells.reshape(len(cells), -1, 3)

@@ -243,7 +243,7 @@ def _read_names(
     ``lines`` has the line numbers of the lines above the samples and of the first sample.
     """
     if above and len(above[-1]) != width and _is_header(above[-1]):
-        text = f"line {lines[len(above) - 1]} has {len(above[-1])} names, the lines below {width} values"
+        text = f"line {lines[len(above) - 1]} has {len(above[-1])} names, but lines below have {width}"
         notes.append(f"{text}: no name is used, and the columns have numbers")
     levels: list[list[str]] = []
     # Read several header lines: if the names in one line repeat, complete them by the names in the line

@@ -78,9 +78,9 @@ def _add_times(
     if np.ptp(first):
         metadata |= {"channels_start_s": {name: start for name, (start, _) in clocks.items()}}
     if np.abs(first - np.round(first)).max() > 1e-3:
-        notes.append("channels start between the samples of others, and are interpolated")
+        notes.append("channels start between the samples of other channels, and are interpolated")
     if np.ptp(counts):
-        notes.append(f"channels have different numbers of samples; the {len(at)} in common are taken")
+        notes.append(f"channels have different numbers of samples; the {len(at)} common samples are taken")
     return ForeignTable({TIME: starts[0] + steps[0] * at, **columns}, metadata=metadata, notes=notes)
 
 

@@ -59,7 +59,7 @@ def _markers(lines: list[str], length_unit: str | None, path: Path) -> ForeignTa
     rate, notes = float(head.get("DataRate", "nan")), []
     step = usual_step(time_s)
     if abs(step * rate - 1.0) > 0.01:
-        notes.append(f"its header states {rate:g} Hz, but its times have a rate of {1 / step:g} Hz")
+        notes.append(f"the header states {rate:g} Hz, but the times have a rate of {1 / step:g} Hz")
     return ForeignTable(columns, notes=notes, lines=at)
 
 
