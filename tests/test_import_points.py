@@ -656,7 +656,7 @@ def test_points_and_tables_in_memory() -> None:
     assert np.max(np.abs(result.frame["x_m"] - made.x)) < 0.002
     assert result.data["points"]["scale"] is None
     assert {"points", "log"} <= set(result.evidence.provenance["inputs"])
-    with pytest.raises(InputError, match="already"):
+    with pytest.raises(InputError, match="are in metres: omit the scale"):
         package.import_log(
             table, robot="tfish", points={"points": spots, "scale": {"metres_per_pixel": 1e-3}}
         )
