@@ -103,7 +103,7 @@ def bench_engine() -> None:
         model, trial = model_of(name)
         given = np.array([model.get_file_values().get(p.name, p.start) for p in model.parameters])
         runs = [model.request(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
-        kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
+        kernel = Kernel(model.tree)
         kernel.compile_module()
         model.integrate(runs[0])
 
@@ -218,7 +218,7 @@ def bench_commands(count: int = 6) -> None:
         }  # fmt: skip
         print(f"{count} trials of {DURATION_S:g} s, s CPU (wall){'scalar':>22}{'lanes':>16}{'ratio':>8}")
         model, _ = model_of("tfish")
-        Kernel(model.engine, model.tree.tables, len(model.coefficients)).compile_module()
+        Kernel(model.tree).compile_module()
         for what, words in commands.items():
             command = [*start, *words]
             scalar, lanes = (child(command, folder, SWIMID_LANES=mode) for mode in ("never", ""))

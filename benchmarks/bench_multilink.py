@@ -48,11 +48,10 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from swimid.fitting import drives, output_error
+from swimid.fitting import drives, fit_common, output_error
 from swimid.fitting.model import Parameter, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer import drive
-from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.engine import tendon_torque
 from swimid.swimmer.fit_graybox import fit_graybox
 from swimid.swimmer.options import STEP_S
@@ -543,7 +542,7 @@ def section_fit(plant: Engine, full: bool) -> None:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         file = recorded(folder)
-        trials = swimmer_trials.load(file, channels=tuple(NOISE)).trials
+        trials = fit_common.load_experiment(file, channels=tuple(NOISE)).trials
         verb_wall, verb, outcome = clocked(lambda: fit_graybox(file, channels=tuple(NOISE)))
     fits = {
         jobs: [

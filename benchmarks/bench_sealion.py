@@ -189,7 +189,6 @@ def bench_search(model: MultibodyModel, generations: int) -> None:
     print(f"search, {POPULATION} x {generations} x {len(profiles.names)} profiles, {jobs} threads")
     print(f"  wall                       {whole:8.1f} s")
     print(f"  pymoo.minimize, {FEW} gen.    {theirs:8.1f} s, here {few:.1f} s   ratio {few / theirs:.2f}")
-    profiles.close()
 
 
 def main() -> None:

@@ -92,7 +92,9 @@ def track(video: Path, rules: setup_format.Setup) -> tuple[float, Follower]:
 def smoothing(follower: Follower) -> float:
     """Seconds a frame of the smoother, the search for the noise included."""
     raw = follower.track()
-    rows = np.array([np.where(raw.found[0], values, np.nan) for values in (raw.x[0], raw.y[0], raw.x[-1])])
+    rows = np.array(
+        [np.where(raw.is_visible[0], values, np.nan) for values in (raw.x[0], raw.y[0], raw.x[-1])]
+    )
     begin = time.perf_counter()
     pose.smooth_path(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
     return (time.perf_counter() - begin) / len(raw.times)

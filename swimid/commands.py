@@ -1,6 +1,6 @@
-"""Table of all commands, and the declaration of how each is typed.
+"""Table of all commands, and the class that declares argument and output of a command.
 
-The table has names of modules only, so that the list of commands is shown without an import of the packages.
+The table has only the names of modules, so that commands can be listed without importing the packages.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from swimid.options import Options
 
-#: Ending of the name of an evidence file, which a command writes next to its result.
+#: Suffix of the name of an evidence file, which a command writes next to its result.
 EVIDENCE = ".evidence.json"
-#: Kinds of files that a command makes, besides the result files, each of which has a format of its own.
+#: Kinds of files that commands make, besides the result formats (such as ``gap``); empty for no file.
 KINDS = ("", "log", "parameters", "setup", "picture", "page")
 #: Commands by the heading under which ``swimid --help`` lists them: name, function, class of options, and
 #: first line of the help. Modules are those of the package ``swimid``. The class of options is in the module
@@ -117,14 +117,15 @@ class CommandUsage:
     stdout : dict
         Default values of options if the output is a document on stdout, because ``-o`` is not given.
     beside : tuple of str
-        Endings of the files that are written next to the output. The default is the ending of the evidence
-        file.
+        Suffixes of the names of files that are written next to the output. The default is the suffix of the
+        evidence file.
     makes : str
         Kind of file that the command makes, by which a batch connects steps: ``log``, ``parameters``,
         ``setup``, ``picture``, ``page``, or the format of a result, such as ``gap`` for ``swimid-gap/1``.
     metrics : tuple of str
-        Dotted names of numbers in the ``--json`` answer that the summary of a batch shows besides the
-        estimates. ``*`` stands for any name. After ``|`` follows the name of the 95 % interval.
+        Dotted names of numbers in the ``--json`` output, which the summary of a batch shows in addition to
+        the estimates. ``*`` stands for any name. After ``|`` follows the name of the 95 % interval of the
+        number.
     lock : bool
         Whether the output is locked while the command runs.
     """
@@ -153,7 +154,7 @@ class CommandUsage:
 
 @dataclass(frozen=True)
 class CommandSpec:
-    """Row of the table of commands. Function and class of options are imported when they are needed."""
+    """Row of the table of commands. Its function and its class of options are imported on first use."""
 
     command: str
     section: str

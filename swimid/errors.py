@@ -23,8 +23,8 @@ from typing import Any, TypeVar
 from swimid.reading import note
 
 Value = TypeVar("Value")
-#: Name of the Python argument for each command-line option of the function that is running. It is None on the
-#: command line, where messages name the options as they are typed.
+#: Name of the Python argument for each command-line option of the function that is running. The value is None
+#: on the command line, where messages name the options as they are typed.
 _ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
 #: Pattern that finds command-line options in messages. It also matches whole commands, in which the options
 #: are not replaced.
@@ -61,7 +61,7 @@ def name_arguments(arguments: Mapping[str, str] | None) -> Iterator[None]:
 
 
 def in_words_of_the_caller(text: str) -> str:
-    """Return a message with each option named as the caller typed it, as an option or as a Python argument.
+    """Return a message that names each option as its caller does: as an option or as a Python argument.
 
     >>> with name_arguments({"--start-state": "start_state", "--raw": "clean=False"}):
     ...     in_words_of_the_caller("give --start-state rest, or --raw")
@@ -244,7 +244,7 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 
     The import must be in the ``with`` block. The message has the command ``pip install 'swimid[extra]'``.
 
-    The error is an :class:`InputError` if a file needs the library, and a :class:`UsageError` otherwise.
+    The error is an :class:`InputError` if ``file`` is given, and else a :class:`UsageError`.
 
     Examples
     --------
@@ -267,9 +267,9 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 def file_errors(file: str | Path, done: str = "read", *, noted: bool = True) -> Iterator[None]:
     """Convert an error of the operating system in the ``with`` block into an :class:`InputError` for a file.
 
-    The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why. A device or a
-    pipe cannot be read, because it may have no end, and a file may be read several times. A file that is
-    read is noted as an input of the command (:mod:`swimid.reading`), unless ``noted`` is False.
+    The message states the failed action ``done`` (``"read"``, ``"written"``) and the reason. Reading a device
+    or a pipe is also an error, because it may have no end and cannot be read twice. A file that is read is
+    noted as an input of the command (:mod:`swimid.reading`), unless ``noted`` is False.
 
     Examples
     --------

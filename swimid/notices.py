@@ -22,7 +22,7 @@ from typing import Any
 
 from swimid.errors import in_words_of_the_caller
 
-#: File with the warnings by section and code: subject, and meaning with the remedy.
+#: File with the subject and the explanation (meaning and remedy) of each warning, by section and code.
 WARNINGS_FILE = Path(__file__).parent / "warnings.toml"
 
 
@@ -82,7 +82,7 @@ def warn(code: str, text: str) -> None:
 
 @contextmanager
 def record_warnings(*, repeat: bool = False) -> Iterator[list[Notice]]:
-    """Collect the warnings of swimid that a ``with`` block issues, and yield the list, without duplicates.
+    """Collect the warnings of swimid that a ``with`` block issues, and yield their list, without duplicates.
 
     The collected warnings are not shown to the user. With ``repeat`` they are issued again at the end of the
     block, even after an error, so that an outer block collects them too.
@@ -136,10 +136,10 @@ def silent(description: str, total: int | None = None) -> AbstractContextManager
 
 
 class Automatic:
-    """Default of the argument ``progress`` of public functions: a bar in a notebook, nothing elsewhere."""
+    """Default of the argument ``progress``: a progress bar in a notebook, and no bar elsewhere."""
 
     def __call__(self, description: str, total: int | None = None) -> AbstractContextManager[Step]:
-        """Return the progress bar."""
+        """Return a progress bar with the given description and number of steps."""
         shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
         if hasattr(shell, "kernel"):
             return _in_notebook(description, total)

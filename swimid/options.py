@@ -29,9 +29,9 @@ from swimid.notices import automatic
 
 Returned = TypeVar("Returned")
 
-#: Smallest and largest magnitude of a number other than 0 in a file or an option. Fits raise accelerations,
-#: which are values over squared times, to the third power at most. With these limits the result is within
-#: the range of double precision (1e-308 to 1e308).
+#: Smallest and largest magnitude of a number other than 0 in a file or an option. The limits prevent
+#: overflow: fits raise accelerations, which are values divided by squared times, to at most the third power,
+#: and the result must be within the range of double precision (1e-308 to 1e308).
 SMALLEST, LARGEST = 1e-30, 1e30
 
 #: Type of an option whose value is an input: a file, or an object in memory with the content of the file. On
@@ -39,7 +39,7 @@ SMALLEST, LARGEST = 1e-30, 1e30
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
 
-#: Clause of messages on a number that is not usable.
+#: Clause of messages about a number that is too small or too large in magnitude.
 BEYOND = f"not usable: a number other than 0 must be finite, from {SMALLEST:g} to {LARGEST:g} in magnitude"
 
 
@@ -81,12 +81,12 @@ def option(
     separated : bool
         Whether several values may be given, separated by commas.
     written : bool
-        Whether the value is a file to write. By default a file is read.
+        Whether the value is a file to write. By default, a value that is a file is read.
     recorded : bool or str
         True records the option in the settings of the provenance, under the name of the field. A string is
         the key to use instead of the name. False does not record the option.
     part : str
-        Name of a group of options that the command handles in the same way.
+        Name of the group to which the option belongs. The command handles a group of options in one way.
     **limits
         Bounds of a number: ``ge``, ``gt``, ``le``, ``lt``.
     """
@@ -116,7 +116,7 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Create an object of the options from given values. None selects the default value of an option.
+        """Create an object of this class from option values by name. None selects the default of an option.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class Options(BaseModel):
         Parameters
         ----------
         **actual
-            Values that replace those of the options in the settings, by key.
+            Values by key that replace the option values in the settings.
         """
         keys = {entry.key: name for name, entry in self.declarations().items() if entry.key}
         return {key: actual.get(key, _plain(getattr(self, name))) for key, name in keys.items()}
@@ -192,7 +192,7 @@ class Declared:
         return self.flags.split("/")[0].split(" ")[-1]
 
     def files(self, value: Any) -> list[Path]:
-        """Return the paths of the input files among the values of this option; empty if it names none."""
+        """Return the paths of the input files among the values of this option; empty if it has no file."""
         if value is None or self.written or Path not in _leaves(self.kind):
             return []
         if not isinstance(value, list | tuple):
@@ -219,10 +219,10 @@ def remove_none(kind: Any) -> Any:
 def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callable[..., Returned]]:
     """Decorate a function so that it takes the options of a class as keyword arguments.
 
-    The decorated function itself has one argument ``options``, an object of the class. Its caller passes each
-    option as a keyword argument, or such an object as ``options=...``. Signature and docstring list all
-    options. An unknown option is an error, with the most similar name as a hint. Messages name arguments in
-    place of options, unless the function is called from the command line.
+    The function as it is written has one argument ``options``, an object of the class. The caller of the
+    decorated function passes each option as a keyword argument, or such an object as ``options=...``.
+    Signature and docstring list all options. An unknown option is an error, with the most similar name as a
+    hint. Messages name arguments in place of options, unless the function is called from the command line.
     """
 
     def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
@@ -272,7 +272,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
     return decorate
 
 
-#: Names of the classes that an annotation admits besides those that it names.
+#: Names of the further classes that are accepted for a class that an annotation names.
 ALSO = {
     "LogLike": ("str", "Path", "Log", "DataFrame"), "Mapping": ("dict",), "Array": ("ndarray",),
     "float": ("int",), "None": ("NoneType",),
@@ -288,7 +288,7 @@ def explain_types(function: Callable[..., Any], args: Sequence[Any]) -> Iterator
     function : callable
         Function whose annotations and docstring state the types of its arguments.
     args : sequence
-        Positional arguments with which it is called.
+        Positional arguments with which the function is called.
     """
     try:
         yield
@@ -321,7 +321,7 @@ def _wrong_type(function: Callable[..., Any], name: str, value: Any, wanted: set
 def _document_options(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
     """Add descriptions of the options to the section Parameters of the docstring of a function.
 
-    They are placed before the arguments ``rest``.
+    The descriptions are placed before the arguments ``rest``.
     """
     if text is None:
         return None
@@ -369,7 +369,7 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
     return UsageError(f"{name}: {value} is not allowed: {describe_problem(problem)}")
 
 
-#: What is allowed, by the type of an error of pydantic.
+#: Description of the allowed values for each type of validation error of pydantic.
 ALLOWED = {
     **dict.fromkeys(("float_parsing", "float_type"), "a number is needed"),
     **dict.fromkeys(("int_parsing", "int_type", "int_from_float"), "a whole number is needed"),
@@ -391,7 +391,7 @@ ALLOWED = {
 
 
 def describe_problem(problem: Any) -> str:
-    """Return what is allowed in place of a value, from an error of pydantic."""
+    """Return a description of the allowed values, from a validation error of pydantic."""
     message = problem["msg"]
     text = ALLOWED.get(problem["type"], f"{message[0].lower()}{message[1:]}")
     return text.format(**problem.get("ctx", {})) if problem["type"] in ALLOWED else text
@@ -400,8 +400,8 @@ def describe_problem(problem: Any) -> str:
 # ---------------------------------------------------------------- options that several commands share
 
 
-#: Type of the option ``--start-state``: the fit decides from the log whether trials start at rest (``auto``),
-#: assumes that they do (``rest``), or estimates their initial state (``estimate``).
+#: Type of the option ``--start-state``. ``auto``: the log shows whether a trial starts at rest. ``rest``:
+#: trials are assumed to start at rest. ``estimate``: the fit estimates the initial state of each trial.
 StartState = Literal["auto", "rest", "estimate"]
 
 

@@ -1,7 +1,8 @@
 """Record of the files that a command reads, and the names by which results state files.
 
-Every reader calls :func:`note` when it opens a file; :func:`swimid.errors.file_errors` does so for most of
-them. Provenance, keys of checkpoints and the states of a batch take the files and their SHA-256 from here.
+Every function that reads a file calls :func:`note` when it opens the file. Most do so through
+:func:`swimid.errors.file_errors`. Provenance, checkpoint keys and the states of a batch are made from this
+record of files and their SHA-256.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-#: Maximum size of files whose SHA-256 is computed when they are opened, bytes. That of larger files is
-#: computed when it is needed, because some commands look at many large files and need none.
+#: Maximum size of files whose SHA-256 is computed when they are opened, bytes. The SHA-256 of a larger file
+#: is computed only when it is needed, because some commands open many large files and need no SHA-256.
 MAX_AT_ONCE = 1 << 20
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
-#: Folders that hold home folders on Linux and macOS.
+#: Folders that contain the home folders of users on Linux and macOS.
 _HOMES = {"/home", "/Users"}
 
 
@@ -36,9 +37,9 @@ class Opened:
     files : sequence of Path
         The file, or the files of the series.
     stamp : list of int
-        :func:`stamp_of` the files when they were opened.
+        Size and time stamp of the files when they were opened (:func:`stamp_of`).
     sha256 : str
-        Digest of the content at that time; empty if it is not computed yet.
+        SHA-256 of the content when the files were opened; empty if it is not computed yet.
     """
 
     files: Sequence[Path]
@@ -46,9 +47,10 @@ class Opened:
     sha256: str = ""
 
     def digest(self) -> tuple[str, bool]:
-        """Return the SHA-256 of the content, and whether it has changed since it was opened.
+        """Return the SHA-256 of the content, and whether the content has changed since it was opened.
 
-        If it has changed, the digest is that of the former content; empty if it was not computed in time.
+        If the content has changed, the SHA-256 is that of the former content. It is empty if it was not
+        computed before the change.
         """
         same = stamp_of(self.files) == self.stamp
         if self.sha256 and same:
@@ -71,7 +73,7 @@ class FileRecord:
     folder : str
         Folder of the result, to which the names of files are relative.
     known : dict
-        Files by absolute path, also those of the enclosing block.
+        Opened files by absolute path, including those of the enclosing block.
     paths : dict
         Absolute paths of the files of this block, in the order in which they were opened first.
     """
@@ -107,11 +109,11 @@ def note(path: str | Path, files: Sequence[Path] | None = None, *, at_once: bool
     Parameters
     ----------
     path : path
-        File, folder of pictures, or pattern of their names.
+        File, folder of pictures, or pattern of the names of pictures.
     files : sequence of Path, optional
         Pictures of a series; by default all files of a folder.
     at_once : bool
-        Whether the SHA-256 is computed now, also of a large file.
+        Whether the SHA-256 is computed now, even for a large file.
     """
     now = _RECORD.get()
     if now is None:
@@ -130,7 +132,7 @@ def note(path: str | Path, files: Sequence[Path] | None = None, *, at_once: bool
 
 @contextmanager
 def watch() -> Iterator[None]:
-    """Note every file that Python code of the user opens in a ``with`` block, such as a table it loads."""
+    """Note every file that Python code of the user opens in a ``with`` block, such as a data table."""
     _listen()
     heard: list[str] = []
     token = _HEARD.set(heard)
@@ -152,7 +154,7 @@ _HEARD: ContextVar[list[str] | None] = ContextVar("_HEARD", default=None)
 
 @cache
 def _listen() -> None:
-    """Have the names of all files that are opened for reading added to the list of :func:`watch`."""
+    """Start adding the names of all files that are opened for reading to the list of :func:`watch`."""
 
     def hear(event: str, arguments: tuple[Any, ...]) -> None:
         if event != "open" or not isinstance(arguments[0], str):
@@ -171,22 +173,23 @@ def list_files() -> dict[str, Opened]:
 
 
 def paths() -> list[str]:
-    """Return the absolute paths of the files that the current command has read, those opened first first."""
+    """Return the absolute paths of the files that the current command has read, in the order of opening."""
     now = _RECORD.get()
     return [] if now is None else [*now.paths]
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the files of a folder in the order of their names, without hidden ones, or the file itself."""
+    """Return the visible files of a folder, sorted by name; for a file, return the file itself."""
     if not path.is_dir():
         return [path]
     return sorted(one for one in path.iterdir() if one.is_file() and not one.name.startswith("."))
 
 
 def stamp_of(files: Sequence[Path]) -> list[int] | None:
-    """Return the size of files together, bytes, and their time of modification; None if one is missing.
+    """Return the total size of files, bytes, and their time of modification; None if a file is missing.
 
-    The time of one file is in ns. For several files a number stands for names, sizes and times.
+    For one file the time is in ns. For several files it is replaced by a hash of their names, sizes and
+    times.
     """
     try:
         found = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
@@ -223,8 +226,8 @@ def name_of(path: str | Path, folder: str | Path | None = None) -> str:
     """Return the name by which a result states a file.
 
     The name is the path relative to the folder of the result, or to ``folder``. For a file of swimid it
-    begins with ``swimid/``. A path through the root folder or a folder of home folders is reduced to the file
-    name, so that a result that is passed on does not state where its author's files are.
+    begins with ``swimid/``. A path that leads through the root folder or a folder of home folders is reduced
+    to the file name, so that a published result does not state the folders of its author.
     """
     place, now = os.path.abspath(path), _RECORD.get()
     if folder is None and now is not None:
@@ -243,7 +246,7 @@ def name_of(path: str | Path, folder: str | Path | None = None) -> str:
 
 
 def publish_word(text: str) -> str:
-    """Return a word of a command line, or the value of an option, with its path as results state paths."""
+    """Return a command-line word or option value, with its path in the form that results state."""
     option, equal, value = "", "", text
     if text.startswith("--"):
         option, equal, value = text.partition("=")

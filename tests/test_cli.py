@@ -79,7 +79,7 @@ def test_version(swimid: Run) -> None:
         (
             ["fit-drag", "{samples}/rig/trials.yaml", "--bounds", "added_mass=2,1"],
             2,
-            "must be below the upper bound, 1",
+            "the lower bound 2.0 must be below 1.0",
         ),
         (["fit-drag", "{samples}/rig/trials.yaml", "-o", "no/such/folder/d.yaml"], 3, "does not exist"),
         (["fit-drag", "{samples}/rig/trials.yaml", "-o", "{samples}/rig/w10.csv/d.yaml"], 3, "is a file"),

@@ -16,6 +16,7 @@ from scipy.signal import savgol_filter
 
 from benchmarks.gapbench.peers import Case, verdict
 from swimid.effects import catalogue
+from swimid.fitting.fit_common import pose_channels
 from swimid.fitting.model import Trial
 
 Array = np.ndarray
@@ -76,7 +77,7 @@ def equations(case: Case) -> Rows:
 
     Terms of effects that the nominal terms can express are left out.
     """
-    if getattr(case.model, "pose", None) and case.model.axes:
+    if pose_channels(case.model) and not case.model.in_space:
         rows = [_planar(case, trial) for trial in case.trials]
     elif getattr(case.model, "rig", None) is not None:
         rows = [_rig(case, trial) for trial in case.trials]
@@ -151,8 +152,9 @@ def _rig(case: Case, trial: Trial) -> Rows:
     Noise of the acceleration stays on the left side alone: where the inertia is estimated, the known forces
     are a term with a factor of its own, to first order.
     """
-    rig, model = trial.rig, case.model
-    measured = trial.measured[model.rig.displacement.name]
+    rig, model, coordinate = trial.rig, case.model, case.model.rig
+    assert coordinate is not None
+    measured = trial.measured[coordinate.displacement.name]
     span = float(trial.time_s[-1] - trial.time_s[0])
     centred = measured[np.isfinite(measured)] - np.nanmean(measured)
     swings = max(int(np.sum(np.diff(np.sign(centred)) != 0)) // 2, 1)
@@ -178,7 +180,7 @@ def _rig(case: Case, trial: Trial) -> Rows:
         "linear-drag": v, "pulley-viscous": v, "quadratic-drag": square, "pulley-friction": side,
         "drag-reynolds": square * np.log(np.maximum(np.abs(v) / typical, 1e-3)),
         "stribeck": side * np.exp(-((v / (STRIBECK * typical)) ** 2)),
-        "load-friction": (np.abs(x) if model.rig.swings else np.abs(force)) * side,
+        "load-friction": (np.abs(x) if coordinate.swings else np.abs(force)) * side,
         "hardening": x**3, "tether": x, "current": np.abs(v),
     }  # fmt: skip
     if not unknown:
@@ -197,18 +199,18 @@ def _planar(case: Case, trial: Trial) -> Rows:
     The nominal terms are the library that the mirror symmetry of a robot in a plane allows, of its speeds and
     of what its first joint is told to do.
     """
-    model, beat = case.model, trial.swim.beat
-    if beat is None or any(c not in trial.measured for c in model.pose):
+    swimmer, pose, beat = case.model.swimmer, pose_channels(case.model), trial.swim.beat
+    if swimmer is None or beat is None or any(c not in trial.measured for c in pose):
         raise SystemExit("no pose and beat in every trial")
     window = OF_BEAT / beat.frequency_hz
-    series = [_derivatives(trial.time_s, _whole(trial.measured[c], c), window) for c in model.pose]
+    series = [_derivatives(trial.time_s, _whole(trial.measured[c], c), window) for c in pose]
     count = min(len(s[0][0]) for s in series)
     at = series[0][1][series[0][1] < count - 1]
     time = series[0][0][0][:count]
     (x, dx, ddx), (y, dy, ddy), (turn, r, dr) = ([values[:count] for values in s[0][1:]] for s in series)
     c, s = np.cos(turn), np.sin(turn)
     u, v, along, across = c * dx + s * dy, c * dy - s * dx, c * ddx + s * ddy, c * ddy - s * ddx
-    q = model.command(0, trial.swim, time, 0.0)
+    q = swimmer.command(0, trial.swim, time, 0.0)
     dq = np.gradient(q, time)
     ddq = np.gradient(dq, time)
     none = np.zeros(count)

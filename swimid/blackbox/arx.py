@@ -12,15 +12,16 @@ are the same, P stays symmetric and positive definite, and a large value of a ca
 ``weight`` is constant and multiplies every row. The result equals ordinary least squares with the prior P(0)
 scaled by ``weight``. Old samples are discounted only if ``forgetting`` is below 1.
 
-The model is defined in :mod:`swimid.blackbox.model`. The regression has a row for each sample whose past
-samples are all known, so that only the rows around a gap are lost. See L. Ljung, "System Identification:
+The model is defined in :mod:`swimid.blackbox.model`. The regression has a row for each output sample whose
+past samples are all known, so that only the rows around a gap are lost. See L. Ljung, "System Identification:
 Theory for the User", 2nd ed. (1999), ch. 7-9 and 11.
 
-The coefficients of C minimise the one-step error (Gauss-Newton). SARIMAX of statsmodels is an alternative,
-with a Kalman filter across the gaps. On 60 simulated records of 600 samples of an ARMAX(2, 2, nc 2) model,
-the estimates of both are about equally good: with 30 % of the samples missing, SARIMAX reduces the scatter of
-one coefficient by 13 %, and without gaps the scatter is equal. SARIMAX takes 40 to 70 times as long, one
-search in ten does not converge, and old samples cannot be discounted.
+The coefficients of the noise polynomial C minimise the squared one-step errors (Gauss-Newton). SARIMAX of
+statsmodels is an alternative, with a Kalman filter across the gaps. On 60 simulated records of 600 samples of
+an ARMAX(2, 2, nc 2) model, both methods are about equally accurate: with 30 % of the samples missing, SARIMAX
+reduces the standard deviation of one coefficient by 13 %, and without gaps the standard deviations are equal.
+SARIMAX takes 40 to 70 times as long, one search in ten does not converge, and old samples cannot be
+discounted.
 
 References
 ----------
@@ -222,7 +223,7 @@ class Regression:
 
     @cached_property
     def fresh(self) -> np.ndarray:
-        """Boolean array that is true for each row that does not directly follow the row before in time."""
+        """Boolean array, true for each row whose sample does not directly follow that of the previous row."""
         return np.diff(self.sample, prepend=-2) != 1
 
     def on_grid(self, values: np.ndarray) -> np.ndarray:
@@ -235,7 +236,7 @@ class Regression:
         return result
 
     def past_errors(self, residuals: np.ndarray) -> np.ndarray:
-        """Return the residuals before each sample that the test of whiteness relates to it, shape (n, m)."""
+        """Return the m residuals before each of n samples, which the test of whiteness uses, shape (n, m)."""
         lags = range(1, rt.default_lags(len(self)) + 1)
         return rt.lag_matrix(self.on_grid(residuals), lags)
 
@@ -258,13 +259,13 @@ def regression(records: Sequence[ArxRecord], orders: Orders) -> Regression:
 def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray, np.ndarray]:
     """Return the one-step prediction errors of an ARMAX model and the derivatives of its predictions.
 
-    The derivatives are those with respect to the coefficients. Where a row does not directly follow the row
-    before in time, the past errors are assumed to be zero.
+    The derivatives are those with respect to the coefficients. If the sample of a row does not directly
+    follow that of the previous row, the past errors of this row are assumed to be zero.
 
     Parameters
     ----------
     theta : ndarray, shape (m + nc,)
-        Coefficients of A, B and C.
+        Coefficients: m of A and B, then nc of C.
 
     Returns
     -------
@@ -291,13 +292,14 @@ def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray
 def invertible(c: np.ndarray) -> np.ndarray:
     """Return the coefficients of the noise polynomial C with zeros outside the unit circle reflected into it.
 
-    Both polynomials describe noise with the same spectrum, but only the reflected one has a stable inverse.
+    The given and the reflected polynomial describe noise with the same spectrum. Only the reflected
+    polynomial has a stable inverse.
     """
     roots = np.roots(np.concatenate(([1.0], c)))
     roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
     roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
     coefficients = np.real(np.poly(roots))[1:]
-    # Append zeros for the last coefficients. They are missing because np.roots drops zeros at the origin.
+    # Append the last coefficients, which are zero and missing because np.roots drops zeros at the origin.
     return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
@@ -309,7 +311,7 @@ def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarr
     Parameters
     ----------
     theta : ndarray, shape (m + nc,)
-        Initial coefficients.
+        Initial values of the m coefficients of A and B and the nc coefficients of C.
     weights : ndarray, shape (n,)
         Weights of the squared errors.
 
@@ -361,7 +363,7 @@ class Identifiability:
     condition: float
     #: Factor R of the QR decomposition of the regression matrix with scaled columns, shape (p, p).
     factor: np.ndarray
-    #: Rank of the columns of past inputs in the regression matrix (order of persistent excitation).
+    #: Rank of those columns of the regression matrix that hold past inputs (order of persistent excitation).
     input_rank: int = 0
 
 
@@ -371,6 +373,7 @@ def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
     Parameters
     ----------
     rows : ndarray, shape (n, p)
+        Regression matrix of n samples and p coefficients.
     steps : ndarray, shape (p,)
         Rounding step of each column of the regression; 0 for a column that is not rounded.
 
@@ -468,7 +471,7 @@ class ArxEstimate:
     noise_sd: float
     #: One-step prediction errors of the model on the fitted rows, shape (n,).
     residuals: np.ndarray
-    #: Derivatives of the one-step predictions by the coefficients, shape (n, p).
+    #: Derivatives of the one-step predictions with respect to the coefficients, shape (n, p).
     jacobian: np.ndarray
     data: Regression
     recursion: Recursion
@@ -476,7 +479,7 @@ class ArxEstimate:
     #: Result of the test of the one-step errors for whiteness. For an ARX model with forgetting, the
     #: innovations of the recursion are tested instead.
     whiteness: rt.TestResult
-    #: Whether the covariance of the estimates allows for correlated residuals (sandwich form).
+    #: Whether the covariance of the estimates takes autocorrelated residuals into account (sandwich form).
     robust: bool
     #: Whether the model fits the data exactly, so that the residuals are rounding errors only.
     exact: bool
@@ -539,9 +542,10 @@ def fit_arx(
     with the prior. With ``nc > 0`` this estimate, with zeros for the coefficients of C, is the starting point
     of a search for the minimum of the squared one-step errors (:func:`refine`).
 
-    Let the weights be ``w_k = forgetting^(n-1-k)``, J the derivative of the one-step prediction, and ``S =
-    J'WJ + prior``. For white residuals the covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``. Otherwise it is
-    ``S^-1 M S^-1``, with M from :func:`swimid.fitting.uncertainty.long_run_covariance`.
+    Let W have the weights ``w_k = forgetting^(n-1-k)`` on its diagonal, let J be the derivative of the
+    one-step prediction, and ``S = J'WJ + prior``. For white residuals the covariance is ``sigma^2 S^-1 (J'W^2
+    J) S^-1``. For other residuals it is ``S^-1 M S^-1``, with M from
+    :func:`swimid.fitting.uncertainty.long_run_covariance`.
     """
     data = regression(records, orders)
     check_enough(data, orders)
@@ -604,12 +608,13 @@ def compute_arx_covariance(
     Parameters
     ----------
     jacobian, residuals, weights : ndarray, shape (n, p), (n,) and (n,)
+        Derivatives of the predictions, one-step errors and weights of the n rows.
     prior : float
         Prior information about each coefficient: the diagonal of the prior information matrix.
     data : Regression
         Regression to which the rows belong.
     robust : bool
-        Whether to allow for correlated residuals; see the notes of :func:`fit_arx`.
+        Whether to account for autocorrelated residuals; see the notes of :func:`fit_arx`.
     """
     n, p = jacobian.shape
     root = np.sqrt(weights)[:, None]

@@ -9,8 +9,8 @@ These are Eqs 4 to 7 of the long-fin paper (Robotica 30 (2012) 913-923, doi:10.1
 with a delay and a noise polynomial added. y is the output, u the input and e white noise. The folder
 ``published`` contains the models of Tables II and III of this paper.
 
-The module also reads logs and trials files. The command ``swimid rwls`` fits or holds out records of input
-and output on a time grid. The step of the grid is the time between two measurements of the output.
+The module also reads logs and trials files as records of input and output on a time grid, which the command
+``swimid rwls`` fits or holds out. The step of the grid is the time between two measurements of the output.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ MAX_POLE_STDERR = 0.05
 #: Limit at which a diverging simulation is stopped. It is the distance of the simulated output from the
 #: measured values, divided by the range of the measured output.
 MAX_DISTANCE = 100.0
-#: Minimum fraction of the measurements that the log repeats equally often, at which the rate of the
-#: measurements counts as constant.
+#: Minimum fraction of the measurements that a log repeats the same number of times. From this fraction on,
+#: the rate of the measurements counts as constant.
 REGULAR_SHARE = 0.9
 #: Minimum median change between successive measurements, in rounding steps, at which equal successive samples
 #: count as one measurement that was logged several times. With smaller changes, rounding alone causes many
 #: equal samples.
 MIN_CHANGE = 5.0
-#: Maximum fraction of an averaging interval of the input in which samples may be missing.
+#: Maximum fraction of missing samples in an interval over which the input is averaged.
 MAX_MISSING_INPUT = 1e-3
 
 
@@ -141,7 +141,7 @@ class ArxPole(parameters_format.Pole):
     def is_integrating(self) -> bool:
         """Whether the pole is integrating, because its magnitude is 1 within two standard errors.
 
-        A magnitude that is very close to 1 also counts, whatever its standard error is.
+        A pole with a magnitude above :data:`INTEGRATING` also counts, whatever its standard error is.
         """
         stderr = self.stderr_magnitude
         near = stderr is not None and stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * stderr
@@ -241,8 +241,9 @@ def simulate_all(
 def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
     """Return the output level of the working point at which a free run has the smallest squared error.
 
-    A free run is a simulation that uses no measured output after its start. It is linear in its initial
-    samples, so that at level L it is ``run + L (raised - run)``. The result is 0 if the level has no effect.
+    A free run is a simulation that uses no measured output after its start. The free run is linear in its
+    initial samples, so that at level L it is ``run + L (raised - run)``. The result is 0 if the level has no
+    effect.
 
     Parameters
     ----------
@@ -270,7 +271,7 @@ class ArxModel(Model):
     Raises
     ------
     InputError
-        The file is of another model, or the delay, the sample time or coefficients are missing.
+        The file has another model, or lacks the delay, the sample time or coefficients.
     """
 
     name = NAME
@@ -280,15 +281,12 @@ class ArxModel(Model):
     def __init__(self, parameters: ParameterFile, path: Path | None = None) -> None:
         delay, step_s, found = parameters.delay, parameters.sample_time_s, parameters.parameters
         if parameters.model != NAME:
-            raise InputError(
-                f"the model is '{parameters.model}'; it must be '{NAME}'", file=path, column="model"
-            )
+            raise InputError(f"'{parameters.model}' must be '{NAME}'", file=path, column="model")
         if delay is None or step_s is None:
             text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
             raise InputError(text, file=path, column="delay")
         if "b1" not in found:
-            text = f"this parameter is missing; a model '{NAME}' has at least b1"
-            raise InputError(text, file=path, column="parameters.b1")
+            raise InputError(f"is missing; '{NAME}' has at least b1", file=path, column="parameters.b1")
         na, nb = (next(k for k in itertools.count() if f"{x}{k + 1}" not in found) for x in "ab")
         self.orders, self.sample_time_s = Orders(na, nb, delay), step_s
         settings = parameters.settings
@@ -432,7 +430,7 @@ class ArxModel(Model):
 def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: float) -> Array:
     """Return the sine ``A sin(2 pi f t + phase)`` as the input of a model without an input column.
 
-    It has the unit of the amplitude A. It is the input F_u of Eq 3 of the long-fin paper, without noise.
+    The input has the unit of the amplitude A. It is F_u in Eq 3 of the long-fin paper, without noise.
     """
     return amplitude * np.sin(2 * np.pi * frequency_hz * np.asarray(time_s, dtype=float) + phase_rad)
 
@@ -477,7 +475,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     Return the log and a sentence for each column with repeated samples. If a log contains each measurement
     several times, a discrete-time model fitted to it describes the logger, and its poles are wrong. Columns
     that have a value only in every n-th row are also resampled. An input with few levels, or with independent
-    levels, is a command that is constant by design. It is resampled only together with the output.
+    levels, is a command that is held on purpose. Such an input is resampled only together with the output.
 
     Parameters
     ----------
@@ -489,9 +487,9 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
 
     Notes
     -----
-    The output sets the rate. Of each measurement of the output, the first sample is used. The input of a row
-    is the mean of the input until the next row, as for a zero-order hold. If the measurements of the output
-    have no constant rate, the repeated samples are set to NaN instead. An input with repeated samples is used
+    Each new measurement of the output gives one row, at its first sample. The input of a row is the mean of
+    the input until the next row, as for a zero-order hold. If the measurements of the output have no constant
+    rate, the repeated samples are set to NaN instead. An input with repeated samples is used
     as it is.
     """
     repeats, even, columns = [], None, dict(log.columns)
@@ -537,8 +535,7 @@ def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.
     if not (lasts > 1).any():
         return None
     factor = int(np.median(lasts[lasts > 1]))
-    # Ignore successive rows with equal values for the rate, because they may be measurements of a robot at
-    # rest.
+    # Estimate the rate without successive rows of equal values, which may be measurements of a robot at rest.
     shown = lasts[(lasts > 1) | (values[rows[1:]] != values[rows[1:] - 1])]
     if np.mean(shown == factor) >= REGULAR_SHARE:
         kept: list[int] = []
@@ -569,9 +566,10 @@ def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndar
 
 
 def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:
-    """Return whether a signal repeats measurements, because its repeats cannot be due to rounding.
+    """Return whether a signal repeats measurements, because its equal samples cannot be due to rounding.
 
-    They cannot if the median change between its other samples is at least :data:`MIN_CHANGE` rounding steps.
+    Rounding is excluded if the median change between the other samples is at least :data:`MIN_CHANGE`
+    rounding steps.
     """
     changes = np.abs(np.diff(values[~repeated]))
     return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
@@ -586,12 +584,12 @@ class Columns:
 
     source: str
     output: str
-    #: Amplitude, frequency (Hz) and phase (rad) of the sine that replaces the input column; None without it.
+    #: Amplitude, frequency (Hz) and phase (rad) of the sine that replaces the input column; None if no sine.
     sine: tuple[float, float, float] | None
 
     @property
     def unit(self) -> str:
-        """Unit of the output column, from the ending of its name; ``"1"`` if the name has no unit."""
+        """Unit of the output column, from the suffix of its name; ``"1"`` if the name has no unit."""
         return numbers.split_unit(self.output)[1] or "1"
 
     @property
@@ -645,7 +643,7 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     Raises
     ------
     UsageError
-        When the options contradict each other.
+        If the options contradict each other.
     InputError
         A file is unreadable, columns are missing, the rate is not constant, or held-out rows are also fitted.
     """
@@ -712,7 +710,7 @@ def _list_entries(
 def _refuse_repeats(groups: Sequence[Sequence[TrialEntry]]) -> None:
     """Refuse rows of one recording that are both fitted and held out.
 
-    The reader of a trials file has checked its own trials.
+    The trials of one trials file need no check, because the reader of the file has checked them.
     """
     pairs = [(number, entry) for number, group in enumerate(groups) for entry in group]
     entries = [entry for _, entry in pairs]

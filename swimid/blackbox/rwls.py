@@ -2,8 +2,8 @@
 
 The command chooses the working point and the orders of an ARX or ARMAX model, estimates the model, and
 computes its prediction errors. The model has no constant term, and describes deviations from a working point.
-If data are recorded around a working point (20 degrees, half throttle), their means must be subtracted. If
-data obey the model without a constant term, they must not be changed. Predictions are computed one step ahead
+If data are recorded around a working point (20 degrees, half throttle), their means must be subtracted. Data
+that obey the model without a constant term must not be changed. Predictions are computed one step ahead
 and as a free run. The free run is a simulation that uses no measured output after its start.
 """
 
@@ -61,8 +61,8 @@ from swimid.results.parameters import Fitted
 #: without further conditions.
 CLEAR_T = 5.0
 #: Minimum absolute t value of a constant term in the regression at which the means of the data are subtracted
-#: if this also improves the free run by :data:`CLEAR_GAIN`. Fewer than one in a hundred records that need no
-#: constant term reach both thresholds by chance, also for slow systems.
+#: if this also reduces the error of the free run by :data:`CLEAR_GAIN`. Fewer than one in a hundred records
+#: that need no constant term reach both thresholds by chance, also for slow systems.
 LIKELY_T = 3.5
 #: Minimum absolute t value of a constant term in the regression at which the means of the data are subtracted
 #: if the output is far from zero (:data:`FAR_LEVEL`) and the free run improves at all. The t value can be
@@ -74,8 +74,8 @@ CLEAR_GAIN = 0.1
 #: Minimum ratio of the absolute mean of the output to its standard deviation at which the output counts as
 #: far from zero.
 FAR_LEVEL = 3.0
-#: Code of the warning for each check that issues one if it does not pass. The key is the name of the check.
-#: The text of the warning is the reason that the check gives.
+#: Warning codes by the name of the check that issues the warning if it does not pass. The text of the warning
+#: is the reason that the check gives.
 WARNING_CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
 #: Minimum NRMSE fit (100 % minus the normalised root-mean-square error), %, at which a free run counts as
 #: reproducing the output.
@@ -311,7 +311,8 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
 def _parameter_file(m: Identified) -> parameters.ParameterFile:
     """Return the parameter file of an identified model.
 
-    Its settings have the orders, the input and output columns, and the levels of the working point.
+    The settings in the file are the orders, the input and output columns, and the levels of the working
+    point.
     """
     fitted, data, columns = m.estimate, m.data, m.data.columns
     orders, names, lost = fitted.orders, fitted.orders.names, m.indeterminate
@@ -516,8 +517,8 @@ def find_working_point(records: Sequence[ArxRecord], orders: Orders, mode: str =
         t is the t value of a constant term that is fitted together with A and B. (1) |t| is above
         :data:`CLEAR_T`. (2) |t| is above :data:`LIKELY_T`, and the free run improves by :data:`CLEAR_GAIN`.
         (3) The mean of the output is more than :data:`FAR_LEVEL` standard deviations from zero, and the free
-        run improves by :data:`CLEAR_GAIN`, or at all if |t| is above :data:`WEAK_T`. (4) The mean of the
-        output is that far from zero, and a pole at 1 disappears.
+        run improves by :data:`CLEAR_GAIN`, or by any amount if |t| is above :data:`WEAK_T`. (4) The mean of
+        the output is as far from zero as in case 3, and a pole at 1 disappears.
 
     Raises
     ------
@@ -549,7 +550,8 @@ def find_working_point(records: Sequence[ArxRecord], orders: Orders, mode: str =
 def _simulate_fit(records: Sequence[ArxRecord], orders: Orders) -> tuple[float, float]:
     """Fit an ARX model by least squares, and return the error of its free run and its largest pole.
 
-    The error is a root mean square, and infinite if the free run has no samples. The pole is a magnitude.
+    The error is the root mean square, and infinite if the free run has no samples. The largest pole is given
+    by its magnitude.
     """
     plain = replace(orders, nc=0)
     data = regression(records, plain)
@@ -590,7 +592,7 @@ def subtract_levels(records: Sequence[ArxRecord], point: WorkingPoint) -> list[A
 
 
 def predict(record: ArxRecord, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Predict the output of a record one sample ahead from past samples; NaN where one of them is missing."""
+    """Predict the output of a record one sample ahead from past samples; NaN if a past sample is missing."""
     data = regression([record], orders)
     errors, _ = errors_and_gradient(theta, data)
     return data.on_grid(data.outputs - errors)
@@ -601,8 +603,8 @@ def about_own_level(
 ) -> tuple[list[ArxRecord], float]:
     """Subtract from the outputs of records the level that minimises the free-run error of a model.
 
-    Return the records and this level. Held-out data can have another working point than the fitted data. The
-    level is subtracted from all outputs, also from those that start the free run.
+    Return the changed records and this level. It accounts for held-out data with another working point than
+    the fitted data. The level is subtracted from all outputs, also from those that start the free run.
     """
     measured, run = simulate_all(records, orders, theta)
     _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
@@ -612,7 +614,7 @@ def about_own_level(
 
 @dataclass(frozen=True)
 class Part:
-    """Set of records and the prediction errors of a model on it. The working point is subtracted."""
+    """Set of records, without the working point, and the prediction errors of a model on these records."""
 
     records: list[ArxRecord]
     one_step: SeriesScore
@@ -621,8 +623,9 @@ class Part:
     diverged: bool
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
-    #: Free-run error of held-out records about the output level of the fitted data. It is None for fitted
-    #: records, and if no means were subtracted. All other errors are about the level of each record.
+    #: Free-run error of held-out records at the output level of the fitted data. It is None for fitted
+    #: records, and if no means were subtracted. All other errors are computed at the level of the records
+    #: themselves.
     strict: SeriesScore | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:
@@ -686,7 +689,7 @@ class Identified:
     def assess_parts(self) -> dict[str, Part]:
         """Data sets whose free run the checks assess.
 
-        They are the held-out data, or the fitted data if no data are held out.
+        These are the held-out data sets, or the fitted data if no data are held out.
         """
         return dict(self.held_out) or {"the fitted part": self.fit}
 
@@ -724,7 +727,7 @@ class Identified:
     def critical_pole(self) -> ArxPole | None:
         """Pole that determines the stability of the model; None if the model has no pole.
 
-        It is the largest unstable pole, else the largest integrating pole, else the largest stable pole.
+        This is the largest unstable pole, else the largest integrating pole, else the largest stable pole.
         """
         states = ("unstable", "integrating", "stable")
         return min(self.poles, key=lambda pole: states.index(pole.state), default=None)

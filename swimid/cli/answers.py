@@ -1,6 +1,6 @@
-"""Types of the answers that commands print with ``--json``.
+"""Types of the JSON answers that commands print with ``--json``.
 
-``result`` has the content of the file that the command writes, whose schema is that of its format.
+The key ``result`` has the content of the file that the command writes. Its schema is that of the file format.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Failure(TypedDict):
 
 
 class CommandAnswer(TypedDict):
-    """Answer of a command to --json."""
+    """JSON answer that a command prints with ``--json``."""
 
     schema: Literal[1]
     ok: bool

@@ -36,7 +36,7 @@ from swimid.results.result import Result, class_of, list_result_formats
 def import_file(
     file: Path, *, options: ImportLogOptions, output: Path | None, progress: Progress = silent
 ) -> Logged | Draft:
-    """Import a recording of another program as a log, or draft the mapping that the import needs.
+    """Import a recording of another program as a log, or write a draft of the mapping for this import.
 
     The mapping states which column of the recording becomes which column of the log.
 
@@ -45,12 +45,12 @@ def import_file(
     file : Path
         File of the recording.
     output : Path
-        Log to write; the mapping with ``guess``.
+        Log to write; with ``guess`` the mapping to write.
 
     Raises
     ------
     UsageError
-        If no output is given for a log, or if a mapping is given for the draft of one.
+        If no output is given for a log, or if ``guess`` is combined with a mapping.
     """
     if options.guess:
         if options.map_path is not None:
@@ -77,14 +77,14 @@ OTHERS = {
 
 @takes(SchemaOptions)
 def schema(name: str | None = None, *, options: SchemaOptions, output: Path | None = None) -> Result:
-    """Return the JSON Schema of one file format or of the answers to ``--json``, or the list of all.
+    """Return the JSON Schema of a file format or of the output of ``--json``, or the list of all formats.
 
     Parameters
     ----------
     name : str, optional
         Name of the format: ``"gap"`` for ``format: swimid-gap/1``, ``"answer"`` for ``--json``.
     output : path, optional
-        File for the schema.
+        File to which the schema is written.
 
     Raises
     ------
@@ -129,7 +129,7 @@ KERNELS = (
 
 
 class Installation(Result):
-    """Result of ``doctor``: the findings as data, or the size of the removed kernels."""
+    """Result of ``doctor``: findings on the installation, or the size of the removed compiled functions."""
 
     @property
     def next_step(self) -> str:
@@ -143,13 +143,13 @@ def doctor(
 ) -> Installation:
     """Check the installation of swimid: versions of packages, optional packages and video decoding.
 
-    With ``warm_up``, also compile the numerical functions, so that no later command waits for it. With
-    ``clean``, remove the compiled functions instead.
+    With ``warm_up``, also compile the numerical functions, so that no later command waits for compilation.
+    With ``clean``, remove the compiled functions instead.
 
     Parameters
     ----------
     output : path, optional
-        File for the findings, as JSON.
+        File to which the findings are written as JSON.
     """
     if options.clean:
         from swimid.files import kernels
@@ -182,7 +182,7 @@ def doctor(
 
 
 def _warm_up(progress: Progress) -> dict[str, float]:
-    """Compile the numerical functions, and return the time of each module, s."""
+    """Compile the numerical functions, and return the compilation time of each module, s."""
     times_s = {}
     with progress("compiling", total=len(KERNELS)) as step:
         for name in KERNELS:
@@ -219,7 +219,7 @@ def _evidence(findings: dict[str, Any], extras: dict[str, str]) -> Evidence:
 
 
 def _dependencies() -> dict[str, str]:
-    """Return the packages that swimid needs, by name, with the extra that installs an optional one."""
+    """Return the packages that swimid needs: for each name the extra that installs it, empty if required."""
     try:
         stated = metadata.requires("swimid") or ()
     except metadata.PackageNotFoundError:

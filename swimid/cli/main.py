@@ -1,8 +1,8 @@
 """Command-line interface of swimid, with a click command for each row of the table of commands.
 
-Functions and classes of options are imported when their command runs. The standard output has the result
-only: plain text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and
-errors go to the standard error.
+The function and the options of a command are imported when it runs. The standard output has the result only:
+plain text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and errors go
+to the standard error.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 ERASE_BAR = "\x1b[1A\x1b[2K"
 #: Maximum width of a line of a warning on the terminal, characters.
 WIDTH = 100
-#: Maximum number of warnings with the same code that are all printed. If there are more, the first three of
-#: them and the number of the remaining warnings are printed, unless -v is given.
+#: Maximum number of warnings with the same code that are all printed. If there are more, only the first three
+#: and the number of the remaining warnings are printed, unless -v is given.
 MAX_ALIKE = 5
 _flag = partial(click.Option, is_flag=True)
 #: Command-line options that every command has in addition to ``-o``.
@@ -57,7 +57,7 @@ SHARED = (
 
 
 class Bug(SwimidError):
-    """Error for an unexpected exception, which is a bug in swimid."""
+    """Error that reports an unexpected exception as a bug in swimid."""
 
 
 @dataclass
@@ -137,12 +137,12 @@ class CommandRun:
     def _as_error(self, caught: BaseException, written: list[Path]) -> SwimidError:
         """Convert the exception that ended the command into a :class:`SwimidError`.
 
-        ``written`` has the files that the command wrote before.
+        ``written`` has the files that the command wrote before the exception.
         """
         if isinstance(caught, SwimidError):
             return caught
         if isinstance(caught, OSError):
-            # Files for which no reader or writer converts the error, such as the cache of compiled kernels.
+            # No reader or writer converted this error, for example for the cache of compiled functions.
             text = f"cannot be read or written: {caught.strerror or caught}"
             return InputError(text, file=caught.filename, hint="check the path and the space on the disk")
         if isinstance(caught, MemoryError):
@@ -271,7 +271,7 @@ def _bar(description: str, total: int | None = None) -> Iterator[Step]:
 
 
 class _FilePath(click.Path):
-    """Click type of a path. Results state paths in UTF-8, so that a path in another encoding is an error."""
+    """Click type of a path. A path that is not UTF-8 is an error, because results state paths in UTF-8."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -362,7 +362,7 @@ class Command(click.Command):
             for place in written:
                 allow(place)
         if output is not None and not output.is_dir():
-            # A foreign file is a file of another program, or the evidence of another result.
+            # Do not overwrite a file of another program, or the evidence of another result.
             from swimid.results import evidence
 
             for ending in self.spec.usage.beside:
@@ -373,7 +373,7 @@ class Command(click.Command):
 
 
 def check_words(spec: CommandSpec, words: list[str]) -> None:
-    """Check the words of a command line after the name of the command, without an execution of the command.
+    """Check the arguments and options of a command line without executing the command.
 
     Raises
     ------
@@ -420,7 +420,7 @@ def _option(entry: Declared) -> click.Option:
     names = [entry.flags, entry.name]
     about: dict[str, Any] = {"help": entry.help, "metavar": entry.metavar, **word_of(entry)}
     if entry.required:
-        # Pass no default to click, which does not require an option with a default, even if it is None.
+        # Pass no default to click, because click does not require an option with a default, even None.
         return click.Option(names, required=True, **about)
     default, shown = entry.default, entry.default is not None
     if entry.kind is bool:
@@ -443,7 +443,7 @@ def _insist_distinct(places: list[Path]) -> None:
 
 
 def word_of(entry: Declared) -> dict[str, Any]:
-    """Return the keyword arguments by which click knows the type of an option and its number of values."""
+    """Return the keyword arguments that tell click the type and the number of values of an option."""
     kind = entry.kind
     word: dict[str, Any] = {}
     if kind is bool:
@@ -502,7 +502,7 @@ def _by_commas(entry: Declared) -> bool:
     return pair and "," in (entry.metavar or "")
 
 
-#: Pattern of a number that is typed as a part of an option. Infinite numbers and NaN are none.
+#: Pattern of a number that is typed as a part of an option. It excludes infinite numbers and NaN.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,2})?")
 
 
@@ -572,7 +572,7 @@ def main() -> None:
 
 
 class Tracking(click.Group):
-    """Command group that says what to type if it is given a file in place of a command."""
+    """Command group whose error message names the right command if a file is typed in place of a command."""
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """Return the command that the first word names."""

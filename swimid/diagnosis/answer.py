@@ -44,8 +44,9 @@ from swimid.results.parameters import Estimate
 #: Significance level of the two-sided test that reports parameters as changed by a refit. It applies to all
 #: parameters of a diagnosis together.
 CHANGE_P_VALUE = 0.05
-#: Minimum total probability of a reported cause and its equivalents. Equivalents are added in the order of
-#: decreasing probability until their sum reaches this minimum.
+#: Minimum total probability of a reported cause and its equivalents (effects that the trials cannot
+#: distinguish from the cause). Equivalents are added in the order of decreasing probability until their sum
+#: reaches this minimum.
 MIN_EQUIVALENT_PROBABILITY = 0.9
 #: Maximum number of effects that are reported for one cause: the cause and its equivalents. If there are
 #: more, the most probable ones are listed.
@@ -59,7 +60,7 @@ REPEAT = "repeat one setting three times: repeats separate a missing effect from
 
 
 def propose_cause(search: SearchResult, found: CauseComparison) -> Proposed:
-    """Return the effects that cannot be distinguished from the cause of a search round."""
+    """Return a cause that the fits propose, with the effects that the trials cannot distinguish from it."""
     name, fit = found.name, search.base
     share = search.posterior.instead(name, fit.names)
     order = [name, *(n for n in share if n != name)]
@@ -215,7 +216,7 @@ def _remove_failed(fit: Hypothesis, validation: Sequence[Trial], noise: NoiseMod
 def _predictions(
     search: SearchResult, validation: Sequence[Trial], progress: Progress
 ) -> tuple[list[Hypothesis], list[list[Prediction]]]:
-    """Return the models as given, refitted, and with the causes in turn, and their held-out predictions."""
+    """Return the fits (as given, refitted, with the causes in turn) and their held-out predictions."""
     fits = [held_out.fit_as_given(search.study), search.null, *search.between]
     if search.base is not search.null:
         fits.append(search.base)
@@ -224,7 +225,8 @@ def _predictions(
 
 
 def _compute_unreproduced(study: GapStudy, fit: Hypothesis) -> dict[str, float | None]:
-    """Return the outputs of which a black-box model reproduces less than half, with the reproduced fraction.
+    """Return the reproduced fraction of each output of a black-box model, where this fraction is below one
+    half.
 
     The fraction is defined as in ``rwls`` and ``compare``: one minus the root-mean-square error divided by
     the standard deviation of the output. The mean of a black-box output is estimated in each trial. The model
@@ -241,7 +243,7 @@ def _compute_unreproduced(study: GapStudy, fit: Hypothesis) -> dict[str, float |
 
 
 def _remaining(search: SearchResult, facts: Facts, *, named: bool) -> Remaining:
-    """Return the share of the squared gap that remains on held-out data, and where it has structure."""
+    """Return the share of the squared held-out gap that remains, and where the residuals have structure."""
     if facts.unreproduced:
         where = f"all motion of {', '.join(facts.unreproduced)} about its mean"
         return Remaining(share=1.0, where=where, white=False)
@@ -291,7 +293,7 @@ def _causes(
     given: Mapping[str, Estimate],
     closing: list[Shrinkage],
 ) -> list[Cause]:
-    """Return the causes of the answer. The first one has the held-out errors and the coefficients of all."""
+    """Return the causes. The first entry also has the errors and the coefficients with all causes."""
     causes = []
     for found in shown:
         effect, best, equivalent = found.effect, found.ranked[0], facts.proposed[found.name].equivalent
@@ -429,7 +431,7 @@ def _advice(
         return repeat if file.verdict in ("partial", "unexplained") else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     if not has_equivalents and now > proposals.compute_threshold(rivals):
-        # The present trials already exclude the next best rival.
+        # The present trials already exclude the next best hypothesis.
         return []
     try:
         return proposals.advise_trials(search.study, rivals, limits, now)
@@ -438,10 +440,11 @@ def _advice(
 
 
 def _select_rivals(facts: Facts, shown: Sequence[CauseComparison]) -> tuple[list[Hypothesis], bool]:
-    """Return the first cause and its equivalents, and whether it has any.
+    """Return the hypotheses that an experiment should separate, and whether the cause has equivalents.
 
-    Without equivalents, the rival is the next best hypothesis. No experiment distinguishes a changed
-    parameter from an effect that changes the trials in the same way.
+    The hypotheses are the first cause and its equivalents. Without equivalents, they are the first cause and
+    the next best hypothesis. A changed parameter and an effect that changes the trials in the same way are
+    not separated, because no experiment can do so.
     """
     if not shown:
         return [], False
@@ -490,9 +493,9 @@ def _hypotheses(search: SearchResult) -> list[HypothesisRow]:
 def _stages(rows: Sequence[EffectRow], causes: Sequence[Cause]) -> dict[Stage, float | None]:
     """Return the probability that the cause of the gap acts in each simulation stage.
 
-    It is the sum of the probabilities of the effects of the stage, normalised over all stages. It is 1 for
-    the stage of failed samples, if they are the first cause. Without causes, all of these probabilities are
-    0.
+    The probability of a stage is the sum of the probabilities of its effects, normalised over all stages. It
+    is 1 for the stage of failed samples, if they are the first cause. Without causes, the probabilities of
+    all stages are 0.
     """
     applied = {row.stage for row in rows}
     stages = [stage for stage in STAGES if stage != "rig" or stage in applied]

@@ -1,10 +1,10 @@
-"""Normal equations of a fit in each fold, and what follows from them without a refit.
+"""Normal equations of a fit in each cross-validation fold, and predictions that they give without a refit.
 
 Near an optimum the simulation is linear in the parameters. A refit without one fold is then one Gauss-Newton
-step from the fit to all data (Rad and Maleki 2020, J. R. Stat. Soc. B 82(4)). This step, the predictive
-density of the fold, and the change of both by an effect follow from the inner products of a few columns in
-each fold: derivatives with respect to shared parameters, changes by effects, and residuals. The noise model
-is not re-estimated without the fold.
+step from the fit to all data (Rad and Maleki 2020, J. R. Stat. Soc. B 82(4)). The step and the predictive
+density of the fold follow from the inner products of a few columns in each fold, with and without an effect.
+The columns are derivatives with respect to shared parameters, changes due to effects, and residuals. The
+noise model is not re-estimated without the fold.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from swimid.diagnosis.noise import NoiseModel
     from swimid.diagnosis.study import GapStudy, Hypothesis
 
-#: Weight, in a refit without one fold, of the information that all folds give on the shared parameters. It
-#: matters if the other folds hardly determine a parameter. Without it the held-out fold would be predicted
-#: arbitrarily badly, which would hide the gain of an effect.
+#: Weight, in a refit without one fold, of the information that all folds give on the shared parameters.
+#: Without this weight, a parameter that the other folds hardly determine would make the prediction of the
+#: held-out fold arbitrarily bad, which would hide the gain of an effect.
 SHRINKAGE = 0.1
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Inner products, in each fold, of parameter derivatives, changes by effects, and residuals.
+    """Inner products, in each fold, of parameter derivatives, changes due to effects, and residuals.
 
     The parameters of single trials are projected out.
 
     Attributes
     ----------
     products : ndarray, shape (folds, c, c)
-        Inner products of c columns: first the ``shared`` parameters, then changes by effects, last the
-        residual.
+            Inner products of c columns: first the ``shared`` parameters, then changes due to effects, last
+            the residual.
     prior : ndarray, shape (shared, shared)
         Prior precision of the shared parameters.
     pull : ndarray, shape (shared,)
@@ -55,10 +55,10 @@ class NormalEquations:
     of_effects : ndarray of bool, shape (shared,)
         Mask of the shared parameters that belong to effects.
     random : ndarray, shape (folds, q, c)
-        Sums, over the trials of the fold, of the q random effects with the mean 0: their changes by a step in
-        each column, last their values.
+            For each fold, the sums over its trials of the q random effects whose mean is held at 0: the
+            change of each sum by a step in each column, and in the last column its value.
     spread : ndarray, shape (folds, q, q)
-        Sums of the covariance matrices of these random effects.
+            Sums, over the trials of the fold, of the covariance matrices of these random effects.
     """
 
     products: Array
@@ -89,9 +89,10 @@ class NormalEquations:
 
 
 def _of_mean(random: Array, spread: Array) -> Array:
-    """Return the inner products of the row that holds the mean of random effects at 0.
+    """Return the inner products of the constraint that holds the mean of random effects at 0.
 
-    It is the constraint of least squares, with the random effects of each trial eliminated.
+    The constraint belongs to the least-squares problem, from which the random effects of each trial are
+    eliminated.
     """
     return np.swapaxes(random, -1, -2) @ solve_normal(spread, random)
 
@@ -103,7 +104,7 @@ class NoiseDraws:
     Attributes
     ----------
     right : ndarray, shape (folds, c - 1, m)
-        Inner products of the columns with m random noise residuals.
+            Inner products of the columns of :class:`NormalEquations` with m random noise residuals.
     pull : ndarray, shape (shared, m)
         Random deviations of the prior means.
     """
@@ -126,7 +127,8 @@ def project_out(
     Parameters
     ----------
     block : ndarray, shape (n_k, c)
-        Columns divided by the weights; the last column is the residual.
+            Columns for the n_k samples of trial ``k``, divided by the weights; the last column is the
+            residual.
     to : ndarray of int, optional
         Indices of the parameters that are projected out. By default these are all parameters that only
         this trial has and that are not at a bound.
@@ -161,7 +163,8 @@ def form_normal_equations(
     Parameters
     ----------
     columns : sequence of lists of ndarray
-        Each item is a change of all trials, divided by the weights: one array of shape (n_k,) for each trial.
+            Each item is a change of all trials, divided by the weights: one array of shape (n_k,) for each
+            trial with n_k samples.
     """
     problem, folds = fit.problem, study.folds
     mean, _ = study.compute_prior(problem)
@@ -182,7 +185,7 @@ def form_normal_equations(
             names = [problem.parameters[problem.slots[j][0]].name for j in mine]
             ratio, covariance = _own_precision(study, fit, k, mine, names)
             own[f] += ratio
-            # The rows of the priors hold the values in standard deviations.
+            # The rows of the priors hold the random effects in units of their prior standard deviations.
             at = np.array([names.index(name) for name in centred], dtype=int)
             random[f] += seen[len(block) :][at]
             spread[f] += covariance[np.ix_(at, at)]
@@ -210,7 +213,7 @@ def _own_precision(
     weight = study.compute_prior(fit.problem)[1][mine]
     rows = study.noise.whiten(fit.problem, k, fit.columns(k, mine)) / weight
     seen: Array = np.asarray(np.linalg.qr(rows, mode="r"))
-    # By singular values, because a prior beside large derivatives of few samples is lost in normal equations.
+    # Use singular values: in normal equations, the prior is lost beside large derivatives of a few samples.
     _, sizes, axes = np.linalg.svd(seen)
     gained = np.zeros(len(mine))
     gained[: len(sizes)] = sizes**2
@@ -237,7 +240,7 @@ def compute_deviances(equations: NormalEquations) -> tuple[Array, Array]:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(equations.whole[:shared, :shared] + prior), 1e-300))
 
     def fit(products: Array) -> tuple[Array, Array]:
-        """Return the log-determinants of normal equations, and the decreases of the squares by their fits."""
+        """Return the log-determinants of normal equations, and by how much their fits reduce the squares."""
         normal = products[:, :shared, :shared] + prior
         right = products[:, :shared, -1] + prior @ equations.pull
         scaled = scale[:, None] * normal * scale + 1e-11 * np.eye(shared)
@@ -253,7 +256,7 @@ def compute_deviances(equations: NormalEquations) -> tuple[Array, Array]:
 def compute_strain(equations: NormalEquations) -> float:
     """Return the squared distance of the model's parameters, at the optimum of all folds, from their priors.
 
-    The unit is the prior covariance. The size of an effect does not count.
+    The distance is in units of the prior covariance. Parameters of effects are not counted.
     """
     s, prior = equations.n_shared, equations.prior
     total = equations.whole
@@ -382,9 +385,9 @@ def compute_covariance(study: GapStudy, fit: Hypothesis) -> Array:
     """Return the covariance matrix of the parameters of a fit, shape (p, p).
 
     The standard errors of shared parameters are at least those of the jackknife over folds, with Student's
-    distribution [1]_. Errors of the form of an effect, and differences between the folds, are therefore part
-    of them. The same holds for the sum of a parameter and its change. The data determine
-    the sum well, although its two parts are uncertain.
+    distribution [1]_. They therefore include errors of the assumed form of an effect, and differences between
+    the folds. The standard error of the sum of a parameter and its change has the same minimum. The data
+    determine the sum well, although its two parts are uncertain.
 
     References
     ----------

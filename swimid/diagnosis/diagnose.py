@@ -49,7 +49,7 @@ NOT_GIVEN = (
 CANNOT_ACT = "the effect is not defined for this simulator, or its channels were not measured"
 #: Text on changed parameters that are not among the requested effects.
 NOT_REQUESTED = "changes of parameters were not requested and not tried: {}"
-#: Text that says why there is no proposed trial if the answer leaves no rival causes.
+#: Text that says why there is no proposed trial if the answer leaves no alternative causes.
 NO_RIVALS = "the diagnosis has no rival causes that a trial could distinguish"
 
 
@@ -92,7 +92,7 @@ def _check_outputs(
 ) -> Path | None:
     """Check all outputs, and return the path of the parameter file with the causes; None if none is written.
 
-    The file of a user's simulator with the causes has the same path with its own ending.
+    A simulator file with the causes has the same path with the suffix ``ending``.
 
     Raises
     ------

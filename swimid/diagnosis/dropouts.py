@@ -37,7 +37,7 @@ MAX_JUMPED_SHARE = 0.5
 #: Minimum offset of the residuals of a displaced segment, in robust standard deviations of the differences
 #: between successive residuals.
 MIN_OFFSET_SD = 6.0
-#: Maximum number of samples before or after a jump whose median is the level of the residual there.
+#: Maximum number of samples on one side of a jump whose median is the level of the residual on that side.
 MAX_LEVEL_SAMPLES = 8
 
 
@@ -155,8 +155,9 @@ def _find_failures(values: Array, simulated: Array) -> NDArray[np.str_]:
         moved = np.ptp(simulated[there][rows[0] - 1 : rows[-1] + 1])
         if len(rows) + 1 < FROZEN or moved <= MOVED * size:
             continue
-        # Rounded values also repeat while a robot rests and its model drifts. A frozen marker jumps when it
-        # is tracked again. At the end of a trial, the robot moves by far more than the error of its model.
+        # Rounded values also repeat while a robot rests and its model drifts. They count as frozen only if
+        # the marker jumps when it is tracked again. At the end of a trial, the simulation must instead move
+        # by far more than the model error.
         after = x[rows[-1] + 1 : rows[-1] + 2]
         failed = np.abs(after - x[rows[-1]]) > JUMP * size if len(after) else moved > MOVED * _robust(r)
         if rounded is None or np.any(failed):
@@ -195,7 +196,7 @@ REAL = 0.5
 def compute_misfit(search: SearchResult, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
     """Return the sum of squared residuals of the failed samples, in units of the noise variance.
 
-    The result is 0 if there are too few failed samples, or if the sum is too small.
+    The result is 0 if there are fewer failed samples than FAILED, or if the sum is below FAILED_MISFIT.
 
     Parameters
     ----------
@@ -272,7 +273,7 @@ def add_failed_samples(
         gain=size,
     )
     found = sorted([*causes, effect], key=lambda c: -(c.gain or 0.0))
-    # The first cause has the errors and the coefficients of all causes.
+    # The first entry has the errors and the coefficients with all causes in the model.
     for c in causes[:1]:
         c.shrinkage = []
         c.absorbed, found[0].absorbed = [], c.absorbed

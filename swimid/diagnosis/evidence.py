@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 
 
 Rows = list[list[Any]]
-#: Codes of the warnings that a log contradicts the beat frequency stated for its trial, and that the course
-#: and the heading of a track contradict each other.
+#: Codes of two warnings: a log contradicts the beat frequency that is stated for its trial (SWM032), and the
+#: course and the heading of a track contradict each other (SWM063).
 CONTRADICTING = ("SWM032", "SWM063")
-#: Maximum number of panels in a figure, and of points of a curve.
+#: Maximum number of panels in a figure (MAX_PANELS), and of points of a curve (MAX_POINTS).
 MAX_PANELS, MAX_POINTS = 4, 800
 
 #: Literature that a diagnosis report cites for its method (REFERENCES), and for the choice of the next
@@ -72,7 +72,7 @@ REPAIRED = "repaired.yaml"
 
 #: Minimum share of the gap that a refit closes, at which the answer states this share.
 MIN_REFIT_SHARE = 0.005
-#: Definition of the squared error of a held-out part.
+#: Text that defines the squared error of a held-out part.
 SQUARED = (
     "The squared error is the squared Mahalanobis distance from the prediction, whose covariance includes "
     "the noise, the between-trial variation, and the uncertainty of the parameters."
@@ -219,7 +219,7 @@ def _table(id: str, title: str, columns: str, rows: Rows, caption: str, *, folde
 
 
 def _waterfall(file: GapFile) -> ev.Table:
-    """Return the table of held-out errors as given, after each cause in turn, and of the noise alone."""
+    """Return the table of held-out errors: the model as given, with the causes in turn, and noise alone."""
     channels = list(file.waterfall[0].rmse) if file.waterfall else []
     rows: Rows = []
     for step in file.waterfall:
@@ -368,7 +368,7 @@ def _parts(file: GapFile) -> ev.Table:
 
 
 def _steps(steps: Sequence[WaterfallStep]) -> list[ev.Figure]:
-    """Plot the squared errors on held-out data as given, after each cause in turn, and of the noise alone."""
+    """Plot squared held-out errors of the model as given, after each cause in turn, and of noise alone."""
     if not steps:
         return []
     places = np.arange(len(steps) - 1)
@@ -417,17 +417,18 @@ def _residuals(worst: Sequence[HeldOutSeries], caused: bool) -> list[ev.Figure]:
     return [ev.panels("residuals", title, caption, panels)]
 
 
-#: Minimum change of a coefficient that is reported, in standard errors and as a fraction of its value. Both
-#: must be exceeded.
+#: Minimum change of a reported coefficient: in standard errors (MOVED_STDERR), and as a fraction of its value
+#: (MOVED_SHARE). The change must exceed both.
 MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
-#: Maximum number of notes in a report, and of places of the gap (settings, phases, times) in one note.
+#: Maximum number of notes in a report (MAX_NOTES), and of places of the gap (settings, phases, times) in one
+#: note (MAX_PARTS).
 MAX_NOTES, MAX_PARTS = 5, 3
 
 
 def format_answer(file: GapFile) -> str:
     """Return the answer of a diagnosis as sentences.
 
-    They name the causes with their sizes, and say by how much the causes reduce the held-out errors.
+    The sentences name the causes with their sizes, and say by how much the causes reduce the held-out errors.
     """
     text = "The model has a gap, and none of the effects that were tried closes the gap."
     if file.verdict == "unexplained" and file.facts.unreproduced:
@@ -608,7 +609,7 @@ class Diagnosis(FileResult[GapFile]):
     """
 
     repaired: ParameterFile | None = field(default=None, repr=False)
-    #: User's file of a simulator with the causes, and its ending.
+    #: Suffix and content of the simulator file of the user with the causes.
     simulator: tuple[str, SimulatorFile] | None = field(default=None, repr=False)
 
     file_type = GapFile
@@ -669,11 +670,11 @@ class Diagnosis(FileResult[GapFile]):
 
     @property
     def next(self) -> Log | None:
-        """Return the command file of the best proposed trial; None without one, and for a read file."""
+        """Return the command file of the best proposed trial; None without one, or if the result was read."""
         return next((a.command for a in self.file.advice if a.command is not None), None)
 
     def with_command(self, path: Path) -> Self:
-        """Write the command file of the best proposed trial, and return the result with it in ``outputs``."""
+        """Write the command file of the best proposed trial. Return the result, with it in ``outputs``."""
         assert self.next is not None
         metadata = dict(self.next.metadata)
         metadata["trial"] = {**metadata["trial"], "id": path.stem, "log": path.name}

@@ -116,7 +116,7 @@ class Shrinkage(yamlio.Document):
 class Closed(yamlio.Document):
     """Squared error over all channels on held-out data, and the shares of the squared gap that close.
 
-    The squared errors are those of the held-out parts (:class:`HeldOutTrial`) over their expectation: with
+    Each squared error is that of the held-out parts (:class:`HeldOutTrial`) divided by its expectation: with
     the parameters as given (``before``), refitted without causes (``refitted``), and with the causes
     (``after``). The gap of a model is its squared difference from the true motion, without noise and without
     between-trial variation.
@@ -128,8 +128,8 @@ class Closed(yamlio.Document):
     #: Closed share of the gap of the parameters as given, at most 1, and its 95 % interval.
     share: Number
     ci95: Pair = (None, None)
-    #: Share of this gap that the refit without causes closes, and share of the gap of the refit that the
-    #: causes close.
+    #: Share of the gap of the parameters as given that the refit without causes closes (``by_refit``), and
+    #: share of the gap of the refit that the causes close (``by_causes``).
     by_refit: Number = None
     by_causes: Number = None
 
@@ -138,7 +138,8 @@ class WaterfallStep(yamlio.Document):
     """Errors on held-out data of one model: as given, refitted, with the first causes, or the noise alone."""
 
     label: str
-    #: Squared error of all held-out parts (:class:`HeldOutTrial`) over its expectation for a correct model.
+    #: Squared error of all held-out parts (:class:`HeldOutTrial`), divided by its expectation for a correct
+    #: model.
     squared: Number
     #: Root-mean-square error of each channel, in the unit of the channel.
     rmse: dict[str, Number]
@@ -157,12 +158,12 @@ class HeldOutTrial(yamlio.Document):
     as_given: float
     before: float
     after: float
-    #: Expected squared error of a correct model, and the largest one that noise and uncertain parameters
-    #: explain.
+    #: Expected squared error of a correct model, and the largest squared error that noise and uncertain
+    #: parameters explain (``limit``).
     expected: float
     limit: float
-    #: Decrease of the deviance (minus twice the log predictive density) by the causes, compared with the
-    #: refit without them, and with the parameters as given.
+    #: Decrease of the deviance (minus twice the log predictive density) by the causes: compared with the
+    #: refit without them (``gain``), and with the parameters as given (``gain_as_given``).
     gain: float = 0.0
     gain_as_given: float = 0.0
 
@@ -171,10 +172,10 @@ class Proposed(yamlio.Document):
     """Effect that the fits propose as a cause, before the other facts are considered."""
 
     equivalent: list[str] = []
-    #: Probability of the effect, and of effects that change the trials in the same way, relative to all its
-    #: alternatives, given the other causes.
+    #: Probability of the effect and of effects that change the trials in the same way, divided by that of all
+    #: effects that could replace it while the other causes act.
     alone: float
-    #: Whether more effects cannot be distinguished from the effect than are listed.
+    #: Whether there are more equivalent effects than ``equivalent`` lists.
     crowded: bool = False
     #: Whether the effect has values of its own in each trial.
     per_trial: bool = False
@@ -248,8 +249,8 @@ class Advice(yamlio.Document):
     text: str
     #: Rival causes that the experiment would distinguish.
     separates: list[str] = []
-    #: Difference between the rival causes in noise standard deviations: predicted for the experiment, 95 %
-    #: quantile for noise alone, and value on the present trials.
+    #: Difference between the rival causes in noise standard deviations: predicted for the experiment
+    #: (``difference``), 95 % quantile for noise alone (``noise``), and value on the present trials (``now``).
     difference: Number = None
     noise: Number = None
     now: Number = None
@@ -271,7 +272,7 @@ class EffectRow(yamlio.Document):
     #: Decrease of the deviance of held-out data; unknown for an effect that was screened only.
     gain: Number = None
     stderr: Number = None
-    #: Fraction of the squared change by the effect that the coefficients can imitate.
+    #: Fraction of the squared change due to the effect that the coefficients can imitate.
     absorbed: Number = None
     #: Probability that the effect is among the causes.
     probability: Number = 0.0
@@ -283,14 +284,14 @@ class HypothesisRow(yamlio.Document):
     effects: list[str]
     #: Number of shared parameters of the effects.
     numbers: int = 0
-    #: Logarithm of the volume of the prior of the coefficients, divided by that without effects.
+    #: Logarithm of the ratio of the prior volumes of the coefficients with and without the effects.
     widening: float = 0.0
     #: Minus twice the log predictive density of each fold, given the other folds, up to a constant.
     deviances: list[Number] = []
     #: Squared distance of the parameters from their prior means, in units of the prior covariance.
     strain: Number = 0.0
     #: Similarity of each effect of the hypothesis to the others: largest squared cosine between the changes
-    #: of the trials by this effect and by another one.
+    #: of the trials due to this effect and due to another one.
     alike: dict[str, float] = {}
     probability: Number = None
 
@@ -337,17 +338,20 @@ class GapFile(yamlio.ResultFile):
     trials: list[str] = []
     #: Facts from which the verdict follows.
     facts: Facts = Facts()
-    #: Hypotheses, number of samples (``samples``), and number of effects, changed parameters and other
-    #: readings (``tried``), from which the probabilities in this file are computed.
+    #: Data from which the probabilities in this file are computed: hypotheses, number of samples
+    #: (``samples``), and number of effects, changed parameters and other interpretations of the robot
+    #: (``tried``).
     hypotheses: list[HypothesisRow] = []
     samples: int | None = None
     tried: int | None = None
-    #: Data on which the errors without and with the causes are computed: ``validation`` trials, or parts of
-    #: the data (``trials`` or ``stretches`` of trials) that are held out of a refit, one after another.
+    #: Data that are held out to compute the errors without and with the causes: trials of role
+    #: ``validation``, or the folds of a cross-validation. A fold is a whole trial (``trials``) or a segment
+    #: of one (``stretches``).
     held_out: HeldOut | None = None
     #: Text that states from which data the noise floor was computed.
     floor_from: str = ""
-    #: Trials that were left out because they have parameters of their own, and how these differ.
+    #: Trials that were left out because they have parameters of their own, each with a text on the
+    #: differences.
     odd_trials: dict[str, str] = {}
     #: Random effects: standard deviation between trials, in units of the typical scale of the effect.
     random_effects: dict[str, float] = {}

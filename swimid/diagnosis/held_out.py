@@ -26,14 +26,15 @@ from swimid.fitting.problem import Problem
 
 #: Probability that a correct model has at least one held-out trial above its limit.
 FALSE_ALARM_RATE = 0.025
-#: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
-#: of nearly equal numbers.
+#: Minimum squared gap, as a fraction of the squared error, for a closed share. The share of a smaller gap is
+#: a ratio of differences of nearly equal numbers.
 LEAST_GAP = 0.04
 #: Maximum width of the interval of a closed share that is stated.
 MAX_INTERVAL_WIDTH = 1.0
 #: Number of random errors of the parameters from which the interval of a closed share is computed.
 DRAWS = 1000
-#: Largest squared error of a sample, in units of the noise variance. The simulation of a larger one diverged.
+#: Largest squared error of a sample, in units of the noise variance. A simulation with a larger error
+#: diverged.
 MAX_SQUARED_ERROR = 1e12
 
 
@@ -46,9 +47,9 @@ class Prediction:
     part : str
         Name of the trial, and of its part if only a part is held out.
     residuals : dict of channel to ndarray, shape (n,)
-        Measured minus predicted values, in the unit of the channel; NaN at samples that are not held out. The
-        initial state has the value of the part. Random effects have their values in the model with the
-        causes, so that all models have the same differences between trials.
+            Measured minus predicted values, in the unit of the channel; NaN at samples that are not held out.
+            The initial state is fitted to the part. Random effects have their values in the model with the
+            causes, so that all models have the same differences between trials.
     squared : float
         Squared Mahalanobis distance of the samples from their prediction. The covariance has the noise, the
         random effects, and the uncertainty of the parameters.
@@ -71,9 +72,9 @@ class Prediction:
     def limit(self, count: int) -> float:
         """Largest squared distance that noise explains, if ``count`` parts are held out.
 
-        That of a correct model has a chi-squared distribution. A model error of a tenth of the noise is
-        allowed, and a discrepancy as large as the noise
-        (:func:`swimid.diagnosis.posterior.compute_tolerance`).
+        The squared distance of a correct model has a chi-squared distribution. To its quantile, the limit
+        adds a model error of a tenth of the noise, and a discrepancy as large as the noise in a few
+        directions (:func:`swimid.diagnosis.posterior.compute_tolerance`).
         """
         largest = float(special.chdtri(self.expected, FALSE_ALARM_RATE / max(count, 1)))
         return largest + MODEL_ERROR_SHARE**2 * self.samples + CALIBRATED.directions
@@ -102,7 +103,8 @@ def _predict_part(
     chosen : ndarray of bool, shape (n,)
         Mask of the samples.
     columns : callable
-        Function that returns the weighted derivatives of the trial with respect to some parameters.
+            Function that returns the weighted derivatives of the trial with respect to the parameters at some
+            indices.
     moved : ndarray, shape (n, m)
         Changes of the trial by independent standard errors of the shared parameters.
     own : ndarray of int
@@ -112,7 +114,7 @@ def _predict_part(
     chosen = chosen & (problem.sample_weights(k) > 0.0)
     random = fit.study.random(problem, k)
     weight, own_columns = fit.study.compute_prior(problem)[1][random], columns(own)
-    # The random effects have their means in the residual, which is linearised about their values.
+    # Set the random effects to their means in the residual, which is linearised about their fitted values.
     residual = _limit_errors(problem.trial_residuals(theta, k) + columns(random) @ theta[random])
     chance = columns(random) / weight
     usual = residual - chance @ (np.array([apart.get(problem.labels[j], 0.0) for j in random]) * weight)
@@ -122,7 +124,7 @@ def _predict_part(
     basis = find_basis(own_seen)
     free = seen[:, :count] - basis @ (basis.T @ seen[:, :count])
     r, uncertain = free[:, 0], free[:, 1:]
-    # By singular values, because the noise beside a large uncertainty is lost in products of columns.
+    # Use singular values: in products of columns, the noise is lost beside a large uncertainty.
     axes, sizes, _ = np.linalg.svd(uncertain, full_matrices=False)
     gained = sizes**2
     squared = float(r @ r) - float((axes.T @ r) ** 2 @ (gained / (1.0 + gained)))
@@ -141,7 +143,7 @@ def _predict_part(
 
 
 def _limit_errors(residuals: Array) -> Array:
-    """Return residuals without those of diverged simulations."""
+    """Return residuals limited to the largest ones that do not count as diverged."""
     largest = math.sqrt(MAX_SQUARED_ERROR)
     return np.asarray(np.clip(residuals, -largest, largest))
 
@@ -226,7 +228,10 @@ def _collect_shared(fit: Hypothesis) -> dict[str, float]:
 
 
 def fit_further_trial(fit: Hypothesis, trial: Trial, noise: NoiseModel) -> tuple[Problem, Array]:
-    """Return the problem of a further trial, and its parameters with fitted values of this trial."""
+    """Return the residual problem of a further trial, and its parameters.
+
+    The parameters that only this trial has are fitted to it.
+    """
     study, known = fit.study, _collect_shared(fit)
     problem = study.problem(fit.effects, trials=[trial], known=known, jobs=1)
     noise.of_new_trials(problem)
@@ -257,7 +262,7 @@ def _of_validation(
 
 
 def _align_columns(fit: Hypothesis, problem: Problem, columns: Array) -> Array:
-    """Return the columns of another problem for the shared parameters of a fit; zero where it has none."""
+    """Return the columns of another problem for the shared parameters of a fit; zero for those it lacks."""
     names = [fit.labels[j] for j in fit.study.select_shared(fit)]
     wide = np.column_stack((columns, np.zeros(len(columns))))
     return wide[:, [problem.labels.index(name) if name in problem.labels else -1 for name in names]]
@@ -273,10 +278,10 @@ def compute_closed(
 ) -> Closed:
     """Return the errors of three models on held-out data, and the shares of the gap that close.
 
-    The gap of a model is its squared difference from the true motion without noise and without
-    between-trial variation. The model with the causes is the best estimate of this motion. Its own gap has
-    the uncertainty of its parameters, and the part that it does not explain on held-out data. The shares are
-    medians over random errors of the parameters, with the interval of 95 %.
+    The gap of a model is its squared difference from the true motion without noise and without between-trial
+    variation. The model with the causes is the best estimate of this motion. The gap of this model itself
+    consists of the uncertainty of its parameters, and of the held-out error that it does not explain. The
+    shares are medians over random errors of the parameters, with the interval of 95 %.
 
     Parameters
     ----------
@@ -304,7 +309,7 @@ def compute_closed(
             apart = _limit_errors(noise.standardise(problem, k, other - here))
             off[i] += float(apart @ apart)
             cross[i] += moved.T @ apart
-    # Two standard deviations of chi-squared may be noise.
+    # An excess of up to two standard deviations of chi-squared may be noise.
     count = sum(p.expected for p in parts[-1])
     left = max(sum(p.squared for p in parts[-1]) - count - math.sqrt(8.0 * count), 0.0)
     drawn = np.random.default_rng(0).standard_normal((DRAWS, len(shared)))
@@ -336,7 +341,7 @@ def _motion(fit: Hypothesis, trial: Trial, problem: Problem, k: int, known: Mapp
 def tabulate_parts(
     given: Sequence[Prediction], before: Sequence[Prediction], after: Sequence[Prediction]
 ) -> dict[str, HeldOutTrial]:
-    """Return the squared distances of each held-out part from the models as given, refitted, with causes."""
+    """Return the squared distance of each held-out part from each model: as given, refitted, with causes."""
     return {
         last.part: HeldOutTrial(
             samples=last.samples,
@@ -355,7 +360,7 @@ def tabulate_parts(
 def build_waterfall(
     steps: Mapping[str, Sequence[Prediction]], floors: Mapping[str, float]
 ) -> list[WaterfallStep]:
-    """Return the held-out errors of each model over their expectation.
+    """Return the held-out errors of each model, divided by their expectation.
 
     Parameters
     ----------
@@ -430,7 +435,7 @@ class HeldOutSeries:
 
 
 def select_worst(before: Sequence[Prediction], after: Sequence[Prediction]) -> list[HeldOutSeries]:
-    """Return the channels of the held-out trial with the largest error, in units of its expectation."""
+    """Return the channels of the held-out trial whose error is largest relative to its expectation."""
     if not after:
         return []
     ratios: dict[str, list[tuple[float, float]]] = {}

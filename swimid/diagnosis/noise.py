@@ -1,13 +1,13 @@
-"""Noise of the trials of a diagnosis: measurement noise with a memory, and random effects of the trials.
+"""Noise of the trials of a diagnosis: autocorrelated measurement noise, and random effects of the trials.
 
-The measurement noise of a channel has one of the forms of :mod:`swimid.fitting.noise`, which a fit uses as
-well. It is estimated from the residuals of a fit with own values of all parameters, and of generic smooth
-terms, for each trial, so that neither a gap nor differences between trials count as noise.
+The measurement noise of a channel has one of the autocorrelation models of :mod:`swimid.fitting.noise`, which
+every fit uses. The noise is estimated from the residuals of a fit in which each trial has its own values of
+all parameters and of generic smooth terms. Neither a gap nor differences between trials then count as noise.
 
 A random effect is a quantity that differs by chance between trials, for example the trim, the clock or the
 pulley friction. Each trial has a value of its own, which is fitted with a normal prior. The standard
-deviation of the prior is that of the largest restricted likelihood, with changes that are linearised about
-these values (Lindstrom and Bates 1990).
+deviation of this prior maximises the restricted likelihood, in which the trials are linearised about the
+fitted values (Lindstrom and Bates 1990).
 """
 
 from __future__ import annotations
@@ -36,23 +36,24 @@ from swimid.fitting.problem import Problem
 if TYPE_CHECKING:
     from swimid.diagnosis.study import GapStudy, Hypothesis
 
-#: Standard deviations of a random effect that are compared, in typical scales.
+#: Candidates for the standard deviation of a random effect, in typical scales of the effect.
 DEVIATIONS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
-#: Maximum standard deviation of a random effect, in typical scales, if the trials have no structure in common
-#: (LARGEST_SD), and if a gap may remain that larger random effects would absorb (BESIDE_GAP).
+#: Maximum standard deviation of a random effect, in typical scales. LARGEST_SD applies if the trials have no
+#: structure in common. BESIDE_GAP applies if a gap may remain, which larger random effects would absorb.
 LARGEST_SD, BESIDE_GAP = 0.5, 0.2
 #: Minimum increase of the log-likelihood by a random effect.
 MIN_LOG_LIKELIHOOD_GAIN = 4.0
-#: Noise beside a gap: fraction of its variance that has a memory (COLOURED), and correlation of that part
-#: between successive samples (POLE), as for a tracker. It replaces noise of more than SLOW times its level.
+#: Noise model that replaces slow noise, which may be part of a gap: autocorrelated fraction of the variance
+#: (COLOURED), and its correlation between successive samples (POLE), as for a tracker. The model replaces
+#: noise whose standard deviation is more than SLOW times its own.
 COLOURED, POLE, SLOW = 0.4, 0.8, 2.2
-#: Minimum fraction of the samples of a channel that the own parameters and generic terms of the trials must
-#: leave free. With fewer, all trials share the generic terms.
+#: Minimum number of degrees of freedom of a channel after the fit of the own parameters and generic terms of
+#: each trial, as a fraction of its samples. With fewer, all trials share the generic terms.
 MIN_FREE_SHARE = 0.4
 #: Minimum number of samples of the contrasts between repeats, as a fraction of all samples, with which the
 #: noise is estimated from them alone. Pairs of repeats have one half.
 MIN_CONTRAST_SHARE = 0.4
-#: Significance level at which the mean of a random effect is not due to chance.
+#: Significance level below which the mean of a random effect counts as not due to chance.
 COMMON_P_VALUE = 0.01
 #: Minimum noise floor, as a fraction of the variance of the measurement noise.
 MIN_FLOOR = 1e-4
@@ -73,21 +74,22 @@ def join_channels(parts: Iterable[tuple[str, Array]]) -> dict[str, Array]:
 
 
 class Scatter(Effect):
-    """Own value, in each trial, of a quantity that differs by chance between trials.
+    """Effect that gives each trial its own value of a quantity that differs by chance between trials.
 
-    It is added to one parameter of an effect, which may act on its own as well.
+    The value is added to one parameter of another effect, which may act on its own as well.
 
     Parameters
     ----------
     of : Effect
+        The other effect.
     null : ndarray
-        Values of its parameters at which it has no influence.
+        Values of the parameters of ``of`` at which this effect has no influence.
     index : int
-        Index of the parameter that differs.
+        Index, among these parameters, of the one that differs.
     label : str
         Name of the random effect.
     scale : float
-        Typical size, in the unit of the parameter.
+        Typical size of the difference, in the unit of the parameter.
     """
 
     name: ClassVar[str]
@@ -127,7 +129,7 @@ class RandomEffect:
     effect : Scatter
         Effect that gives each trial its own value.
     is_centred : bool
-        Whether the mean over the trials is held at 0, because it is too large for chance.
+            Whether the mean over the trials is held at 0, because the mean is too large to be due to chance.
     """
 
     name: str
@@ -150,12 +152,12 @@ class NoiseModel:
     sd : list of list of ndarray
         Weights: standard deviation of each sample, by trial and channel (:attr:`Problem.sd`).
     forms : mapping of channel to NoiseForm
-        Memory of the noise.
+            Autocorrelation of the noise.
     variance : mapping of channel to float
-        Variance of the weighted residuals of a channel that is noise. Its default is 1.
+            Variance of the noise in the weighted residuals of a channel. Its default is 1.
     random_effects : tuple of RandomEffect
-        Quantities of which each trial has its own value. They are unknowns of each trial in all fits, with
-        these standard deviations as priors.
+            Quantities of which each trial has its own value. These values are unknowns of each trial in all
+            fits. Their priors have the standard deviations of the random effects.
     """
 
     sd: list[list[Array]]
@@ -207,7 +209,7 @@ class NoiseModel:
         return self.variance.get(channel, 1.0) * form.correlate(time_s, columns)
 
     def standardise(self, problem: Problem, k: int, rows: Array) -> Array:
-        """Return rows of trial ``k`` in units of the noise floor, not whitened."""
+        """Return residuals or derivatives of trial ``k`` in units of the noise floor, not whitened."""
         parts = [part / self.floor(channel) for channel, _, part in problem.by_channel(k, rows)]
         return np.concatenate([rows[:0], *parts])
 
@@ -254,7 +256,7 @@ def has_repeats(trials: Sequence[Trial]) -> bool:
 def update_weights(study: GapStudy, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with weights from the residuals of a fit.
 
-    A fit that leaves a gap does not show which part of the error time stamps have.
+    Only a fit that leaves no gap shows which part of the error is due to the time stamps.
     """
     problem = study.problem(fit.effects)
     known: dict[str, tuple[float, float]] = {}
@@ -343,9 +345,9 @@ def estimate_measurement_noise(
 ) -> NoiseModel:
     """Estimate the measurement noise from the residuals of a fit.
 
-    Each trial has own values of all parameters and generic terms. What they explain does not count as noise.
-    If most settings were repeated, the noise is estimated from the differences between repeats, in which
-    everything that depends on the setting cancels (pure error).
+    Each trial has own values of all parameters and generic terms. The part of the residuals that these
+    explain does not count as noise. If most settings were repeated, the noise is estimated from the
+    differences between repeats, in which everything that depends on the setting cancels (pure error).
 
     Parameters
     ----------
@@ -354,7 +356,8 @@ def estimate_measurement_noise(
     differing : sequence of RandomCandidate
         Quantities that may differ between trials.
     brief : bool
-        Whether a memory that is long compared with a trial does not count as noise, because it may be a gap.
+            Whether an autocorrelation that is long compared with a trial does not count as noise, because it
+            may be a gap.
     """
     problem = fit.problem
     series: dict[str, dict[int, _Series]] = {}
@@ -385,10 +388,10 @@ def estimate_measurement_noise(
 
 
 def _replace_slow(rows: Mapping[int, NoiseRows], form: NoiseForm, variance: float) -> tuple[NoiseForm, float]:
-    """Return noise of short memory in place of much slower noise, which may be a part of the gap.
+    """Return quickly decorrelating noise in place of much slower noise, which may be a part of the gap.
 
-    Its level follows from the second differences of the residuals, to which low frequencies contribute
-    little.
+    The level of the new noise follows from the second differences of the residuals, to which low frequencies
+    contribute little.
     """
     bends = [np.diff(part.own_residual, 2)[np.diff(part.place, 2) == 0] for part in rows.values()]
     steps = [np.diff(part.time_s) for part in rows.values()]
@@ -404,7 +407,7 @@ def _replace_slow(rows: Mapping[int, NoiseRows], form: NoiseForm, variance: floa
 
 
 class _Series(NamedTuple):
-    """Weighted residual of one channel of one trial, columns of its own terms, and weights."""
+    """Weighted residual of one channel of one trial, columns of the terms of this trial, and weights."""
 
     time_s: Array
     place: NDArray[np.intp]
@@ -413,7 +416,10 @@ class _Series(NamedTuple):
     sd: Array
 
     def rows(self) -> NoiseRows:
-        """Return the rows, without combinations of the columns that change them by less than noise."""
+        """Return the residual and the columns as rows of a noise estimate.
+
+        Combinations of columns that change the residual by less than noise are left out.
+        """
         u, size, vt = np.linalg.svd(self.own, full_matrices=False)
         kept = size > 1.0
         return NoiseRows(self.time_s, self.place, u[:, kept], size[kept, None] * vt[kept], self.residual)
@@ -428,15 +434,15 @@ def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[i
     """Return orthogonal contrasts of the repeats of each setting, as rows of independent series of noise.
 
     A sample is compared with the sample of the other repeat that is nearest in time. The contrasts are those
-    of Helmert: a repeat against the mean of those before it. They are empty if they have less than
-    :data:`MIN_CONTRAST_SHARE` of the samples.
+    of Helmert: a repeat against the mean of those before it. The result is empty if the contrasts have less
+    than :data:`MIN_CONTRAST_SHARE` of the samples.
     """
     found: dict[int, NoiseRows] = {}
     for group in _repeats(trials, series):
         times = [series[k].time_s for k in group]
         paired = [series[k].at(at) for k, at in zip(group, _common(times), strict=True)]
         if max(map(len, times)) == 1:
-            # The rows of a table have no terms of their own.
+            # Rows of a table (timed runs) have no terms of their own.
             paired = [one._replace(own=one.own[:, :0]) for one in paired]
         for j in range(1, len(paired)):
             weights = [1.0 / j] * j + [-1.0]
@@ -451,13 +457,13 @@ def _contrasts(trials: Sequence[Trial], series: Mapping[int, _Series]) -> dict[i
 
 
 def _differences(problem: Problem, series: Sequence[Array], random: int) -> list[Array]:
-    """Return Helmert contrasts of the whitened rows of repeats, or none with too few of them.
+    """Return Helmert contrasts of the whitened rows of repeats; empty if there are too few repeats.
 
     Parameters
     ----------
     series : sequence of ndarray, shape (n_k + m, c)
-        Rows of each trial. The first n_k are those of its samples. The first ``random`` columns are changes
-        by random effects, which are alike in repeats and independent in each.
+            Rows of each trial: n_k samples, then m priors. The first ``random`` of the c columns are changes
+            due to random effects, which are alike in repeats and independent in each.
     """
     trials, found = problem.trials, []
     for group in _repeats(trials, range(len(trials))):
@@ -514,9 +520,9 @@ def _common(times: Sequence[Array]) -> list[NDArray[np.intp]]:
 def _estimate_shared_level(
     study: GapStudy, fit: Hypothesis, generic: Sequence[Sequence[Array]]
 ) -> dict[str, float]:
-    """Return the mean squared residual of each channel of a fit of all generic terms, shared by all trials.
+    """Return the mean squared residual of each channel after a fit of generic terms that all trials share.
 
-    It is corrected for the effective number of fitted parameters.
+    The result is corrected for the effective number of fitted parameters.
     """
     every = np.arange(len(fit.theta))
     whole = np.concatenate([fit.columns(k, every) for k in range(len(study.trials))])
@@ -546,16 +552,17 @@ def with_random_effects(
 ) -> NoiseModel:
     """Return the noise model with the random effects of the largest restricted likelihood.
 
-    They are added one by one, as long as the log-likelihood increases by :data:`MIN_LOG_LIKELIHOOD_GAIN`. If
-    most settings were repeated, the likelihood is that of the differences between repeats.
+    Random effects are added one by one, as long as each increases the log-likelihood by
+    :data:`MIN_LOG_LIKELIHOOD_GAIN`. If most settings were repeated, the likelihood is that of the differences
+    between repeats.
 
     Parameters
     ----------
     differing : sequence of RandomCandidate
         Possible random effects.
     largest : float
-        Maximum standard deviation of a random effect, in typical scales. It does not limit
-        differences between repeats.
+            Maximum standard deviation of a random effect, in typical scales. If most settings were repeated,
+            :data:`LARGEST_SD` is the maximum instead.
     """
     if not differing or not study.folds.whole or len(study.trials) < MIN_RANDOM_TRIALS:
         return noise
@@ -564,7 +571,7 @@ def with_random_effects(
     for k in range(len(study.trials)):
         random = [d.changes[k] for d in differing]
         own = study.select_nonrandom(fit.problem, k, study.select_own(fit, k))
-        # The mean of a quantity over the trials is no random effect, so that it is a fixed effect as well.
+        # Estimate the mean of each quantity over the trials as a fixed effect, because it is not random.
         block = np.column_stack([*random, *random, fit.columns(k, study.select_shared(fit)), fit.typical(k)])
         series.append(crossval.project_out(study, fit, k, block, to=own, noise=noise))
     pure = _differences(fit.problem, series, len(differing))
@@ -573,7 +580,7 @@ def with_random_effects(
     stacked = np.array([rows.T @ rows for rows in series])
     sd = _maximise_likelihood(stacked, np.zeros(len(differing)), largest)
     kept = np.flatnonzero(sd).tolist()
-    # Hypotheses are compared without free means, because what all trials share needs a cause.
+    # Compare hypotheses without free means, because a difference that all trials share needs a cause.
     count = len(differing)
     rest = np.delete(stacked, np.s_[count : 2 * count], axis=1)
     noise = replace(noise, log_likelihood=_likelihood(np.delete(rest, np.s_[count : 2 * count], axis=2), sd))
@@ -591,7 +598,7 @@ def _maximise_likelihood(products: Array, sd: Array, largest: float) -> Array:
     products : ndarray
         Inner products (:func:`_likelihood`).
     sd : ndarray, shape (q,)
-        Standard deviations to begin with.
+            Initial standard deviations.
     largest : float
         Maximum standard deviation.
     """
@@ -612,8 +619,8 @@ def _maximise_likelihood(products: Array, sd: Array, largest: float) -> Array:
 def with_held_means(fit: Hypothesis) -> NoiseModel | None:
     """Return the noise model in which a mean of a random effect that chance does not explain is held at 0.
 
-    What all trials share is then a gap, which no random effect takes up. The mean is compared with 0 by
-    Student's t test. The result is None if chance explains all means.
+    A value that all trials share is then a gap, which no random effect absorbs. The mean is compared with 0
+    by Student's t test. The result is None if chance explains all means.
     """
     study = fit.study
     found = []
@@ -631,8 +638,8 @@ def with_held_means(fit: Hypothesis) -> NoiseModel | None:
 def with_floors(study: GapStudy, fit: Hypothesis) -> NoiseModel:
     """Return the noise model of a study with the noise floor of each channel.
 
-    It is the root mean square that noise leaves in the fitted trials, after a fit of the initial state of
-    each trial and of its random effects.
+    The noise floor is the root-mean-square residual that noise alone leaves in the fitted trials, after a fit
+    of the initial state and the random effects of each trial.
     """
     noise, problem = study.noise, fit.problem
     squares: dict[str, list[tuple[float, int]]] = {}
@@ -679,7 +686,7 @@ def _likelihood(products: Array, sd: Array) -> float:
         value -= 0.5 * float(np.linalg.slogdet(inner)[1].sum())
     total = rest.sum(axis=0)
     normal, right = total[:-1, :-1], total[:-1, -1]
-    # A column of zeros stays so, whatever rounding has left beside it.
+    # Keep a column of zeros at zero, although rounding errors may have changed its products.
     length = np.sqrt(np.maximum(np.diag(normal), 0.0))
     scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 1e-100)
     size, vectors = np.linalg.eigh(scale[:, None] * normal * scale)

@@ -32,7 +32,8 @@ MAX_ODD_PARAMETERS = 2
 class OddTrial(NamedTuple):
     """Trial with parameters of its own, or with a recording mistake.
 
-    The fit is that of all trials with which it was compared, and the mistake is described by its correction.
+    The attribute ``fit`` is the fit of all trials with which the odd trial was compared. The attribute
+    ``mistake`` describes the recording mistake by its correction.
     """
 
     trial: str
@@ -50,9 +51,9 @@ def find_contradicting_trial(
     Parameters
     ----------
     fits : sequence of Hypothesis
-        Fits of all trials, to which the hypothesis of an odd trial is added. The model without effects is
-        the first one. What may differ by chance between trials has random values in them
-        (:func:`add_random_effects`).
+            Fits of all trials, to which the hypothesis of an odd trial is added. The model without effects is
+            the first one. In these fits, each trial has random values of the quantities that may differ by
+            chance (:func:`add_random_effects`).
     differing : sequence of RandomCandidate
         Quantities that may differ by chance, of which an odd trial may have any value.
     """
@@ -79,7 +80,8 @@ def find_contradicting_trial(
     rest = [p for names, p in every.probabilities.items() if names not in candidates]
     if every.probabilities[best] < MIN_ODDS_RATIO * max([every.none, *rest]):
         return None
-    # An effect may leave a share of the gap because of its form. An odd trial explains nearly all of that.
+    # Even a true effect may leave a part of the gap, because its form is not exact. An odd trial must explain
+    # nearly all of that part.
     if every.excess[best] > CALIBRATED.form * min(every.excess[c.names] for c in known):
         return None
     return candidates[best][1]
@@ -99,9 +101,9 @@ def _with_random(study: GapStudy, sizes: Mapping[Scatter, float]) -> GapStudy:
 
 
 def _undo_mistakes(fit: Hypothesis) -> list[tuple[OddTrial, Array, float]]:
-    """Return deviances and strain with each recording mistake undone in the trial with the largest error.
+    """Return the deviances and strain after each possible recording mistake is undone in one trial.
 
-    Nothing is undone in a trial whose error noise explains.
+    The trial is the one with the largest error. The result is empty if noise explains this error.
     """
     study = fit.study
     owners = [int(owner[0]) for owner in study.folds.owner]
@@ -166,7 +168,7 @@ def _deviances(
 def _wide(study: GapStudy, problem: Problem) -> tuple[Array, Array]:
     """Return prior means and inverse standard deviations of the parameters of an odd trial.
 
-    Errors of the parameter file say nothing about a trial that differs from all others.
+    The standard errors of the parameter file do not apply to a trial that differs from all others.
     """
     mean, weight = study.compute_prior(problem)
     for j, (index, owner) in enumerate(problem.slots):
@@ -197,7 +199,7 @@ def _evidence(equations: NormalEquations, f: int, pull: Array, weight: Array) ->
 
 
 def describe(odd: OddTrial, differing: Sequence[RandomCandidate] = ()) -> str | None:
-    """Return what differs in the odd trial, as text; None if nothing explains it.
+    """Return a text on the parameters that differ in the odd trial; None if no parameter explains it.
 
     The parameters are fitted to the other trials. Those that explain the odd trial best are then fitted to it
     alone, one by one, and at most :data:`MAX_ODD_PARAMETERS` together.
@@ -243,7 +245,7 @@ def _describe_parameters(odd: _TrialFit, others: _TrialFit, labels: Sequence[str
 
 
 class _TrialFit(NamedTuple):
-    """Fit of some trials: its problem, estimates and standard errors by label, and excess of the cost."""
+    """Fit of some trials: problem, estimates and standard errors by label, and excess squared residuals."""
 
     problem: Problem
     values: dict[str, tuple[float, float]]
@@ -258,7 +260,7 @@ def _fit_trials(
     *,
     iterations: int = 15,
 ) -> _TrialFit:
-    """Return a fit of the model of another fit to some of its trials, with wide priors.
+    """Return a fit of the model of ``fit`` to some of its trials, with wide priors.
 
     Parameters
     ----------

@@ -14,10 +14,11 @@ from swimid.swimmer import options as swimmers
 class DiagnoseOptions(Options, makes="gap|power", metrics=("closed.share",)):
     """Name the unmodelled effect behind a gap between trials and simulation.
 
-    TRIALS is a trials file of any experiment. The parameter file says which model describes it; without one
+    TRIALS is a trials file of any experiment. The parameter file states the model of the trials; without one
     the robot file does. The model is refitted without an effect, and with each effect that applies to it.
-    Each fit has a posterior probability, and so have no gap and a cause outside the catalogue. The answer is
-    one effect, a combination, several that the trials cannot distinguish, or none. Every answer is a result:
+    Each fit gets a posterior probability. Two further hypotheses get one as well: no gap, and a cause outside
+    the catalogue. The answer is one effect, a combination, several that the trials cannot distinguish, or
+    none. Every answer is a result: exit status 0.
     exit status 0.
 
     Examples:

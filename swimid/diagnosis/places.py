@@ -40,7 +40,9 @@ def compute_floors(study: GapStudy, fit: Hypothesis) -> dict[str, float]:
 def locate_gap(
     study: GapStudy, fit: Hypothesis, floors: Mapping[str, float], ranges: Mapping[str, float]
 ) -> Where:
-    """Return where the gap that a fit leaves lies, except in which stage of the simulation its cause acts.
+    """Return the location of the gap that a fit leaves: by channel, phase, setting and time.
+
+    The stage of the simulation in which the cause of the gap acts is not part of the result.
 
     Parameters
     ----------
@@ -91,7 +93,7 @@ class Map:
         self.total = max(float(np.sum(self.squares - 1.0)), 1e-12)
 
     def cells(self, kind: str, labels: Sequence[str], index: NDArray[np.intp]) -> list[Cell]:
-        """Return the gap for each label over all channels.
+        """Return the gap of the samples with each label, over all channels.
 
         Parameters
         ----------

@@ -58,7 +58,7 @@ class HypothesisPool:
     screens : dict of frozenset of int to list of Screening
         Screening results of the effects that can be added to a hypothesis, largest predicted gain first.
     first_screen : list of Screening
-        Screening results of every effect added to the model without effects, at the first noise model.
+            Screening results of every effect added to the model without effects, with the first noise model.
     left_out : dict of name to reason
         Effects that could not be screened.
     """
@@ -75,18 +75,19 @@ class HypothesisPool:
     #: Number of fits of each set of effects so far, by its name in the checkpoint.
     _fits: Counter[str] = field(init=False, default_factory=Counter)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
-    #: Pairs of a hypothesis and a smaller one that was refitted from its optimum.
+    #: Pairs of a hypothesis and a smaller one that was already refitted from the optimum of the larger one.
     _returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
 
     def prepare(self, acting: Iterable[Sequence[Effect]]) -> None:
-        """Compile the models of sets of effects once, because each worker process would compile them."""
+        """Compile the models of sets of effects once, so that not every worker process compiles them."""
         for effects in acting:
             self.study.build_model(effects).prepare(effects=True)
 
     def begin(self, start: Array) -> Hypothesis:
         """Fit the model without effects, from ``start`` and from the prior means (:meth:`GapStudy.begins`).
 
-        Otherwise an effect could seem to explain the difference between a poor optimum and the best one.
+        With one starting point, an effect could seem to explain the difference between a poor optimum and the
+        best.
         """
         others = self.study.begins(self.study.problem(()), start)
         self.null = self.study.fit((), [start], others=others, tolerance=FINE)
@@ -137,9 +138,10 @@ class HypothesisPool:
         self.finish()
 
     def _fit_all(self, new: Sequence[tuple[str, Hypothesis, Screening]]) -> None:
-        """Add rough fits of hypotheses with one more effect to the pool, or those of an interrupted run.
+        """Fit hypotheses with one more effect roughly, or read the fits of an interrupted run, and add them
+        to the pool.
 
-        The fits of hypotheses that are far from the best one after one iteration end there.
+        A fit ends after one iteration if the hypothesis is then far from the best one.
         """
         kept = [self.checkpoint.get(name) for name, _, _ in new]
 
@@ -176,7 +178,7 @@ class HypothesisPool:
         return np.concatenate((h.deviances, h.log_determinant, h.theta, [h.strain, h.cost]))
 
     def _unpack(self, effects: Sequence[Effect], values: Array, tried: Screening | None = None) -> Hypothesis:
-        """Return the hypothesis with the given numbers (:meth:`_pack`). Its fit is rough."""
+        """Return the hypothesis whose array :meth:`_pack` returned, as a rough fit."""
         own, log, theta = np.split(values[:-2], np.array([1, 2]) * self.study.folds.count)
         strain, cost = values[-2:].tolist()
         h = self.study.at(effects, theta, cost)
@@ -205,7 +207,8 @@ class HypothesisPool:
         effects = (*parent.effects, tried.effect)
         names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
         points = [tried.point]
-        # The trials are nearly linear in a changed parameter, so that its predicted optimum is enough.
+        # The trials are nearly linear in a changed parameter, so that its predicted optimum is a sufficient
+        # start.
         if names and tried.effect.adds_to is None and tried.start is not None:
             points.append(tried.start)
         starts = [study.start(effects, parent, dict(zip(names, p, strict=True))) for p in points]
@@ -226,8 +229,8 @@ class HypothesisPool:
     def refit_without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
         """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
 
-        The starting points are the optima of the hypothesis and of the smaller one. Otherwise further effects
-        could seem to explain the difference between a poor optimum and the best one.
+        The starting points are the optima of the hypothesis and of the smaller one. With one of them alone,
+        further effects could seem to explain the difference between a poor optimum and the best one.
         """
         study = self.study
         rest = tuple(e for e in h.effects if e is not effect)
@@ -253,7 +256,7 @@ class HypothesisPool:
         self.null = self.pool[frozenset()]
 
     def best(self, size: int) -> list[Hypothesis]:
-        """Return the hypotheses with a number of effects, best first, each set in its best form only."""
+        """Return hypotheses with ``size`` effects, best first; only the best form of each set of effects."""
         found = [h for h in self.pool.values() if len(h.effects) == size and not h.is_imitating]
         first: dict[frozenset[str], Hypothesis] = {}
         for h in sorted(found, key=lambda h: h.deviance):
@@ -274,7 +277,7 @@ class HypothesisPool:
                 self._put(h)
 
     def _refit_all(self, study: GapStudy, wanted: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
-        """Yield hypotheses in a study, which are continued to their optimum."""
+        """Continue the fits of hypotheses in a study to their optimum, and yield the hypotheses."""
 
         def one(h: Hypothesis) -> tuple[Array, float, list[Array], list[Array]]:
             fit = study.refit(h, tolerance=ROUGH)

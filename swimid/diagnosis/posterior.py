@@ -9,9 +9,9 @@ likely variance, the log-evidence decreases by half the number of directions tim
 times larger than that of another one.
 
 A further cause is compared with the form error of the causes already in the set, which has this number of
-directions in the whole record. If its change of the trials is similar to theirs, it adds no evidence. A cause
-outside the catalogue is such a further cause, which closes all that remains. The folds get random weights
-(Bayesian bootstrap), so that an effect that helps in one fold only is uncertain.
+directions in the whole record. A cause whose change of the trials is similar to theirs adds no evidence. A
+cause outside the catalogue is such a further cause, which closes the whole remaining gap. The folds get
+random weights (Bayesian bootstrap), so that an effect that helps in one fold only is uncertain.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class PosteriorConstants:
     form : float
         Fraction of the squared gap that a true effect may leave because its form is not exact.
     outside : float
-        Log-odds of a cause outside the catalogue without excess.
+            Log-odds of a cause outside the catalogue if the excess is zero.
     """
 
     directions: float
@@ -80,7 +80,7 @@ class Candidate:
     numbers : int
         Number of shared parameters of the effects.
     widening : float
-        Logarithm of the volume of the prior of the model's coefficients, divided by that without effects.
+            Logarithm of the ratio of the prior volumes of the coefficients with and without the effects.
     alike : mapping of str to float
         For each effect of a set, the largest squared cosine between its change of the trials and the change
         by another effect of the set. The model's parameters are projected out.
@@ -212,7 +212,7 @@ class DataSize:
 
 
 def compute_tolerance(record: DataSize, gap: float, known: PosteriorConstants = CALIBRATED) -> float:
-    """Return the largest excess that refutes no hypothesis.
+    """Return the largest excess at which no hypothesis is refuted.
 
     It is the sum of four terms: a discrepancy as large as the noise in all its directions, a model error of a
     tenth of the noise, two standard deviations of the squared noise, and the form error of a true effect.
@@ -225,12 +225,14 @@ def compute_tolerance(record: DataSize, gap: float, known: PosteriorConstants = 
 def compute_price(
     candidate: Candidate, null: Candidate, record: DataSize, known: PosteriorConstants = CALIBRATED
 ) -> float:
-    """Return the log-evidence that a hypothesis loses by its parameters, and by their distance from priors.
+    """Return the decrease of the log-evidence of a hypothesis due to the number and the priors of its
+    parameters.
 
     Held-out data alone select too many parameters, because no fold is new to a hypothesis that was selected
-    by all of them. Each parameter therefore costs as much as in the BIC. A wider prior costs its volume,
-    because held-out data hardly depend on a prior once the other folds are known. The prior is one more part
-    of the data: a true effect may leave a share of the distance that the model without effects needs.
+    by all of them. Each parameter therefore costs as much as in the Bayesian information criterion. A wider
+    prior costs the logarithm of its volume, because held-out data hardly depend on a prior once the other
+    folds are known. The prior counts as one more part of the data: a true effect may leave a share of the
+    squared distance from the prior means that the model without effects has.
 
     Parameters
     ----------
@@ -283,7 +285,7 @@ def compute_posterior_probabilities(
     drawn -= np.minimum(drawn.min(axis=0), 0.0)
     size = np.log1p(drawn / compute_tolerance(record, float(excess[0]), calibration))
     small = np.log1p(drawn / compute_tolerance(record, 0.0, calibration))
-    # Twins are one hypothesis, and share its prior probability.
+    # Twins count as one hypothesis, and share its prior probability.
     better = [c for c in candidates if c.deviance < null.deviance]
     same = [max(sum(are_twins(c, other) for other in better), 1) for c in candidates]
     known = np.array([0.0, *(compute_prior_log_odds(len(c.names), record.effects) for c in candidates)])
@@ -312,9 +314,9 @@ def _further(
     Parameters
     ----------
     known : ndarray, shape (c,)
-        Prior log-probability of each hypothesis.
+            Prior log-probability of each of the c hypotheses.
     closes : ndarray, shape (c, m)
-        Log-evidence of each hypothesis for each sample of the fold weights.
+            Log-evidence of each hypothesis for each of the m samples of the fold weights.
     small : ndarray, shape (c, m)
         ``log(1 + excess / unit)`` of the hypotheses, where the unit contains no form error.
     """

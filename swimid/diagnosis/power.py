@@ -40,14 +40,15 @@ class EffectPower(yamlio.Document):
 
     effect: str
     stage: str
-    #: Name of the parameter that gives the size of the effect (``parameter``), and its smallest value that is
-    #: detected with 90 % power (``size``). The value is null if no value within its bounds is detected.
+    #: Name of the parameter that states the size of the effect (``parameter``), and its smallest value that
+    #: is detected with 90 % power (``size``). The size is null if no value within the bounds of the parameter
+    #: is detected.
     parameter: str
     size: Number = None
     unit: str
-    #: Fraction of the squared change by the effect that the model's parameters imitate.
+    #: Fraction of the squared change due to the effect that the model's parameters imitate.
     absorbed: Number = None
-    #: Effects that these trials cannot distinguish from this one, however large it is.
+    #: Effects that these trials cannot distinguish from this effect, even if it is very large.
     alike: list[str] = []
 
 
@@ -153,13 +154,13 @@ MIN_REMAINING_SHARE = 1e-9
 def compute_needed_excess(record: DataSize, numbers: int) -> float:
     """Return the minimum excess of squared residuals over the noise at which a gap is reported.
 
-    The excess is that of the model without an effect. The effect is assumed to close the whole gap.
+    The excess is that of the fit without the effect. The effect is assumed to close the whole gap.
     """
     costs = 0.5 * math.log(record.samples) * numbers - posterior.compute_prior_log_odds(1, record.effects)
     wanted = math.log((1.0 - MAX_NO_GAP_PROBABILITY) / MAX_NO_GAP_PROBABILITY) + costs
     directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
-    # The excess that refutes no hypothesis grows with the gap. If it grows too fast, no gap is ever reported.
+    # The tolerated excess grows with the gap. If it grows too fast, no gap is ever reported.
     room = 1.0 - CALIBRATED.form * share
     if room <= 0:
         return math.inf
@@ -235,7 +236,8 @@ def compute_power(
         found = _find_size(line, squares[index], whole[index], record, len(study.trials))
         if name not in best or found[0] < best[name][0]:
             best[name] = found
-    # A change that the parameters imitate is a rounding error, and like no other.
+    # If the parameters imitate a change, its remainder is rounding error. Its cosine with all others is set
+    # to 0.
     norm = np.where(products.diagonal() > MIN_REMAINING_SHARE * whole, np.sqrt(squares), np.inf)
     cosine = np.abs(products) / np.outer(norm, norm)
     rows = [row for _, row in best.values()]
@@ -252,7 +254,7 @@ def _list_alike(
     Parameters
     ----------
     cosine : ndarray, shape (c, c)
-        Absolute cosines between the changes of the trials.
+            Absolute cosines between the c simulated changes of the trials.
     columns : mapping of str to list of int
         Columns of each effect.
     """
@@ -270,10 +272,10 @@ class _Line(NamedTuple):
     Attributes
     ----------
     parameter : Parameter
-        Parameter that states the size of the effect. Further parameters that are not at their null values
-        state place and time.
+            Parameter that states the size of the effect. Further parameters that are not at their null values
+            state the place and time of the effect.
     values : ndarray, shape (m,)
-        Tried values of this parameter.
+            The m tried values of this parameter.
     columns : ndarray of int, shape (m,)
         Indices of the resulting changes of the trials.
     """
@@ -292,7 +294,8 @@ def _find_size(
     Parameters
     ----------
     squares, whole : ndarray, shape (m,)
-        Squared changes of the trials, with and without the parameters of the model projected out.
+            Squared changes of the trials at the m tried values, with (``squares``) and without (``whole``)
+            the parameters of the model projected out.
     """
     p, parameters = line.parameter, line.runs.parameters
     per_trial = sum(one.per_trial for one in parameters)

@@ -35,7 +35,8 @@ from swimid.logs.log import Log
 if TYPE_CHECKING:
     from swimid.swimmer.model import Swimmer
 
-#: Factors on the lowest and on the highest setting of the trials.
+#: Factors by which a proposed trial multiplies the lowest (LOWER) and the highest (HIGHER) setting of the
+#: trials.
 LOWER, HIGHER = 0.6, 1.4
 #: Turning bias of a proposed beat, as a fraction of its amplitude. Amplitude and bias together then reach at
 #: most :data:`HIGHER` times the largest amplitude of the trials.
@@ -97,7 +98,8 @@ class TrialLimits:
     max_frequency_hz : float
         Maximum frequency of a beat or stroke.
     max_amplitude_rad : float
-        Maximum amplitude of a beat. For strokes and recorded commands, that of each joint.
+            Maximum amplitude of a beat. For strokes and recorded commands, it is the maximum amplitude of
+            each joint.
     """
 
     experiment: Experiment
@@ -154,7 +156,7 @@ def _constant(segments: Sequence[Segment]) -> Segment | None:
 
 
 def round_down(value: float) -> float:
-    """Return a value with three significant digits that is not larger in size.
+    """Return a value rounded towards zero to three significant digits.
 
     >>> round_down(2.5199), round_down(-0.12345)
     (2.51, -0.123)
@@ -277,7 +279,7 @@ class Swim:
             return None, 0.0
         time = np.arange(round(duration_s * COMMAND_RATE_HZ) + 1) / COMMAND_RATE_HZ
         if usual is not None and len(f) == 1:
-            # A trials file can state this drive.
+            # A trials file can state this motion without a command file.
             swim = self._scale_drive(f[0], self.unit * a[0], self.unit * b[0], steady=False)
         else:
             swim = self._join_segments(f, a, b, time, duration_s)
@@ -402,8 +404,8 @@ def pull(
     """Return a trial of a body that another falling weight or constant force pulls.
 
     Under quadratic drag, a force passes through the same positions as another force, in times that are
-    proportional to the inverse square root of the force. The samples of the trial with the nearest force are
-    therefore moved in time.
+    proportional to the inverse square root of the force. The sample times of the trial with the nearest force
+    are therefore scaled by this factor.
     """
     only, template, forces = _constant(segments), _longest(trials), [t.rig.pull for t in trials]
     if only is None or only.frequency != 1.0 or not min(forces) > 0:
@@ -585,12 +587,12 @@ def shorten(
     length_m: float,
     paths: Callable[[Trial], Sequence[Mapping[str, Array]]],
 ) -> Proposal | None:
-    """Return a proposed trial that is so short that no simulated path leaves the tank; None if none is.
+    """Return a proposed trial, shortened until no simulated path leaves the tank; None if this fails.
 
     Parameters
     ----------
     paths : callable
-        Function that returns the channels that each rival simulates in a trial.
+            Function that returns the channels that each rival model simulates in a trial.
     """
     duration_s = math.inf
     for _ in range(MAX_CUTS):
@@ -610,7 +612,7 @@ def shorten(
 
 #: Maximum number of proposed experiments in a report.
 MAX_ADVICE = 4
-#: Probability with which noise alone makes a smaller difference than :func:`compute_threshold`.
+#: Probability that the difference between two rivals due to noise alone is below :func:`compute_threshold`.
 CONFIDENCE_LEVEL = 0.95
 #: Name of the command file of a proposed trial if the user gives none.
 COMMAND_FILE = "next.csv"
@@ -713,7 +715,8 @@ class RivalModel:
     Attributes
     ----------
     values : mapping of str to float
-        Estimate of each parameter by name. A parameter with a value for each trial has its mean.
+            Estimate of each parameter by name. For a parameter with a value for each trial, it is the mean of
+            these values.
     sd : mapping of channel to float
         Typical noise of each measured channel.
     shared : list of str
@@ -743,7 +746,7 @@ class RivalModel:
             self.precision = self.precision + seen.T @ seen
 
     def problem(self, trial: Trial) -> tuple[Problem, Array]:
-        """Return the residual problem of a proposed trial, measured as zero, and its estimates."""
+        """Return the residual problem of a proposed trial, with samples of zero, and the estimates."""
         measured = {channel: np.zeros(len(trial.time_s)) for channel in self.sd}
         trial = replace(trial, measured=measured)
         problem = self.study.problem(self.fit.effects, jobs=1, trials=[trial])
@@ -775,8 +778,9 @@ class RivalModel:
 def compute_difference(first: RivalModel, second: RivalModel, trial: Trial) -> float:
     """Return the difference between two rivals in a proposed trial, in noise standard deviations.
 
-    It is the root of the squared residuals that one rival has if the other one is right, after its parameters
-    have been refitted to the present trials and this one. The smaller value of both cases is returned.
+    The difference is the root of the squared residuals that one rival has if the other one is right. The
+    wrong rival is refitted to the present trials and the proposed one together. Each rival is taken as right
+    in turn, and the smaller difference is returned.
     """
     one, other = first.predict(trial), second.predict(trial)
     apart = one[0] - other[0]

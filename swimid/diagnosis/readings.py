@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 #: Difference between two simulations, divided by the range of the channel, below which two interpretations of
 #: the robot's source are equivalent.
 SAME_SIMULATION_RTOL = 1e-9
-#: Offset of the coefficients from their start values, in typical scales, when two interpretations of the
-#: robot are compared. A coefficient of zero would hide differences.
+#: Offset of the coefficients from their initial values, in typical scales, when two interpretations of the
+#: robot are compared. Without this offset, coefficients that start at zero would hide differences.
 COEFFICIENT_SHIFT = 0.1
-#: Part of the simulated system (stage) to which an entry of the robot file belongs. The text is contained in
-#: the path of the entry. All other entries belong to the stage "structure".
+#: Pairs of a text and a stage (part of the simulated system). An entry of the robot file belongs to the stage
+#: if the path of the entry contains the text. All other entries belong to the stage "structure".
 ENTRY_STAGES: tuple[tuple[str, Stage], ...] = (
     (".driven", "actuation"),
     (".actuators.", "actuation"),
@@ -134,7 +134,7 @@ class OtherReading(Effect):
         return not answers or self._reread.stand({**answers, self.question: self.option})
 
     def in_place_of(self, model: Model) -> Model:
-        """Return the model of the robot with this answer, which replaces the nominal model."""
+        """Return the model of the robot with the answer ``option``, which replaces the nominal model."""
         return self._reread.model(model, self.question, self.option)
 
     def content(self) -> bytes:

@@ -1,8 +1,8 @@
 """Test whether the residuals of a fit have structure, and where in the simulation it may arise.
 
 The test fits a generic description to the residuals: smooth forces, stroke changes and sensor errors without
-a physical cause. They are never reported as a cause. They are a model discrepancy with a prior, as in Kennedy
-and O'Hagan (2001).
+a physical cause. These terms are never reported as a cause. They are a model discrepancy with a prior, as in
+Kennedy and O'Hagan (2001, J. R. Stat. Soc. B 63(3)).
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ MOST_USED = 0.5
 #: Minimum decrease of the held-out squared residuals, per sample, with which a generic description shows
 #: structure in the residuals. Its unit is the noise variance.
 PER_SAMPLE = 0.002
-#: Number of random noise records, and quantile of the decreases of their squared residuals when a generic
-#: description is fitted to them. The decrease in the trials must exceed this quantile to count as structure.
+#: Number of random noise records to which a generic description is fitted (DRAWS), and quantile of the
+#: decreases of their squared residuals by these fits (QUANTILE). The decrease in the trials must exceed this
+#: quantile to count as structure.
 DRAWS, QUANTILE = 400, 0.975
 #: Upper and lower limit of the minimum decrease in :func:`find_structure`, in units of the noise variance.
 #: Between these limits, the minimum decrease of the held-out squared residuals is half the number of samples.
@@ -57,8 +58,8 @@ class Structure:
     Attributes
     ----------
     gain : float
-        Decrease of the held-out squared residuals by all terms together, or by those of one place, in units
-        of the noise variance.
+            Decrease of the held-out squared residuals by all terms together, or by those of one place in the
+            simulation, in units of the noise variance.
     threshold : float
         Minimum decrease for structure. The probability that pure noise exceeds it is at most 1/40.
     places : dict of place to float
@@ -76,7 +77,7 @@ class Structure:
 
 
 class Term(NamedTuple):
-    """Generic term at its typical scale: its place in the simulation, and the weighted changes by it."""
+    """Generic term at its typical scale: its place in the simulation, and the weighted changes due to it."""
 
     place: str
     changes: list[Array]
@@ -105,7 +106,7 @@ def find_structure(
 ) -> Structure:
     """Fit a generic description without physics to the residuals of a fit.
 
-    The width of the prior of its terms is chosen on held-out folds.
+    The prior standard deviation of the factors of the terms is chosen on held-out folds.
     """
     columns = [term.changes for term in terms]
     inner = crossval.form_normal_equations(study, base, columns)
@@ -145,7 +146,8 @@ TERMS = (
     "sin 2 phase", "cos phase x time", "sin phase x time",
 )  # fmt: skip
 #: Levels of the frequency or amplitude in a table of steady swimming: minimum number of rows that share a
-#: level, relative tolerance within a level, and maximum number of levels. If there are more, none is used.
+#: level (SHARED), relative tolerance within a level (LEVEL), and maximum number of levels (LEVELS). If there
+#: are more levels, none is used.
 SHARED, LEVEL, LEVELS = 3, 1e-3, 12
 FORCE_AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
@@ -357,7 +359,7 @@ class StrokeTable(Description):
 
 
 def _levels(values: Array) -> list[float]:
-    """Return the values of a setting (its levels) that several rows of a table share.
+    """Return the levels of a setting: values that at least :data:`SHARED` rows of a table have in common.
 
     The result is empty if there is only one such level, or more than :data:`LEVELS`.
     """

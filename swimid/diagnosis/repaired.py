@@ -107,7 +107,7 @@ def _list_limits(file: GapFile, left_out: Sequence[Effect]) -> list[str]:
 def build_simulator_file(
     loaded: Loaded, made: ParameterFile, place: Path, own_effects: Sequence[Path]
 ) -> SimulatorFile | None:
-    """Return the user's file of a simulator with the causes; None if the model has no such file."""
+    """Return the simulator file of the user with the causes added; None if the model has no such file."""
     model = copy.copy(loaded.experiment.model)
     if not isinstance(model, MjcfModel):
         return None
@@ -171,7 +171,7 @@ def _settings(loaded: Loaded, effects: Sequence[Effect], readings: Mapping[str, 
     experiment, file = loaded.experiment, loaded.applied.file
     model, facts = experiment.model, experiment.facts
     found = {} if file is None else dict(file.settings)
-    # The diagnosis estimates each parameter of a group by itself.
+    # The diagnosis estimates each parameter of a group separately, so that groups do not apply any more.
     found.pop("shared", None)
     names = ("reference_amplitude_rad", "reference_frequency_hz")
     found |= {name: value for name in names if (value := getattr(model, name, None)) is not None}

@@ -271,8 +271,8 @@ def _screen_own(study: GapStudy, base: Hypothesis, tried: ScreeningRuns) -> Scre
 def compute_cosine(study: GapStudy, base: Hypothesis, first: Screening, second: Screening) -> float:
     """Return the cosine between the changes of the trials by two effects.
 
-    The parameters of ``base`` are projected out. The cosine is 0 if they imitate the whole change by one of
-    the effects.
+    The parameters of ``base`` are projected out. The cosine is 0 if these parameters imitate the whole change
+    due to one of the effects.
     """
     columns = [first.signature, second.signature]
     inner = crossval.project_columns(crossval.form_normal_equations(study, base, columns))

@@ -2,9 +2,8 @@
 
 The noise is estimated with the whole catalogue, even if only some effects are requested. The fit of an effect
 therefore does not depend on the other requested effects.
-
-That a single trial has parameters of its own is a hypothesis as well. If it is the most probable one, the
-search begins again without this trial.
+A further hypothesis is that a single trial has parameters of its own. If this hypothesis is the most probable
+one, the search begins again without the trial.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ from swimid.fitting.rivals import STRONG
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
 
-#: Maximum change of a simulated sample when the integration step is halved, if the noise of a channel is
-#: smaller: as a fraction of the range of the channel, and in the search for effects as a fraction of the
-#: change by the effect.
+#: Maximum change of a simulated sample when the integration step is halved: as a fraction of the range of the
+#: channel (SMALL_CHANGE), and in the search for effects as a fraction of the change due to the effect
+#: (SMALL_EFFECT). If the noise of the channel is larger, the noise is the limit.
 SMALL_CHANGE, SMALL_EFFECT = 1e-4, 0.5
 #: Search for larger sets of effects: number of hypotheses to which a further effect is added (PARENTS), and
 #: number of the resulting sets that are fitted (SETS).
@@ -48,7 +47,7 @@ RIVALS = 4
 #: Minimum cosine between the changes of the trials by an effect and by a changed parameter at which the two
 #: changes count as equal. At this cosine, each change explains nine tenths of the square of the other.
 MIN_SAME_COSINE = 0.95
-#: Maximum number of times that the noise is learnt before sets of effects are tried.
+#: Maximum number of times that the noise is estimated before sets of effects are tried.
 MAX_NOISE_UPDATES = 3
 
 
@@ -97,7 +96,8 @@ class SearchResult:
     posterior : Posterior
         Probabilities of all hypotheses.
     comparisons : list of CauseComparison
-        One for each cause. Changed parameters come first, and then the causes in order of their gain.
+            One comparison for each cause. Changed parameters come first, and then the causes in order of
+            their gain.
     singles : list of Hypothesis
         Fits with a single effect, best first.
     first_screen : list of Screening
@@ -109,7 +109,7 @@ class SearchResult:
     dropouts : Dropouts
         Failed samples.
     structure : Structure
-        Structure that remains with the causes.
+            Structure in the residuals of the model with the causes.
     odd_trials : dict of str to str
         Trials that were left out because they have parameters of their own, and how these differ.
     """
@@ -142,8 +142,8 @@ def choose_model_step(
     vectors : sequence of ndarray, shape (p,)
         Parameter values of each trial.
     changes : sequence of mapping of str to float, optional
-        Changes of the samples of each trial by an effect, by channel, for a step of the search. It allows a
-        fraction of them, and at least the noise.
+            Changes of the samples of each trial due to an effect, by channel; given in a search for effects.
+            The step may then change a sample by a fraction of these values, or by the noise if it is larger.
     """
     runs = list(zip(vectors, trials, strict=True))
     allowances = []
@@ -160,10 +160,10 @@ def choose_model_step(
 
 
 def choose_search_step(study: GapStudy, fit: Hypothesis, effects: Sequence[Effect]) -> StepChoice:
-    """Choose the integration step by the fitted model, and by the model with each effect on the commands.
+    """Choose an integration step for the fitted model, and for this model with each effect on the commands.
 
-    A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. The
-    samples may change by :data:`SMALL_EFFECT` of the effect, or by their noise, because the step is chosen
+    A backlash, a dead band or a rate limit needs a smaller step than the smooth motion of the model. A sample
+    may change by the fraction :data:`SMALL_EFFECT` of the effect, or by its noise, because the step is chosen
     again for the model with the causes.
     """
     trials = study.trials
@@ -270,8 +270,8 @@ class HypothesisSearch(HypothesisPool):
     def select_leading(self) -> Hypothesis:
         """Return the hypothesis from whose residuals the noise is estimated.
 
-        It is the one whose probability exceeds that of a sure answer (:data:`MIN_SURE_PROBABILITY`).
-        Otherwise the trials' random effects may change which hypothesis is probable. The most probable
+        It is the hypothesis whose probability exceeds :data:`MIN_SURE_PROBABILITY` (a sure answer). Without a
+        sure answer, the trials' random effects may change which hypothesis is probable. The most probable
         effects and the model without effects are then compared by :meth:`likelihood`. That comparison is not
         used for a sure answer, because its linear step is too optimistic far from an optimum.
         """
@@ -289,7 +289,7 @@ class HypothesisSearch(HypothesisPool):
     def likelihood(self, h: Hypothesis) -> float:
         """Return the restricted log-likelihood of a hypothesis with the random effects of its own residuals.
 
-        It pays for its effects, and for coefficients that are far from their priors.
+        The number of effects, and the distance of coefficients from their priors, decrease the result.
         """
         study = self.study
         self.prepare([h.effects])
@@ -316,7 +316,7 @@ class HypothesisSearch(HypothesisPool):
         study, fit = self.study, leading
         self.prepare([fit.effects])
         uncertain = any(trial.stamps_uncertain for trial in study.trials)
-        # Repeats show the error of the stamps by themselves.
+        # With repeats, the differences between them show the error of the time stamps.
         if uncertain and not noise.has_repeats(study.trials):
             study = study.with_noise(noise.update_weights(study, fit))
             fit = self._shift(leading, study, leading)
@@ -327,7 +327,7 @@ class HypothesisSearch(HypothesisPool):
         structure = remainder.find_structure(study.with_noise(known), fit, terms, rng=self.rng)
         largest = noise.BESIDE_GAP
         if not structure.is_present:
-            # Nothing that the trials share remains, so that everything else is noise.
+            # The residuals have no structure that the trials share, so that all of them count as noise.
             known = noise.estimate_measurement_noise(study, fit, [], differing, brief=bool(fit.effects))
             largest = noise.LARGEST_SD
         known = noise.with_random_effects(study, fit, known, differing, largest=largest)
@@ -338,7 +338,7 @@ class HypothesisSearch(HypothesisPool):
         return largest
 
     def settle(self) -> None:
-        """Learn the noise again until the leading hypothesis and its random effects do not change.
+        """Estimate the noise again until the leading hypothesis and its random effects do not change.
 
         The first leading hypothesis was fitted with other random effects, and may have absorbed them.
         """
@@ -358,7 +358,7 @@ class HypothesisSearch(HypothesisPool):
         """Continue with another noise model or integration step.
 
         The model without effects is refitted. The deviances of all other hypotheses follow from one step at
-        their old parameters. Those that are not improbable are refitted then.
+        their old parameters. Hypotheses that are then not improbable are refitted.
         """
         kept = [h for h in self.pool.values() if h.effects]
         if not self.first:
@@ -378,9 +378,9 @@ class HypothesisSearch(HypothesisPool):
                     self._put(h)
 
         put([self._shift(h, study, fit) for h in kept])
-        # An effect cannot increase the deviance, because its null value gives the model without it. Where it
-        # does, the parameters are far from their optimum with the other noise. A step from the null value
-        # finds it again if the effect is smooth.
+        # An effect cannot increase the deviance, because its null value gives the model without it. If it
+        # seems to, its parameters are far from their optimum with the new noise. For a smooth effect, a step
+        # from the null value finds this optimum.
         smooth = [h for h in self.pool.values() if h.effects and all(e.smooth for e in h.effects)]
         worse = [h for h in smooth if h.deviance > fit.deviance]
         put([self._shift(replace(h, theta=study.start(h.effects, fit)), study, fit) for h in worse])
@@ -389,8 +389,8 @@ class HypothesisSearch(HypothesisPool):
     def _shift(self, h: Hypothesis, study: GapStudy, null: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the same parameters in another study.
 
-        Its derivatives are those that are known, or else those of ``null`` and of its own effects. Further
-        random effects have the values of ``null``.
+        Derivatives that are already known are used again. The others are those of ``null`` and of the effects
+        of the hypothesis. Random effects that the hypothesis lacks have their values in ``null``.
         """
         known = dict(zip(null.labels, null.theta, strict=True))
         own = {label: value for label, value in known.items() if label not in h.labels}
@@ -513,7 +513,7 @@ def search_causes(
 def _build_result(
     search: HypothesisSearch, trials: Sequence[Trial], dropouts: Dropouts, odd_trials: dict[str, str]
 ) -> SearchResult:
-    """Compare the causes with their alternatives, and describe what remains with them.
+    """Compare the causes with their alternatives, and describe the residuals that remain with the causes.
 
     Parameters
     ----------
@@ -562,12 +562,13 @@ def add_larger_sets(search: HypothesisSearch, most: int, progress: Progress = si
         larger = min(search.best(size + 1), key=lambda h: h.deviance, default=best)
         if best.deviance - larger.deviance < posterior.compute_tolerance(search.record, 0.0):
             break
-        # The noise was estimated from residuals that may contain what a larger set explains.
+        # Estimate the noise again: the residuals may have contained a gap that a larger set explains.
         before = search.study.noise
         search.learn(max(search.best(size + 1)[:PARENTS], key=search.likelihood))
         search.compare()
         if len(search.base.names) <= size:
-            # With the noise of the larger set, that set is not needed. Go back, unless no gap is left then.
+            # With the noise estimated from a larger set, a smaller set is sufficient. Restore the previous
+            # noise, unless the new noise leaves no gap.
             if search.posterior.none < MIN_SURE_PROBABILITY:
                 search.change(search.study.with_noise(before))
                 search.compare()
@@ -581,7 +582,7 @@ def add_larger_sets(search: HypothesisSearch, most: int, progress: Progress = si
 
 
 def compare_with_alternatives(search: HypothesisSearch, effect: Effect) -> CauseComparison:
-    """Compare an effect of the most probable hypothesis with others in its place."""
+    """Compare an effect of the most probable hypothesis with effects that could replace it."""
     best, odds = search.base, search.posterior
     base = search.refit_without(best, effect)
     rivals = [h for h in search.best(len(best.names)) if base.key < h.key and h.key != best.key]
@@ -625,8 +626,9 @@ def prefer_parameters(search: HypothesisSearch) -> Hypothesis:
 def _is_same_change(search: HypothesisSearch, base: Hypothesis, first: Screening, second: Screening) -> bool:
     """Return whether two effects change the trials in the same way when added to a hypothesis.
 
-    The deviances with the two effects, and with their strains, must differ by no more than noise. Effects
-    without strong evidence between their deviances are the same in any case.
+    The deviances with the two effects, priors included, must differ by no more than noise. If the difference
+    is no strong evidence for one of them, the changes count as the same. If it is, their cosine must exceed
+    :data:`MIN_SAME_COSINE`.
     """
     known = {c.names: c.deviance + c.strain for c in search.posterior.candidates}
     one, other = (known.get(base.names | {t.effect.name}, np.inf) for t in (first, second))

@@ -24,8 +24,8 @@ class SettingValue:
     Attributes
     ----------
     against : float
-        Reference for the relative difference of two values if it is larger than the values. For a bias it is
-        the amplitude about the bias.
+            Reference for the relative difference of two values, if this reference is larger than the values.
+            For a bias it is the amplitude about the bias.
     digits : int
         Number of significant digits in a text.
     """
@@ -190,7 +190,7 @@ class Folds:
         True if whole trials are held out; the initial state of a held-out trial is then fitted to this trial.
         False if segments of trials are held out.
     owner : list of ndarray of int
-        Fold of each row of each trial, shape (n_k,).
+            Fold of each of the n_k rows of each trial, shape (n_k,).
     count : int
         Number of folds.
     """

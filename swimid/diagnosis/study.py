@@ -179,15 +179,15 @@ class Hypothesis:
     def derivatives(self) -> list[Array]:
         """Return the derivatives of each trial's simulated samples, each shape (n_k, m_k).
 
-        The unknowns are those that affect the trial (:attr:`Problem.taken`). The derivatives are divided by
-        the noise standard deviation. The derivatives of the residuals have the opposite sign.
+        The m_k unknowns are those that affect the trial (:attr:`Problem.taken`). The derivatives are divided
+        by the noise standard deviation. The derivatives of the residuals have the opposite sign.
         """
         return [-rows for rows in self.problem.own_jacobians(self.theta)]
 
     def typical(self, k: int) -> Array:
         """Return the residuals of trial ``k`` if random effects had their means, shape (n_k,).
 
-        They are linearised about the own values of the trial.
+        The residuals are linearised about the trial's own values of the random effects.
         """
         random = self.study.random(self.problem, k)
         if not len(random):
@@ -270,7 +270,7 @@ class Hypothesis:
 
 
 def _brief_watch(tolerance: float) -> Watch:
-    """Return a function that ends a search which another one from another starting point has beaten.
+    """Return a function that ends a search if an earlier search from another starting point is better.
 
     Parameters
     ----------
@@ -300,14 +300,14 @@ class StudyPriors:
     model : Model
         The model without effects.
     parameters : tuple of Parameter
-        Its parameters.
+            Parameters of this model.
     prior : dict of name to (mean, sd)
         Normal priors of shared coefficients.
     correlation : tuple of sequence of str and ndarray, shape (m, m)
-        Names of coefficients, and the correlation matrix of their priors. The priors of all other
-        coefficients are independent.
+            Names of m coefficients, and the correlation matrix of their priors. The priors of all other
+            coefficients are independent.
     noise : NoiseModel
-        It has the random effects.
+            Noise of the trials, and their random effects.
     folds : Folds
     """
 
@@ -398,13 +398,13 @@ class StudyPriors:
     def root(self, problem: Problem, left_out: Collection[int] = ()) -> Array:
         """Return a square root of the prior precision matrix, shape (m, p).
 
-        The prior precision matrix is ``root.T @ root``. It has a row for each parameter with a prior, and for
-        each random effect whose mean over the trials is held at 0.
+        The prior precision matrix is ``root.T @ root``. The root has one row for each parameter with a prior,
+        and one for each random effect whose mean over the trials is held at 0.
 
         Parameters
         ----------
         left_out : collection of int, optional
-            Indices of trials that are not fitted. They do not belong to the mean.
+                Indices of trials that are not fitted. They do not count in these means.
         """
         _, weight = self.compute_prior(problem)
         root, loosened = np.diag(weight), self.widen_priors(problem)
@@ -433,8 +433,8 @@ class StudyPriors:
         """Return further starting points of a fit: the prior means, if ``theta`` is far from them.
 
         A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
-        there may end in a poor local optimum. A second starting point has the start values of the initial
-        states beside the prior means, because the initial states may be distorted as well.
+        at ``theta`` may end in a poor local optimum. The initial states may be distorted as well. A second
+        starting point therefore combines the prior means with the start values of the initial states.
         """
         plain, distorted = theta.copy(), False
         known = {**self.prior, **self.widen_priors(problem)}
@@ -472,8 +472,8 @@ class GapStudy(StudyPriors):
     prior : mapping of name to (mean, sd)
         Normal priors of shared coefficients.
     correlation : tuple of sequence of str and ndarray, shape (m, m), optional
-        Names of coefficients, and the correlation matrix of their priors. The priors of all other
-        coefficients are independent.
+            Names of m coefficients, and the correlation matrix of their priors. The priors of all other
+            coefficients are independent.
     jobs : int
         Number of fits or simulations that run in parallel.
     """
@@ -544,7 +544,7 @@ class GapStudy(StudyPriors):
         Parameters
         ----------
         trials : sequence of Trial, optional
-            Default: the trials of the study. Others have no weights.
+                Trials of the problem; by default those of the study. Other trials have no weights.
         known : mapping of label to float, optional
             Shared parameters that are held at these values.
         """
@@ -611,7 +611,7 @@ class GapStudy(StudyPriors):
         problem.whiten = whiten
         points = list(starts)
         if others:
-            # The norm of residuals that diverge stays finite where their squares overflow.
+            # Compare norms, because the squares of diverging residuals may overflow.
             points.append(min(others, key=lambda theta: float(norm(problem.residuals(theta)))))
         watch = _brief_watch(tolerance) if brief else None
         found = [
@@ -624,7 +624,7 @@ class GapStudy(StudyPriors):
     def refit(self, fit: Hypothesis, *, tolerance: float) -> Hypothesis:
         """Continue a fit to its optimum.
 
-        Its derivatives are used as long as they are accurate enough, if it has the same random effects.
+        If the fit has the same random effects, its derivatives are used as long as they are accurate enough.
         """
         is_same = fit.labels == self.problem(fit.effects).labels
         start = self.start(fit.effects, fit)
@@ -658,8 +658,8 @@ class GapStudy(StudyPriors):
         Parameters
         ----------
         hold : sequence of Hypothesis, optional
-            Nearby fits, whose derivatives replace those with respect to the parameters that they have as
-            well. Those of the last fit are preferred.
+                Nearby fits, whose derivatives replace those with respect to the parameters that they share
+                with the hypothesis. Those of the last fit are preferred.
         """
         problem = self.problem(effects)
         for near in hold:

@@ -6,20 +6,21 @@ question. A row that does not pass states the strongest verdict that is then pos
 still named. The verdict is the weakest one of all rows. From the strongest to the weakest:
 
 none
-    The fits propose no cause, because no gap has a probability above 50 %, and no held-out part has a squared
-    error above its limit.
+        The fits propose no cause, because the probability of no gap is above 50 %, and no held-out part has a
+        squared error above its limit.
 explained
-    The fits propose causes, and all rows pass. No gap has at most 10 %. Known causes have at least 80 % of
-    the probability of a gap, and the first cause has at least 80 % of the probability of itself and its
-    rivals. Held-out errors fall with a probability of at least 95 %, and not in one part alone. The causes
-    leave at most 22 % of the squared gap on held-out data, and make no part worse. The gap is that which a
-    refit without causes leaves, or that of the parameters as given if it is smaller. Changed parameters, and
-    causes that a refit imitates, are compared with the parameters as given. Failed samples alone are
-    explained as well.
+        The fits propose causes, and all rows pass. The probability of no gap is at most 10 %. Known causes
+        have at least 80 % of the probability of a gap, and the first cause has at least 80 % of the
+        probability of itself and its rivals. Held-out errors fall with a probability of at least 95 %, and
+        not in one part alone. The causes leave at most 22 % of the squared gap on held-out data, and make no
+        part worse. This gap is the one that a refit without causes leaves, or that of the parameters as given
+        if it is smaller. Changed parameters, and causes that a refit imitates, are compared with the
+        parameters as given. Failed samples alone are explained as well.
 ambiguous
-    Causes are named, but no gap has more than 10 %, the first cause has less than 80 % of the probability of
-    itself and its rivals, a refit closes the gap as well, one held-out part alone carries the decrease of the
-    error, the causes make a part worse, or held-out data have no gap that could close.
+        Causes are named, but the probability of no gap is above 10 %, the first cause has less than 80 % of
+        the probability of itself and its rivals, a refit closes the gap as well, one held-out part alone
+        carries the decrease of the error, the causes make a part worse, or held-out data have no gap that
+        could close.
 partial
     Causes are named and held-out errors fall, but more than 22 % of the squared gap remains, or a cause
     outside the catalogue has more than 20 % of the probability of a gap.
@@ -28,10 +29,11 @@ unexplained
     or the simulation of held-out data diverges with the causes; or a black-box model reproduces less than
     half of an output.
 
-The exception: if no gap has more than 10 %, and noise explains the held-out errors without the causes, the
-verdict is ambiguous and not weaker. The level of the result is bad if a row that allows only ``unexplained``
-does not pass, caution if another check does not pass, and good otherwise. So ``none`` and ``explained`` are
-good unless a check warns, ``ambiguous`` and ``partial`` are cautions, and ``unexplained`` is bad.
+The exception: if the probability of no gap is above 10 %, and noise explains the held-out errors without the
+causes, the verdict is ambiguous and not weaker. The level of the result is bad if a row that allows only
+``unexplained`` does not pass, caution if another check does not pass, and good otherwise. So ``none`` and
+``explained`` are good unless a check warns, ``ambiguous`` and ``partial`` are cautions, and ``unexplained``
+is bad.
 """
 
 from __future__ import annotations
@@ -51,14 +53,14 @@ from swimid.results.numbers import format_number, join_names, percent, probabili
 
 #: Verdicts from the strongest to the weakest.
 VERDICT_ORDER: tuple[Verdict, ...] = ("none", "explained", "ambiguous", "partial", "unexplained")
-#: Minimum probability of causes in the catalogue, divided by that of all causes, and of a cause, divided by
-#: that of the cause and its rivals, for the verdict "explained".
+#: Minimum value of two shares for the verdict "explained": the probability of causes in the catalogue divided
+#: by that of all causes, and the probability of a cause divided by that of the cause and its rivals.
 MIN_SURE_PROBABILITY = 0.8
 #: Minimum share of the squared gap that failed samples, or a black-box model, must close.
 MIN_CLOSED_SHARE = 0.5
 #: Minimum probability that the causes reduce the errors on held-out data.
 MIN_DECREASE_PROBABILITY = 0.95
-#: Number of random weights of the held-out parts.
+#: Number of random samples of the weights of the held-out parts.
 N_PART_WEIGHTS = 1000
 
 
@@ -119,7 +121,7 @@ def decide(facts: Facts, *, without: str = "") -> Decision:
 
 
 def _is_doubtful(facts: Facts, failed: Sequence[VerdictRow]) -> bool:
-    """Return whether there may be no gap. Such a gap leaves nothing unexplained."""
+    """Return whether there may be no gap, so that nothing is left unexplained."""
     within = sum(t.before - t.limit for t in facts.held_out.values()) <= 0.0
     doubts = facts.proposed and any(row.question == "gap" for row in failed)
     return bool(doubts) and within and not (facts.diverged or facts.unreproduced)
@@ -149,8 +151,8 @@ def _of_no_cause(facts: Facts) -> Iterator[VerdictRow]:
 def format_otherwise(facts: Facts) -> str:
     """Return text with the probabilities of no gap and of a cause outside the catalogue, in percent.
 
-    The prior probability of a cause outside the catalogue is no finding. It is stated only where the data
-    raise it.
+    The probability of a cause outside the catalogue is stated only if the data raise it above its prior
+    value, which is no finding.
     """
     none, outside = facts.no_gap or 0.0, facts.outside or 0.0
     said = "no sign of a cause outside the catalogue"
@@ -223,8 +225,8 @@ def _is_supported(facts: Facts) -> bool:
 def _of_errors(facts: Facts, names: str) -> Iterator[VerdictRow]:
     """Yield the rows about the squared errors of held-out data without and with the causes.
 
-    The errors without a changed parameter are those of the parameters as given, because every refit changes
-    it, too. So are those of a cause that a refit imitates.
+    Every refit changes a changed parameter, too. Without this cause, the errors are therefore those of the
+    parameters as given. The same errors are used for a cause that a refit imitates.
     """
     is_change = _is_change(facts)
     as_given = is_change or is_imitated(facts)
@@ -292,12 +294,12 @@ def is_imitated(facts: Facts) -> bool:
 def compute_decrease_probability(facts: Facts, *, as_given: bool = False) -> float:
     """Return the probability that the causes reduce the error of held-out data.
 
-    The part whose deviance decreases most is left out, so that no part carries the decrease alone. The
-    others get random weights (Bayesian bootstrap). The probability is at most one half in two cases: they
-    decrease by less than :data:`swimid.fitting.rivals.STRONG` together, or there is one part only, which does
-    not show how much parts differ. It is zero if the sum of the deviances does not fall, or that of the
-    squared errors, unless noise explains them. The squared errors must also be below those of the parameters
-    as given.
+    The part whose deviance decreases most is left out, so that no part carries the decrease alone. The other
+    parts get random weights (Bayesian bootstrap). The probability is at most one half if the deviances of
+    these parts together decrease by less than :data:`swimid.fitting.rivals.STRONG`. The same limit applies to
+    a single part, which does not show how much parts differ. The probability is zero if the sum of the
+    deviances does not fall. It is also zero if the sum of the squared errors does not fall below that without
+    the causes, or that of the parameters as given, unless noise explains the errors.
 
     Parameters
     ----------
@@ -364,12 +366,12 @@ def _share_left(before: float, after: float, expected: float) -> float | None:
 def compute_remaining_share(facts: Facts, *, as_given: bool = False) -> float | None:
     """Return the share of the squared gap on held-out data that the causes leave; None without a gap.
 
-    It is the gap that a refit without causes leaves, or that of the parameters as given if it is smaller or
-    asked for.
+    The gap is that which a refit without causes leaves. It is that of the parameters as given if this is
+    smaller or ``as_given`` is set.
     """
     given, before, after, expected = _sums(facts.held_out)
     share = _share_left(given if as_given else min(given, before), after, expected)
-    # Errors that noise explains leave nothing.
+    # If noise explains all errors with the causes, no gap remains.
     explained = share is not None and all(t.after <= t.limit for t in facts.held_out.values())
     return 0.0 if explained else share
 
@@ -383,7 +385,7 @@ def compute_refit_share(facts: Facts) -> float | None:
 def format_interval(s: Closed) -> str:
     """Return the 95 % interval of a closed share as text, for example ``(81 … 94 %)``.
 
-    The ends have at most one decimal.
+    The limits of the interval have at most one decimal.
     """
     low, high = s.ci95
     if low is None or high is None:

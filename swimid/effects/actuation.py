@@ -164,7 +164,8 @@ def compute_fundamental_gain(ratio: Array | float) -> Array:
 
 @functools.cache
 def _middle() -> tuple[Array, Array]:
-    """Return ratios of the rate limit to the largest rate of a sine, and the describing gain at each ratio.
+    """Return ratios of the rate limit to the largest rate of a sine, and the gain (see
+    :func:`compute_fundamental_gain`) at each ratio.
 
     The ratios lie between `TRIANGLE` and one.
 
@@ -286,8 +287,8 @@ class ServoLag(base.Actuation):
 
 
 #: Duration over which the loss of amplitude by a slip sets in: fraction of a beat (RAMP), or number of
-#: samples (SAMPLES), whichever is longer. The beat shows the time of a change only to a quarter of its
-#: period. With fewer samples, the simulation could not be differentiated with respect to the time of onset.
+#: samples (SAMPLES), whichever is longer. RAMP is the accuracy with which a beat shows the time of a change.
+#: SAMPLES keeps the simulation differentiable with respect to the time of onset.
 RAMP, SAMPLES = 0.25, 4.0
 #: Times of onset of a slip that are simulated before a fit, as fractions of the trial's duration. A fit
 #: converges to the onset from as far as a quarter of the trial away.

@@ -48,8 +48,8 @@ Inside = Mapping[str, Literal["lower", "upper"]]
 #: Parameter values at which an effect is simulated before a fit, in units of the parameters' scales.
 SIZES = (0.5, 1.2, 3.0)
 
-#: Effects that are identified by their id, because their attributes cannot be compared. They are kept alive,
-#: so that no other object gets the same id.
+#: Effects that are identified by their Python id, because their attributes cannot be compared. They are kept
+#: alive, so that no other object gets the same id.
 _KEPT: dict[int, Effect] = {}
 
 
@@ -83,8 +83,8 @@ class Effect(ABC):
         Parameters of a model with the same meaning as the effect. A model that estimates one of them does not
         lack the effect.
     of_model : str or None
-        Name of the kind of model that the effect is a form for, such as ``"mjcf"``. It replaces the effect of
-        its name there. None for an effect of all other models.
+            Kind of model, such as ``"mjcf"``, for which this effect is a special form. For such models it
+            replaces the general effect of the same name. None for the general effect.
     adds_to : str or None
         Name of the model parameter to which the only parameter of the effect is added. Such an effect has no
         hooks.
@@ -548,7 +548,7 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
 class Sensing(Effect, ABC):
     """Effect of a sensor that changes each of its log channels independently of the others.
 
-    It applies if one of these channels is measured.
+    The effect applies if one of these channels is measured.
     """
 
     needs = frozenset({"output"})

@@ -57,7 +57,7 @@ def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial])
 
 
 def constants(effect: Effect) -> dict[str, Any]:
-    """Return the constants of a form of an effect that its parameters do not state, such as a reference.
+    """Return the constants of a form of an effect, such as a reference speed, that are not parameters.
 
     They are the attributes of the effect that a YAML file can hold.
     """

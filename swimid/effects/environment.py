@@ -383,9 +383,9 @@ class Wall(Effect):
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return the parameter vectors that are simulated before a fit.
 
-        They have one push and one pull, or one growth of drag, at two decay lengths. One size is enough,
-        because the simulated trials change nearly in proportion to it. A fit from a push may not reach a
-        pull, which draws the swimmer into the steep part of the influence.
+        The vectors have one push and one pull, or one growth of drag, at two decay lengths. One size is
+        enough, because the simulated trials change nearly in proportion to it. A fit that starts at a push
+        may not reach a pull, which draws the swimmer into the steep part of the influence.
         """
         force, decay = parameters
         sizes = [s * SIZES[1] * force.scale for s in (1.0, -1.0) if s * force.scale >= force.lower]
@@ -501,7 +501,7 @@ class Waves(Effect):
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return the parameter vectors that are simulated before a fit.
 
-        Each has one amplitude at its scale, because the simulated trials change in proportion to it.
+        Each vector has one amplitude at its scale, because the simulated trials change in proportion to it.
         """
         frequency, size = parameters[0].start, parameters[1].scale
         return [np.array([frequency, *part]) for part in ((size, 0.0), (0.0, size))]
@@ -560,7 +560,7 @@ class _Travelling(Waves):
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return the parameter vectors that are simulated before a fit.
 
-        Each has one amplitude at its scale, and the wavenumber in deep or in shallow water.
+        Each vector has one amplitude at its scale, and the wavenumber in deep or in shallow water.
         """
         amplitudes = [j for j, p in enumerate(parameters) if p.per_trial]
         found = []
@@ -670,9 +670,9 @@ def _remove_beat(model: Model, trial: Trial, channel: str) -> tuple[Array, Array
     Returns
     -------
     time, rest : ndarray, shape (n,)
-        Time since the start of the trial, s, and what remains of the residuals.
+            Time since the start of the trial, s, and the remaining residuals.
     known : ndarray, shape (n, m)
-        Orthonormal basis of what was removed.
+            Orthonormal basis of the removed polynomial and harmonics: m columns.
     harmonics : list of float
         Frequencies of the beat, Hz.
     """

@@ -158,7 +158,7 @@ class LiftDamping(Effect):
     V is the speed of the link through the water, and w is its component across the link.
     The normal force is ``rho / 2 S C_N V^2`` with ``C_N = C_Na sin(a)`` for a small angle of attack a. This
     force dissipates energy like a damping. k is distributed over the points at which the model's drag across
-    the links acts, in proportion to that drag. Both are proportional to the area seen from the side.
+    the links acts, in proportion to that drag. Both the lift and this drag are proportional to the side area.
     """
 
     name = "lift-damping"

@@ -114,7 +114,7 @@ class MjcfEffect(Effect):
     of_model = KIND
 
     def hooks(self, values: Array, trial: Trial, model: Any) -> Hooks:
-        """Return the hook that changes the arrays."""
+        """Return the hook that changes the arrays of the compiled model."""
         return Hooks(tables=(lambda fields: self.change(fields, values, model),))
 
     @abstractmethod
@@ -140,7 +140,8 @@ class OfJoint(MjcfEffect):
     """
 
     smooth = True
-    #: Array of the compiled model, and word of the parameter.
+    #: Name of the changed array of the compiled model (``field``), and part of the parameter's name
+    #: (``word``).
     field: ClassVar[str]
     word: ClassVar[str]
 
@@ -152,7 +153,7 @@ class OfJoint(MjcfEffect):
         return [type(self)(joint.name) for joint in joints(model, trials)]
 
     def parameters(self, model: Any, trials: Trials) -> Parameters:
-        """Return the value that is added for the joint. The sum is not negative."""
+        """Return as a parameter the value that is added to that of the joint. The sum is not negative."""
         joint = next(joint for joint in joints(model, trials) if joint.name == self.joint)
         unit, size = self.measure(joint, model)
         least = -float(getattr(model.compiled, self.field)[joint.dof])
@@ -162,10 +163,10 @@ class OfJoint(MjcfEffect):
 
     @abstractmethod
     def measure(self, joint: MjcfJoint, model: Any) -> tuple[str, float]:
-        """Return unit and scale of the parameter."""
+        """Return the unit and the scale of the added value."""
 
     def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
-        """Add to the array of the compiled model."""
+        """Add the parameter to the joint's entry of the array, in place."""
         dof = int(model.compiled.jnt_dofadr[model.joint_names.index(self.joint)])
         fields[self.field][dof] += values[0]
 
@@ -207,7 +208,8 @@ class JointArmature(OfJoint):
 class MjcfJointLocked(MjcfEffect, structure.JointLocked):
     """Joint without an actuator that gains the stiffness ``K lock / (1 - lock)``.
 
-    K is its own stiffness, or that of :data:`~swimid.effects.structure.HELD_HZ`.
+    K is the stiffness of the joint in the file. For a joint without a spring, K gives the natural frequency
+    :data:`~swimid.effects.structure.HELD_HZ`.
     """
 
     def variants(self, model: Any, trials: Trials) -> Effects:
@@ -238,7 +240,7 @@ class MjcfJointStiffness(MjcfEffect, structure.JointStiffness):
         return bool(np.any(compiled.jnt_stiffness > 0) or np.any(compiled.tendon_stiffness > 0))
 
     def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
-        """Multiply the stiffnesses."""
+        """Multiply the stiffnesses of all springs by one plus the parameter."""
         for name in ("jnt_stiffness", "tendon_stiffness"):
             fields[name] *= 1.0 + values[0]
 
@@ -273,7 +275,7 @@ class MjcfWaterIngress(OfBase, structure.WaterIngress):
         )
 
     def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
-        """Add the mass."""
+        """Add the mass of the water to the heaviest body, in place."""
         mass, along = (float(v) for v in values)
         load(fields, heaviest(model.compiled), mass, np.array([along, 0.0, 0.0]))
 
@@ -299,7 +301,8 @@ class MjcfAddedMass(OfBase, fluid.AddedMassFactor):
     """Added mass in acceleration, which the fluid forces of MuJoCo do not have.
 
     Each body gains a share of the mean added mass and added inertia that MuJoCo computes for its ellipsoids
-    (Lamb 1932), or of the displaced water of its own mass if it has none. The mass has no direction.
+    (Lamb 1932). A body without ellipsoids gains a share of its own mass, as if it displaced that mass of
+    water. The added mass is equal in all directions.
     """
 
     def applies(self, model: Any, trials: Trials) -> bool:
@@ -333,13 +336,13 @@ class MjcfLinearDrag(OfBase, fluid.LinearDrag):
         return (parameter("linear_N_s_m", "N s/m", size, "drag per speed", lower=0.0),)
 
     def change(self, fields: dict[str, Any], values: Array, model: Any) -> None:
-        """Add to the damping of the base."""
+        """Add the drag to the damping of the joints of the base, in place."""
         dofs = drift_dofs(model.compiled)
         fields["dof_damping"][dofs] += values[0]
 
 
 class MjcfQuadraticDrag(MjcfEffect, fluid.QuadraticDrag):
-    """Relative change of the drag coefficients of all ellipsoids; without them, of the fluid's density."""
+    """Relative change of the drag coefficients of all ellipsoids; without any, of the fluid's density."""
 
     def applies(self, model: Any, trials: Trials) -> bool:
         """Return whether the file has a fluid."""

@@ -328,8 +328,8 @@ class JointLocked(Effect):
     """Partly locked joint: a driven joint moves less than its command, or a passive joint is stiffer.
 
     A driven joint moves by ``1 - lock`` times its command. A passive joint gains the stiffness ``K lock / (1
-    - lock)``, at most that at which the integration stays stable. K is its own stiffness, or that of
-    :data:`HELD_HZ`.
+    - lock)``, at most that at which the integration stays stable. K is the stiffness of the joint's spring.
+    Without a spring, K gives the natural frequency :data:`HELD_HZ`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Experiment ``arma``: a black-box model from one column of the logs to another."""
+"""Experiment ``arma``: a black-box model with one column of the logs as input and another as output."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Arma(Trials):
     def load(self, path: Path, *, params: Params | None = None, **options: Any) -> Experiment:
         """Read the trials for the model of a parameter file (see :meth:`Trials.load`).
 
-        The columns of input and output are those to which the model was fitted.
+        The input and output columns are those to which the model was fitted.
 
         Raises
         ------

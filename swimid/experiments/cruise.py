@@ -22,7 +22,7 @@ from swimid.robots import file as robot_format
 #: Standard deviation of the stop-watch times of cruise runs, s (boxfish paper, section 3.4), and relative
 #: standard deviation of the average speed between repeated runs with the same setting.
 TIME_SD_S, SPEED_RSD = 0.1, 0.01
-#: Length of a course on which the start from rest has a negligible effect on the mean speed, m.
+#: Course length so large that the start from rest has a negligible effect on the mean speed, m.
 FAR_M = 1e9
 
 
@@ -67,7 +67,7 @@ class Cruise(Trials):
         Parameters
         ----------
         params : (Path, ParameterFile), optional
-            Parameters, which state the drag file of their fit.
+            Parameter file, which states the drag file of its fit.
         drag : path, ParameterFile or result of fit_drag, optional
             Parameters of the falling-weight rig. They replace ``drag`` of the trials file.
         """
@@ -116,7 +116,7 @@ class Cruise(Trials):
 
     @classmethod
     def prepare_run(cls, options: Any, params: Params, time_s: Array) -> SimulationRun:
-        """Return a cruise with ``--fin``, ``--frequency-hz`` and ``--amplitude-deg``."""
+        """Return a simulated cruise for ``--fin``, ``--frequency-hz`` and ``--amplitude-deg``."""
         path, file = params
         fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg
         if fin is None or frequency is None or amplitude is None:

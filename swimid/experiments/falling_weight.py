@@ -76,7 +76,7 @@ class FallingWeight(Trials):
     trials: Annotated[list[FallingWeightTrial], Field(min_length=1)]
 
     def load(self, path: Path, *, params: Params | None = None, **options: Any) -> Experiment:
-        """Read the drops (see :meth:`Trials.load`). Parameters state how the encoder rounds."""
+        """Read the drops (see :meth:`Trials.load`). ``params`` states the rounding of encoder counts."""
         robot = self.read_robot(path.parent)
         factors = area_factors(self.trials, robot, path)
         drops = [_drop(e, path, robot, factor) for e, factor in zip(self.trials, factors, strict=True)]
@@ -239,8 +239,8 @@ def _drop(
     travelled = position - position[0]
     from_origin = abs(position[0]) <= ORIGIN_RTOL * float(travelled.max())
     # If the body has already moved in the first row of a drop, it was released before this row. The release
-    # is at time zero if the driving force can have moved the body that far since time zero. Otherwise the
-    # time of release is estimated from the time that the driving force needs.
+    # is at time zero if the driving force can have moved the body that far since time zero. If not, the time
+    # of release is estimated from the time that the driving force needs.
     quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
     at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
     # Accept only the count of an encoder as proof that the body has moved before the first row, because a

@@ -21,15 +21,15 @@ from swimid.rig import model as rig
 from swimid.rig.model import MASS_KEY, RigTrial, mass_of
 from swimid.robots.file import Robot
 
-#: Relative tolerance of comparisons in a free decay. A sample within it counts as the extreme of a swing. A
-#: swing within it counts as equal to the largest swing.
+#: Relative tolerance in a free decay. A sample within this tolerance of the extreme of a swing counts as the
+#: extreme. A swing within this tolerance of the largest swing counts as equally large.
 EXTREME_RTOL = 0.05
 #: Minimum duration near the extreme of a swing, as a fraction of a period, at which the body is assumed to
 #: have been held there before release. A free swing stays within 5 % of its extreme for 0.1 of a period,
 #: ``2 arccos(0.95) / (2 pi)``.
 HELD_PERIODS = 0.1
-#: Maximum creep of the rest position after the only overshoot of a free decay, as a fraction of the
-#: overshoot. The relative error of the damping ratio is about this fraction divided by the logarithmic
+#: Maximum creep (slow drift) of the rest position after the only overshoot of a free decay, as a fraction of
+#: the overshoot. The relative error of the damping ratio is about this fraction divided by the logarithmic
 #: decrement of a half swing, which is about 1 or more if the second overshoot is hidden.
 MAX_CREEP = 0.2
 
@@ -64,9 +64,9 @@ class FreeDecay(Trials):
         Parameters
         ----------
         params : (Path, ParameterFile), optional
-            Parameters, which state the coordinate.
+            Parameter file, which states the coordinate.
         coordinate : str, optional
-            Coordinate of the decay. It is needed if the logs hold several coordinates.
+            Coordinate of the decay, which is required if the logs have several coordinates.
         """
         robot = self.read_robot(path.parent)
         if params is not None and params[1].fit is not None and len(params[1].fit.channels) == 1:
@@ -124,7 +124,7 @@ def _coordinate(logs: list[Log]) -> str:
 
 
 def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
-    """Return the known mass or moment of inertia of a free decay; 1 if a moment of inertia is unknown."""
+    """Return the known mass or moment of inertia of a free decay; 1 for an unknown moment of inertia."""
     if not rotation:
         return mass_of(entry, robot, path)
     if entry.inertial_mass_kg is not None:
@@ -174,8 +174,8 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
-    # A creep of the rest position can hide the swings after the first overshoot, and a strongly damped body
-    # has none. A record that comes to rest after one overshoot shorter than the first swing determines both.
+    # Swings after the first overshoot are hidden by a creep of the rest position, or missing with strong
+    # damping. One overshoot shorter than the first swing still determines period and damping.
     crossings, extremes = _half_swings(values, end, noise)
     if len(extremes) == 2 and abs(extremes[1] - end) < abs(extremes[0] - end):
         after = values[np.argmin(np.abs(values - extremes[1])) :]

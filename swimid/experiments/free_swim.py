@@ -1,7 +1,7 @@
 """Experiment ``free-swim``: a robot swims freely in a plane, driven by a tail beat or by logged joint angles.
 
-A model with links describes every motion. The surge model describes the averages of straight swimming over
-tail beats. ``fit-propulsion`` fits it, and it is the model of a robot without links.
+A model with links describes every motion. The surge model describes only straight swimming, averaged over
+tail beats. ``fit-propulsion`` fits the surge model, which is also the model of a robot without links.
 """
 
 from __future__ import annotations
@@ -98,13 +98,13 @@ def _set_references(experiment: Experiment, params: Params, path: Path) -> None:
     Raises
     ------
     InputError
-        If the parameter file lacks them, or if its trials had another waveform.
+        If the parameter file lacks these references, or if its trials had another waveform.
     """
     place, file = params
     for key in ("reference_amplitude_rad", "reference_frequency_hz"):
         if key not in file.settings:
             raise InputError(
-                "this key is missing: name a file of fit-propulsion", file=place, column=f"settings.{key}"
+                "is missing; give a file of fit-propulsion", file=place, column=f"settings.{key}"
             )
         setattr(experiment.model, key, float(file.settings[key]))
     for key in ("waveform", "asymmetry"):
@@ -150,9 +150,7 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
             f"trials with a turning bias are left out of the straight-swimming fit: {', '.join(turning)}",
         )
     if not trials:
-        text = (
-            f"all {len(turning)} trials have a turning bias; the fit of straight swimming needs bias_deg: 0"
-        )
+        text = f"all {len(turning)} trials have a turning bias; a straight trial is needed"
         raise InputError(text, file=path, column="trials", hint="add a trial with bias_deg: 0")
     _refuse_waveforms(waveforms, path)
     still = [t.id for t in trials if t.surge.amplitude_rad <= 0]
@@ -205,7 +203,7 @@ def _refuse_waveforms(waveforms: Mapping[tuple[str, float], str], path: Path) ->
 def _waveform(drive: Drive) -> tuple[str, float]:
     """Return the name of the waveform of a drive and its asymmetry.
 
-    A Hopf oscillator without asymmetry counts as a sine, which it gives on its limit cycle.
+    A Hopf oscillator without asymmetry counts as a sine, because its limit cycle is a sine.
     """
     if drive.waveform == "a-cpg" and drive.asymmetry != 0:
         return "a-cpg", drive.asymmetry

@@ -1,4 +1,4 @@
-"""Experiment ``mjcf``: trials of a robot whose model is a file of MuJoCo."""
+"""Experiment ``mjcf``: trials of a robot whose model is a MuJoCo model file (MJCF or URDF)."""
 
 from __future__ import annotations
 
@@ -18,42 +18,45 @@ from swimid.simulators.model import SimulatorParameter, SimulatorTrials
 if TYPE_CHECKING:
     from swimid.simulators.mjcf import MjcfModel
 
-#: Maximum change of a channel under half the time step, as a fraction of its range, that is not stated.
+#: Maximum change of a channel between simulations with the whole and half the MuJoCo time step, as a fraction
+#: of its range. A larger change is reported in a warning.
 SMALL_CHANGE = 1e-3
 
 
 class MjcfParameter(SimulatorParameter):
-    """Attribute of a file of MuJoCo that is a parameter."""
+    """Attribute of an element of a MuJoCo model file that is fitted as a parameter."""
 
-    #: Kind, name and attribute: ``joint/tail/stiffness``, ``geom/fin/fluidcoef[0]``, ``option/density``.
+    #: Kind and name of the element, and attribute: ``joint/tail/stiffness``, ``geom/fin/fluidcoef[0]``,
+    #: ``option/density``.
     path: str
-    #: Whether the inertia of a body changes in proportion to its mass.
+    #: Whether the moments of inertia of a body change in proportion to a fitted mass.
     scale_inertia: bool = False
 
 
 class MjcfEntry(yamlio.Document):
-    """Model of a trials file: a file of MuJoCo, with its parameters, inputs and outputs."""
+    """Entry ``model`` of a trials file: a MuJoCo model file, with its parameters, inputs and outputs."""
 
-    #: File in MJCF or URDF.
+    #: Path of the MuJoCo model file, MJCF or URDF.
     mjcf: str
-    #: Keyframe from which the trials start.
+    #: Name of the keyframe from which the trials start.
     keyframe: str | None = None
     parameters: Annotated[dict[str, MjcfParameter], Field(min_length=1)]
-    #: Column of the log of each actuator.
+    #: Column of the log with the command of each actuator, by the name of the actuator.
     inputs: dict[str, str] = {}
-    #: Element of each channel: ``site/led/x``, ``body/head/yaw``, ``joint/tail``, ``sensor/gyro/2``.
+    #: Quantity of the MuJoCo model that each channel measures: ``site/led/x``, ``body/head/yaw``,
+    #: ``joint/tail``, ``sensor/gyro/2``.
     outputs: Annotated[dict[str, str], Field(min_length=1)]
 
 
 class MjcfTrial(TrialEntry):
-    """Trial of a model of MuJoCo."""
+    """Trial of a robot whose model is a MuJoCo model file."""
 
-    #: State at the first sample: at rest, or with estimated velocities. ``auto``: as the log shows.
+    #: State at the first sample: at rest, or with estimated velocities. ``auto`` decides from the log.
     start_state: Literal["auto", "rest", "estimate"] = "auto"
 
 
 class Mjcf(SimulatorTrials):
-    """Trials file of a robot whose model is a file of MuJoCo.
+    """Trials file of a robot whose model is a MuJoCo model file.
 
     Example::
 
@@ -78,11 +81,11 @@ class Mjcf(SimulatorTrials):
     trials: Annotated[list[MjcfTrial], Field(min_length=1)]
 
     def simulator_name(self) -> str:
-        """Return the name of the file."""
+        """Return the name of the MuJoCo model file."""
         return Path(self.model.mjcf).stem
 
     def load(self, path: Path, **options: Any) -> Experiment:
-        """Read the file of MuJoCo and the logs (see :meth:`Trials.load`)."""
+        """Read the MuJoCo model file and the logs (see :meth:`Trials.load`)."""
         from swimid.simulators.mjcf import MjcfModel
 
         entry, file = self.model, path.parent / self.model.mjcf
@@ -102,7 +105,7 @@ class Mjcf(SimulatorTrials):
 
 
 def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:
-    """Warn if half the time step of the file changes the simulation of the first trial."""
+    """Warn if half the time step of the model file changes the simulation of the first trial."""
     trial = trials[0]
     values = np.array([trial.starts.get(p.name, p.start) for p in model.parameters])
     (whole,), (half,) = (
@@ -114,7 +117,7 @@ def _warn_of_step(model: MjcfModel, trials: list[Any]) -> None:
             file=model.path,
             hint="try a smaller timestep, or the integrator implicitfast, in the file",
         )
-    # a channel that hardly moves has the noise of its measurement as range
+    # use measured ranges: a channel that hardly moves then has the range of its noise, not about zero
     measured = {name: np.ptp(v[np.isfinite(v)]) for name, v in trial.measured.items() if np.isfinite(v).any()}
     ranges = {name: max(float(np.ptp(v)), float(measured.get(name, 0.0))) for name, v in whole.items()}
     changes = {

@@ -35,5 +35,5 @@ class Multibody(Trials):
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
     def load(self, path: Path, **options: Any) -> Experiment:
-        """Read the trials with the options of :func:`swimid.swimmer.trials.load`."""
+        """Read the trials. The options are those of :func:`swimid.swimmer.trials.load`."""
         return swimmer.load(self, path, **options)

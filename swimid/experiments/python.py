@@ -1,4 +1,4 @@
-"""Experiment ``python``: trials of a robot whose simulator is a function in Python."""
+"""Experiment ``python``: trials of a robot whose simulator is a Python function."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from swimid.simulators.python import PythonModel, find_function
 
 
 class PythonEntry(yamlio.Document):
-    """Model of a trials file: a function in Python, with its parameters, inputs and outputs."""
+    """Entry ``model`` of a trials file: a Python function, with its parameters, inputs and outputs."""
 
     #: Module and function: ``sim.py:simulate`` or ``lab.fish:simulate``.
     python: str
     parameters: Annotated[dict[str, SimulatorParameter], Field(min_length=1)]
-    #: Columns of the log that the function has as inputs.
+    #: Columns of the log that are the inputs of the function.
     inputs: list[str] = []
     #: Channels that the function returns.
     outputs: Annotated[list[str], Field(min_length=1)]
@@ -54,11 +54,11 @@ class Python(SimulatorTrials):
     trials: Annotated[list[TrialEntry], Field(min_length=1)]
 
     def simulator_name(self) -> str:
-        """Return the name of the function."""
+        """Return the name of the simulator function."""
         return self.model.python.rpartition(":")[2]
 
     def load(self, path: Path, **options: Any) -> Experiment:
-        """Import the function, and read the logs (see :meth:`Trials.load`)."""
+        """Import the simulator function, and read the logs (see :meth:`Trials.load`)."""
         entry = self.model
         try:
             simulate, file = find_function(entry.python, path.parent)

@@ -57,7 +57,7 @@ class Towed(Trials):
             force = log["force_N"]
             missing = np.isnan(force)
             known = np.flatnonzero(~missing)
-            # A force may change in one step, as dry friction does where the body reverses. Spikes are errors.
+            # Keep steps of the force, such as those of dry friction at a reversal. Only spikes are errors.
             spikes = known[:0]
             if len(known) > WINDOW:
                 spikes = known[~find_jumps(log.time_s[known], force[known, None], brief=True)[0]]
@@ -69,11 +69,11 @@ class Towed(Trials):
             if longest_run(missing) > MAX_FORCE_GAP:
                 first, _ = max(runs(missing).tolist(), key=np.ptp)
                 text = (
-                    f"the applied force is missing for more than {MAX_FORCE_GAP} samples: cut the log with "
-                    "start_s and end_s"
+                    f"the force lacks more than {MAX_FORCE_GAP} samples: cut the log with start_s and end_s"
                 )
                 raise InputError(text, file=log.path, line=log.line(first), column="force_N")
-            # The model takes the force between two samples from the line through them, also across a spike.
+            # Interpolate the force linearly across missing samples and spikes, as the model does between
+            # samples.
             force = np.interp(log.time_s, log.time_s[~missing], force[~missing])
             x = measured.get("x_m", np.zeros(1))
             if "u_m_s" in measured:
@@ -85,7 +85,7 @@ class Towed(Trials):
                 float(log.time_s[0]),
                 float(x[np.isfinite(x)][0]),
             )
-            # A body that coasts down has no measured force: its drag then takes its momentum.
+            # A body that coasts down has no measured force. Estimate its mean drag from its momentum.
             taken = mass * speeds[-1] / float(np.ptp(log.time_s))
             forces.append(max(float(np.sqrt(np.mean(force**2))), taken))
             rig_input = RigInput(mass, area_factor=factor, release_s=begin, x0=first)

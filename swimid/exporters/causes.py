@@ -1,9 +1,9 @@
 """Application of the effects in a parameter file (causes) to the exported robot.
 
-A cause is an effect whose parameters the parameter file contains. Its hooks change the exported robot as they
-change a simulation. The hooks ``tables`` change the masses, springs and force elements of every export.
-Forces and the motion of the water need a simulator that can apply them. Changes of the commands need a
-simulator with such a law of a servo, or a filter of :mod:`swimid.exporters.filters`.
+A cause is an effect whose parameters are in the parameter file. The hooks of the effect change the exported
+robot as they change a simulation. The hooks ``tables`` change the masses, springs and force elements of every
+export. Forces and motion of the water are exported only if the simulator can apply them. Changes of the
+commands need a simulator with the same servo law, or a filter of :mod:`swimid.exporters.filters`.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from swimid.simulation.catalogue import constants_of, form_of, load_effects
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.tree import Actuated
 
-#: Trial for which the changes by an effect are computed, in place of the trials of the fit. It begins at the
-#: origin and has a sine command.
+#: Trial for which the changes by an effect are computed, in place of the trials of the fit. The trial begins
+#: at the origin and has a sine command.
 EXPORT_TRIAL = Trial(
     "export", "fit", np.linspace(0.0, 1.0, 51), {}, swim=SwimInput(TailBeat("sine", 1.0, 0.3))
 )
-#: Effects that depend on quantities of the fitted trials. Each has a function that returns whether the
-#: constants of the effect in the parameter file contain these quantities, and the reason for which the effect
-#: is left out if they do not.
+#: Effects that depend on quantities of the fitted trials. Each has a function, which returns whether the
+#: parameter file contains these quantities as constants of the effect, and a reason, which is stated if the
+#: effect is left out because they are missing.
 OF_TRIALS: dict[str, tuple[Callable[[Mapping[str, Any]], bool], str]] = {
     "drag-reynolds": (
         lambda constants: "reference_m_s" in constants and not constants.get("whole"),
@@ -61,7 +61,7 @@ class ExportedCause:
         Changes of a simulation that begins at the origin. They are empty for an effect of the sensors, for an
         effect that is left out, and for parameters at their null values.
     reason : str
-        Reason for which every export leaves out the effect; empty if exports can have it.
+        Reason for which every export leaves out the effect; empty if an export can contain the effect.
     """
 
     name: str
@@ -87,8 +87,8 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
     Raises
     ------
     InputError
-        If swimid has no such effect, or if the effect has other parameters, or one is negative that must not
-        be.
+        If an effect is unknown or has other parameters, or if a parameter is negative that must not be
+        negative.
     """
     causes = []
     for effect in load_effects(file, path):
@@ -117,7 +117,7 @@ def limits_of(
 ) -> list[str]:
     """Return sentences on the effects that an exported file does not contain.
 
-    They are left out, or a Python file next to the exported file applies them.
+    These effects are left out, or a Python file next to the exported file applies them.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ FILTERS: dict[str, type[Filter]] = {
 
 
 def filter_arguments(cause: ExportedCause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
-    """Return the arguments of the command filter of an effect for an actuator; empty if it has no filter."""
+    """Return the arguments of an effect's command filter for an actuator; empty if it has no filter."""
     lock = f"locked_{actuator.column.removesuffix('_rad')}"
     if cause.name == "load-friction":
         inertia, drag = model.body.loads[model.actuators.index(actuator)]
@@ -177,7 +177,7 @@ def filter_arguments(cause: ExportedCause, actuator: Actuated, model: MultilinkM
 def filters_text(filtered: Sequence[ExportedCause], model: MultilinkModel, origin: Mapping[str, str]) -> str:
     """Return the text of a Python file that filters the commands without importing swimid.
 
-    It filters the command of each driven joint, or of each actuator that several joints follow.
+    The Python file filters the command of each driven joint, or of each actuator that several joints follow.
     """
     joints = {}
     for actuator in model.actuators:

@@ -61,9 +61,9 @@ def export(
     params : path, ParameterFile or result of a fit
         Parameters of a robot with links in one plane.
     output : path, optional
-        Path of the file to write. With None or ``-`` the text is only returned. Beside ``tfish.xml`` are
-        written ``tfish_mjcf_causes.py``, which filters the commands for causes that the simulator cannot
-        express, and ``tfish_draws.csv``, the random samples.
+        Path of the file to write. With None or ``-`` the text is only returned. Further files are written
+        beside ``tfish.xml``: ``tfish_mjcf_causes.py`` filters the commands for causes that the simulator
+        cannot express, and ``tfish_draws.csv`` has the random samples.
 
     Returns
     -------
@@ -79,9 +79,9 @@ def export(
         A file is invalid, the parameters are those of another model, or the robot file lacks a value that the
         format needs.
     UsageError
-        Random samples have no file, or the parameters have no standard errors.
+        Random samples are requested without an output file, or the parameters have no standard errors.
     NoTrustworthyResult
-        Hardly a random sample lies within the bounds.
+        Too few random samples lie within the bounds of the parameters.
 
     Examples
     --------
@@ -190,7 +190,7 @@ def _write_files(
 def _compare_with_mujoco(
     source: ExportSource, options: ExportOptions, params: Any, text: str, result: dict[str, Any]
 ) -> str:
-    """Add the difference between MuJoCo and swimid to a result, and return it in words; empty without one."""
+    """Add the difference between MuJoCo and swimid to ``result``, and return it as text; empty if unknown."""
     if options.to != "mjcf" or options.added_mass != "fold" or options.draw:
         return ""
     compared = mjcf.compare_with_mujoco(source, params, text)
@@ -202,12 +202,12 @@ def _compare_with_mujoco(
 
 
 def _format_of(source: ExportSource, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:
-    """Return title and function of a format for a robot in a plane or in 3-D.
+    """Return title and export function of a format, for a robot in a plane or in 3-D.
 
     Raises
     ------
     UsageError
-        The format has no robots in 3-D.
+        The format does not support robots in 3-D.
     """
     if not isinstance(source, vehicle.VehicleSource):
         return TARGETS[target]
@@ -252,9 +252,7 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
     parameter file.
     """
     if getattr(source.robot, source.part) is None:
-        raise InputError(
-            f"has no part '{source.part}', which these parameters need", file=place, column=source.part
-        )
+        raise InputError("this part is missing; the parameters need it", file=place, column=source.part)
     try:
         source.assembly.check(source.values)
     except InputError as error:
@@ -296,7 +294,7 @@ def _samples(source: ExportSource, count: int, seed: int) -> list[dict[str, floa
     UsageError
         No parameter has a standard error.
     NoTrustworthyResult
-        Hardly a sample lies within the bounds of the file.
+        Too few samples lie within the bounds of the parameter file.
     """
     model, estimates = source.new_model(), source.parameters.parameters
     shared = {name: estimate for name, estimate in estimates.items() if "[" not in name}

@@ -45,7 +45,7 @@ class Filter:
         return self._begin(time_s, command)
 
     def _hold(self, command: float, half: float) -> float:
-        """Return the angle of a joint that moves if its command differs from it by over ``half``, rad."""
+        """Return the angle of a joint that rests while its command is within ``half`` of the angle, rad."""
         return min(max(self.angle, command - half), command + half)
 
 

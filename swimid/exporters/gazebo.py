@@ -21,8 +21,8 @@ from swimid.exporters.source import Exported, ExportedElement, ExportSource, abo
 
 TITLE = "Gazebo SDF"
 #: Components of force and velocity in the plane of the robot, for the horizontal plane (False) and the
-#: vertical plane (True): SNAME letters of the forces and of the velocities, indices among the six components
-#: in SDF, and signs relative to those in swimid.
+#: vertical plane (True). Each plane has the SNAME letters of the forces and of the velocities, the indices
+#: among the six components in SDF, and the signs relative to swimid.
 SDF_PLANES = {
     False: ("xyn", "UVR", (0, 1, 5), (1.0, 1.0, 1.0)),
     True: ("xzm", "UWQ", (0, 2, 4), (1.0, 1.0, -1.0)),
@@ -30,8 +30,8 @@ SDF_PLANES = {
 #: Names of the motions out of the plane of the robot, for the horizontal plane (False) and the vertical plane
 #: (True).
 OUT_OF_PLANE = {False: "roll, pitch and heave", True: "roll, yaw and sway"}
-#: Mass of a helper link, to which drag is applied, divided by the mass of the link that it is fixed to.
-#: Radius of gyration of a helper link, m.
+#: Mass of a helper link divided by the mass of the link to which it is fixed, and radius of gyration of the
+#: helper link, m. Drag is applied to helper links.
 HELPER_MASS, HELPER_RADIUS_M = 1e-6, 0.01
 #: Kinds of force elements that an export to Gazebo leaves out, because Gazebo has no plugin for them. Each
 #: has its description in a warning.
@@ -47,7 +47,7 @@ DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default);
 
 
 def export(source: ExportSource, options: ExportOptions) -> Exported:
-    """Return the SDF document of a multi-link robot, and sentences on what it cannot represent."""
+    """Return the SDF document of a multi-link robot, and sentences on what SDF cannot represent."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     rigid = [central(inertia) for inertia in inertias]
     return export_xml(

@@ -47,7 +47,7 @@ MASS_PREFIX = "mass:"
 COMPARED = {"frequency_hz": 1.0, "amplitude_deg": 20.0, "duration_s": 6.0}
 #: Time step of the exported MuJoCo model, s.
 MJCF_STEP_S = 0.002
-#: Fractions into which the half-width of the play of a servo is divided. The first is the range of an
+#: Two parts of the half-width of the play of a servo, as fractions. The first part is the range of an
 #: additional hinge. The second is the angle by which the dry friction in this hinge deflects the servo.
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
 
@@ -68,7 +68,7 @@ NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
 
 
 def export(source: ExportSource, options: ExportOptions) -> Exported:
-    """Return the MJCF document of a multi-link robot, and sentences on what it cannot represent."""
+    """Return the MJCF document of a multi-link robot, and sentences on what MJCF cannot represent."""
     fold = options.added_mass == "fold"
     inertias = source.inertias(fold=fold)
     directional = [fold * link.directional for link in source.links]
@@ -145,7 +145,7 @@ def _settings(source: ExportSource) -> tuple[list[dict[str, float]], list[Export
 
 
 def _settings_of(source: ExportSource, cause: ExportedCause) -> list[Mapping[str, float]]:
-    """Return the settings of each actuator that represent an effect; empty if MuJoCo has none for it."""
+    """Return the settings of each actuator that represent an effect; empty if MuJoCo has no such setting."""
     if cause.name not in SERVO_SETTINGS or source.transmissions:
         return []
     given = [filter_arguments(cause, actuator, source.model) for actuator in source.assembly.actuators]
@@ -155,8 +155,8 @@ def _settings_of(source: ExportSource, cause: ExportedCause) -> list[Mapping[str
 def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
     """Return the description of the MuJoCo actuator that moves a driven joint as a servo.
 
-    It has the ``tag`` and the ``attributes`` of its XML element. ``play`` describes an additional hinge
-    between the servo and the joint, and is None for a servo without play.
+    The keys ``tag`` and ``attributes`` describe its XML element. The key ``play`` describes an additional
+    hinge between the servo and the joint, and is None for a servo without play.
     """
     stiffness, damping, joint = servo["stiffness"], servo["damping"], servo["joint"]
     attributes: dict[str, Any] = {"name": joint, "joint": joint}
@@ -200,7 +200,7 @@ def _wires(source: ExportSource) -> list[dict[str, Any]]:
     """Return a MuJoCo spatial tendon for each passive joint that has a wire with a spring.
 
     The tension of the wire is ``K_t (D + constant)``, where D is the distance between the ends of the wire.
-    If the constant is positive, the path of the tendon is longer than D by the constant. Otherwise the tendon
+    If the constant is positive, the path of the tendon is longer than D by the constant. If not, the tendon
     has a rest length. The restoring moment is therefore exact at every angle.
     """
     wires = []
@@ -225,13 +225,14 @@ def _wires(source: ExportSource) -> list[dict[str, Any]]:
 def compare_with_mujoco(source: ExportSource, params: Any, text: str) -> dict[str, float] | None:
     """Return the difference between MuJoCo with an exported file and swimid after a swim.
 
-    Both have the beat of :data:`COMPARED`, and MuJoCo has the callback :func:`water`. The result is None
-    without MuJoCo, and for a robot with causes, without a driven joint, or with a fixed base.
+    Both simulate the beat :data:`COMPARED`. MuJoCo uses the callback :func:`water`. The result is None if
+    MuJoCo is not installed, and for a robot with causes, without a driven joint, or with a fixed base.
 
     Returns
     -------
     dict or None
-        ``difference_m`` between the reference points at the end, and the ``way_m`` of swimid.
+        ``difference_m``: distance between the two reference points at the end, m. ``way_m``: length of the
+        path in swimid, m.
     """
     try:
         import mujoco
@@ -269,8 +270,8 @@ def compare_with_mujoco(source: ExportSource, params: Any, text: str) -> dict[st
 def water(model: Any) -> Callable[[Any, Any], None]:
     """Return a MuJoCo callback that applies the forces of the water and the weight to an exported robot.
 
-    The forces are those of drag, foils, trailing edges, buoyancy, constant forces and effects. The callback
-    also adds to the mass matrix what differs by direction of a folded added mass.
+    The forces are those of drag, foils, trailing edges, buoyancy, constant forces and effects. If the added
+    mass is folded into the bodies, the callback also adds its direction-dependent part to the mass matrix.
 
     Parameters
     ----------
@@ -314,7 +315,7 @@ class _Water:
         self._six, self._pose, self._moves = np.zeros(6), np.zeros(3), np.zeros((4, 3, model.nv))
 
     def __call__(self, given: Any, data: Any) -> None:
-        """Apply the forces, and add the masses, to the data of a model that is like the loaded one."""
+        """Apply forces and masses to the MuJoCo data of a model that is equal to the loaded model."""
         if given.nsite != self._model.nsite or given.nv != self._model.nv:
             return
         self._apply_forces(given, data)
@@ -341,7 +342,7 @@ class _Water:
             mujoco.mj_applyFT(given, data, force, torque, data.site_xpos[site], owner, data.qfrc_passive)
 
     def _add_masses(self, given: Any, data: Any) -> None:
-        """Add the masses that differ by direction to the mass matrix, and their loads to the forces."""
+        """Add direction-dependent added masses to the mass matrix, and their inertial loads to the forces."""
         mujoco, side, moves = self._mujoco, self._side, self._moves
         total, axes = np.zeros((given.nv, given.nv)), np.diag([0.0, 0.0, self._sign])
         for site, mass in self._masses:
@@ -352,11 +353,11 @@ class _Water:
             own, rate = axes @ moves.reshape(2, 6, -1)[:, [0, side, 3 + self._turn]]
             u, v, r = own @ data.qvel - axes @ np.append(given.opt.wind[[0, side]], 0.0)
             px, py, _ = mass @ (u, v, r)
-            # Acceleration if that of all joints is zero. The axes of the link turn.
+            # Compute the load at zero joint accelerations, which is due to the rotation of the link axes.
             load = mass @ (rate @ data.qvel + (r * v, -r * u, 0.0)) + (-r * py, r * px, u * py - v * px)
             data.qfrc_passive -= own.T @ load
             total += own.T @ mass @ own
-        # Compute the mass matrix of MuJoCo again, because a step that keeps the positions keeps the sum.
+        # Compute the mass matrix of MuJoCo again, so that no mass is added twice at unchanged positions.
         mujoco.mj_makeM(given, data)
         data.M += total[np.repeat(np.arange(given.nv), given.M_rownnz), given.M_colind]
         mujoco.mj_factorM(given, data)
@@ -389,8 +390,8 @@ def _law(name: str, row: Any) -> Law:
 def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:
     """Compute the force of a force element at its MuJoCo site.
 
-    Return the two components of the force (N), the moment (N m), and whether the components are in world
-    axes. Otherwise they are along and across the link. ``row`` is the user data of the site. u, v and r are
+    Return the two components of the force (N), the moment (N m), and whether the components are in world axes
+    or, if False, along and across the link. ``row`` is the user data of the site. u, v and r are
     the velocities of the site relative to the water in m/s and rad/s.
     """
     kind = list(KINDS)[int(row[0])]

@@ -28,7 +28,7 @@ from swimid.swimmer.tree import SYMMETRIC, Actuated, MovingJoint
 #: Names of the numerical values that describe a force element, for each kind of force element. Their order is
 #: that of the columns in the input arrays of the equations of motion (``engine``).
 COLUMNS = {name: ENGINE_COLUMNS[name] for name in ("drag", "foil", "force", "wake")}
-#: Sentence on a limit of the XML formats: they have standard errors and correlations only in a comment.
+#: Sentence on a limit of the XML formats, which state standard errors and correlations only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
 
@@ -88,7 +88,7 @@ class ExportedLink:
 
     @cached_property
     def directional(self) -> Array:
-        """Added-mass matrix without that of a body, whose mass is the mean over the two directions."""
+        """Direction-dependent part of the added-mass matrix, without its mean over the two directions."""
         mass, (x, y), moment = central(self.added)
         rest = self.added - about(np.diag([mass, mass, moment]), -x, -y)
         return rest * (np.abs(rest).max() > 1e-9 * np.abs(self.added).max())
@@ -168,7 +168,7 @@ class ExportSource:
     def values(self) -> Array:
         """Values of all coefficients of the robot.
 
-        They are the estimates in the parameter file, or else the values in the robot file.
+        A value is the estimate in the parameter file or, without an estimate, the value in the robot file.
         """
         robot = {name: coefficient.value for name, coefficient in self.body.coefficients.items()}
         values = robot | {name: estimate.value for name, estimate in self.parameters.parameters.items()}
@@ -176,13 +176,13 @@ class ExportSource:
 
     @property
     def input_limits(self) -> list[str]:
-        """Sentences on the inputs and hydrodynamic derivatives of the robot, whose forces no format has."""
+        """Sentences on inputs and hydrodynamic derivatives of the robot, which no format can represent."""
         limits = [f"the loads of the input {name} are left out" for name in self.model.inputs]
         return [*limits, *self.derivative_limits]
 
     @property
     def derivative_limits(self) -> list[str]:
-        """Sentence on the forces that are products of velocities, which no format has; empty without them."""
+        """Sentence on forces from products of velocities, which no format can represent; else empty."""
         count = len(self.tables["term"])
         return [f"{count} hydrodynamic derivatives (kind: derivatives) are left out"] * (count > 0)
 
@@ -290,7 +290,7 @@ class ExportSource:
 
     @property
     def transmissions(self) -> list[str]:
-        """Sentences on the driven joints that follow a shared actuator, which no XML format has."""
+        """Sentences on driven joints that share an actuator, which no XML format can represent."""
         values = dict(zip(self.assembly.names, self.values, strict=True))
         found = []
         for axis in self.assembly.driven:
@@ -313,7 +313,7 @@ class ExportSource:
         (kg m2) of the bodies that the joint carries.
 
         The servo moves all bodies that the joint carries. Its gains give these bodies the natural frequency
-        and the damping ratio of the robot file. If the file states none, they are ``default_hz`` and 1.
+        and the damping ratio that the robot file states. Their defaults are ``default_hz`` and 1.
         """
         moments = _moments_behind_joints(self.links, inertias)
         values = dict(zip(self.assembly.names, self.values, strict=True))
@@ -370,7 +370,7 @@ def central(inertia: Array) -> tuple[float, tuple[float, float], float]:
 def _moments_behind_joints(links: list[ExportedLink], inertias: list[Array]) -> list[float]:
     """Return for each link the moment of inertia, kg m2, of all links that its joint to the parent carries.
 
-    It refers to the axis of the joint and to zero angles of all joints.
+    The moment of inertia refers to the axis of the joint and to zero angles of all joints.
     """
     sums = [np.array(inertia) for inertia in inertias]
     for i in range(len(links) - 1, 0, -1):
@@ -411,7 +411,7 @@ def _describe_added_mass(source: ExportSource, choice: str, native: str) -> list
 def _joint_limits(source: ExportSource, servo_hz: float) -> list[str]:
     """Return sentences on joints that move differently in swimid and in an exported model.
 
-    They are passive joints with dry friction, and driven joints for which the robot file states no servo.
+    These are passive joints with dry friction, and driven joints for which the robot file states no servo.
     """
     limits = [
         f"{name}: swimid rounds the dry friction of {law['friction']:.4g} N m off below "
@@ -453,13 +453,13 @@ def export_xml(
         File name in the folder ``templates``. Its variables are ``source`` and ``more``. Numbers and
         sequences of numbers in the template are written as XML text.
     native : str
-        Sentence on the limit of the added mass as the simulator itself models it.
+        Sentence on the error of the simulator's own model of added mass.
     limits : list of str
         Limits of the format, except those of added mass, joints, causes and standard errors.
     filtered : list of Cause
         Effects that a Python file applies as filters of the commands.
     forces : bool
-        Whether the format has the forces of effects.
+        Whether the format can represent the forces of effects.
     **more
         Further variables of the template.
     """

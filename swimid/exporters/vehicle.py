@@ -1,9 +1,9 @@
 """Export of a vehicle in 3-D with one link to Gazebo as an SDF model.
 
-The plugin Hydrodynamics has drag and damping, ``<fluid_added_mass>`` the added mass. The frame of the link is
-at its centre of mass, as in :mod:`swimid.exporters.gazebo`. Each thruster is a propeller link with the plugin
-Thruster, whose commands are forces. The plugin Buoyancy computes the buoyancy from the volume of a collision
-box, if the world loads it.
+The plugin Hydrodynamics has drag and damping, and the tag ``<fluid_added_mass>`` has the added mass. The
+frame of the link is at its centre of mass, as in :mod:`swimid.exporters.gazebo`. Each thruster is a propeller
+link with the plugin Thruster, whose commands are forces. The plugin Buoyancy computes the buoyancy from the
+volume of a collision box, if the world loads it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from swimid.swimmer.spatial.model import MultibodyModel, SpatialTree, centre_of_
 FORCES, SPEEDS = "xyzkmn", "UVWPQR"
 #: Mass of a propeller or helper link, divided by the mass of the vehicle, and its radius of gyration, m.
 SMALL_MASS, SMALL_RADIUS_M = 1e-6, 0.01
-#: Maximum distance of a point from the centre of mass at which the two are the same point, m.
+#: Maximum distance of a point from the centre of mass at which the point counts as the centre of mass, m.
 SAME_M = 1e-9
 
 
@@ -54,7 +54,7 @@ class VehicleSource(ExportSource):
 
 
 def export(source: VehicleSource, options: ExportOptions) -> Exported:
-    """Return the SDF document of a vehicle with one link, and sentences on what it cannot represent.
+    """Return the SDF document of a vehicle with one link, and sentences on what SDF cannot represent.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _tags(values: Array) -> dict[str, float]:
 
 
 def _volumes(source: ExportSource, centre: Array, mass: float) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the boxes of water that the vehicle displaces, and sentences on other forces."""
+    """Return boxes with the volume of water that the vehicle displaces, and sentences on forces left out."""
     fluid = source.robot.fluid
     volumes, limits = [], []
     weight = mass * fluid.gravity_m_s2
@@ -157,7 +157,7 @@ def _volumes(source: ExportSource, centre: Array, mass: float) -> tuple[list[dic
 
 
 def _propellers(source: ExportSource, centre: Array) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the propeller links of the loads, and sentences on what their commands must be."""
+    """Return the propeller links of the thrusters, and sentences on the commands that they need."""
     names, laws = list(source.body.inputs), list(source.body.inputs.values())
     propellers, limits = [], []
     loads = zip(source.tables["load"], source.tables["load_input"], strict=True)

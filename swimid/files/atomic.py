@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
-    """Check that an output path can be written and is none of the inputs, and return the path.
+    """Check that an output path can be written and is not the path of an input, and return the path.
 
     Parameters
     ----------
@@ -62,9 +62,7 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
         raise InputError(f"{folder} is a file and no folder", file=path, hint="name another output")
     if not folder.is_dir():
         raise InputError(
-            f"the output folder {folder} does not exist",
-            file=path,
-            hint=f"make the folder: mkdir -p {folder}",
+            f"the output folder {folder} does not exist", file=path, hint=f"make it: mkdir -p {folder}"
         )
     if path.is_dir():
         raise UsageError(f"the output {path} is a folder; name a file")
@@ -133,12 +131,12 @@ def write_together() -> Iterator[_Group]:
     """Write all output files of a ``with`` block together, or none of them.
 
     The files are renamed to their final names when the block ends without an error. After an error, no file
-    is changed. A block inside another block is part of the outer block.
+    is changed. The files of a block inside another block are renamed at the end of the outer block.
 
     Raises
     ------
     InputError
-        If a file cannot be renamed. Files that were renamed before are restored.
+        If a file cannot be renamed. Files that were already renamed are restored.
     """
     outer = _GROUP.get()
     if outer is not None:
@@ -170,13 +168,13 @@ def replace_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path to write, and replace ``path`` by it when the ``with`` block ends without error.
 
     Inside a block of :func:`write_together`, the file is replaced at the end of that block. The temporary
-    path has the ending of ``path``, because some writers choose their format by the ending. An exception, a
-    full disk or Ctrl-C leaves the old file unchanged.
+    path has the extension of ``path``, because some writers choose their format by the extension. An
+    exception, a full disk or Ctrl-C leaves the old file unchanged.
 
     Raises
     ------
     InputError
-        When the file cannot be written.
+        If the file cannot be written.
     """
     path = check_writable(path)
     target = path
@@ -215,7 +213,7 @@ def remove(path: Path) -> None:
 def make_folder(path: Path) -> None:
     """Create a folder for output files, and remove it again if no file is written to it.
 
-    It is removed at the end of the current block of :func:`write_together`.
+    An unused folder is removed at the end of the current block of :func:`write_together`.
 
     Raises
     ------
@@ -235,7 +233,7 @@ def check_empty(folder: Path, *, force: bool = False) -> None:
     Raises
     ------
     UsageError
-        If it is a file, or has content.
+        If the path is a file, or a folder with content.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"the output {folder} is a file", hint="name a folder")
@@ -253,8 +251,8 @@ def _remove_empty(folder: Path) -> None:
 def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[None]:
     """Call a function on every Ctrl-C during the ``with`` block instead of the previous handler of Ctrl-C.
 
-    The function ``handle`` gets the previous handler as its argument. Ctrl-C is handled as before outside the
-    main thread, or if the process ignores it.
+    The function ``handle`` gets the previous handler as its argument. Outside the main thread, and in a
+    process that ignores Ctrl-C, nothing changes.
     """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):
@@ -292,8 +290,8 @@ def _second_name(path: Path) -> Path:
 # ---------------------------------------------------------------- one run at a time
 
 
-#: Locks on output files that this process holds, each with the thread that acquired it last. The key is the
-#: path of the lock file. Without this reference to it, a lock would be released.
+#: Locks on output files that this process holds, each with the thread that acquired the lock last. The key is
+#: the path of the lock file. This reference to a lock protects it from being deleted and so released.
 _TAKEN: dict[Path, tuple[BaseFileLock, threading.Thread]] = {}
 
 
@@ -336,7 +334,7 @@ def lock(output: Path) -> BaseFileLock:
 def holder_of(path: Path) -> str:
     """Return the process that holds a lock file, as ``process 7 on node1``; empty without lock or process.
 
-    Whether a process of another machine runs is unknown. It counts as a holder.
+    A process on another machine always counts as a holder, because it is unknown whether this process runs.
     """
     try:
         number, host, *_ = [*path.read_text(errors="replace").split(), "", ""]
@@ -360,7 +358,7 @@ def _has_ended(process: int | None) -> bool:
     """Return whether a process has ended although its number is in use.
 
     A killed process keeps its number until its parent process notices. In a container without an init
-    process this may be never. Only Linux tells.
+    process this may be never. The state of a process is known only on Linux.
     """
     try:
         state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
@@ -389,7 +387,7 @@ def _is_lockable(output: Path) -> bool:
 
 # ---------------------------------------------------------------- checkpoints
 
-#: Number of hexadecimal digits of the key that a line of a checkpoint file has.
+#: Number of hexadecimal digits of the key in a line of a checkpoint file.
 DIGITS = 32
 
 
@@ -450,8 +448,8 @@ class Checkpoint:
     def of_output(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
         """Return the checkpoint of an output file for one computation.
 
-        Its key is computed from ``belongs_to``, the inputs and settings of the computation, and the version
-        of swimid. Without an output, nothing is stored.
+        The key of the checkpoint is computed from ``belongs_to``, the inputs and settings of the computation,
+        and the version of swimid. Without an output, nothing is stored.
         """
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = output and checkpoint_path(output)
@@ -484,7 +482,7 @@ class Checkpoint:
     def get_or_compute(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
         """Return the intermediate result with the given name, from the checkpoint if it is stored there.
 
-        Otherwise call ``compute`` and store the result.
+        If the checkpoint lacks the result, call ``compute`` and store what it returns.
         """
         values = self.get(name)
         if values is None:
@@ -567,7 +565,7 @@ def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
     ids : sequence of str
         Distinct ids of trials.
     endings : sequence of str
-        Endings with their dot. The file names have the first ending. An id may have any of the endings.
+        File extensions with their dot. All file names get the first extension. An id may end in any of them.
 
     Raises
     ------

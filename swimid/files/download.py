@@ -1,6 +1,6 @@
-"""Download of public files: each of a stated commit of a repository, with a stated SHA-256.
+"""Download of public files from a stated commit of a repository, with a check of their SHA-256.
 
-A YAML file lists the files (:class:`RemoteFiles`)::
+A YAML file lists the files of a dataset (:class:`RemoteFiles`)::
 
     format: swimid-download/1
     repository: owner/name
@@ -32,9 +32,9 @@ from swimid.files import atomic, yamlio
 from swimid.files.provenance import sha256
 from swimid.notices import Progress, silent, warn
 
-#: Address below which the files lie under ``owner/name/commit/path``, if no other is stated.
+#: Default address of the server. The path of a file below this address is ``owner/name/commit/path``.
 ADDRESS = "https://raw.githubusercontent.com"
-#: Environment variable that states another address or folder.
+#: Environment variable that states another server or a local folder as the source of downloads.
 VARIABLE = "SWIMID_DOWNLOADS"
 #: Maximum time to wait for an answer of a server, s.
 SERVER_TIMEOUT_S = 30
@@ -84,14 +84,14 @@ class RemoteFiles(yamlio.Document):
         return self
 
     def local(self, path: str) -> str:
-        """Return the path of a file of the repository in the folder of the download."""
+        """Return the path of a repository file in the local folder to which the files are downloaded."""
         whole = PurePosixPath(path)
         if self.root and whole.is_relative_to(self.root):
             return whole.relative_to(self.root).as_posix()
         return path if not self.root else whole.name
 
     def places(self, path: str) -> list[str]:
-        """Return the paths below an address at which a file may lie, the complete one first."""
+        """Return the possible paths of a file below an address, the longest path first."""
         whole = f"{self.repository}/{self.commit}/{path}"
         return list(dict.fromkeys([whole, path, self.local(path), PurePosixPath(path).name]))
 
@@ -103,7 +103,7 @@ def fetch(
     address: str | None = None,
     progress: Progress = silent,
 ) -> list[Path]:
-    """Copy the files of a dataset to a folder, with its licence and citation: all of them or none.
+    """Copy all files of a dataset, with its licence and citation, to a folder. After an error, copy none.
 
     The SHA-256 of every file is checked.
 
@@ -114,9 +114,10 @@ def fetch(
     folder : path
         Folder for the files. It is created if it does not exist.
     address : str, optional
-        Address of a server or path of a folder. By default, that of the environment variable
-        ``SWIMID_DOWNLOADS``, or GitHub. The files lie there under ``owner/name/commit/path``, under ``path``,
-        or under their names. The files that a folder lacks are left out, with warning SWM178.
+        Address of a server or path of a folder. The default is the environment variable
+        ``SWIMID_DOWNLOADS`` or, if it is not set, GitHub. At this address a file has the path
+        ``owner/name/commit/path``, ``path``, or its name alone. Files that a folder lacks are left out, with
+        warning SWM178.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def fetch(
     ------
     InputError
         If the server does not answer or has no such file, if the folder has none of the files, or if the
-        SHA-256 of a file is not the stated one.
+        SHA-256 of a file differs from the stated SHA-256.
     """
     if not isinstance(dataset, RemoteFiles):
         dataset = yamlio.read_document(dataset, RemoteFiles)
@@ -152,7 +153,7 @@ def fetch(
 
 
 def _get(dataset: RemoteFiles, path: str, source: str, file: Path) -> bool:
-    """Copy one file of a dataset to a temporary path, check its SHA-256, and return whether it is there."""
+    """Copy one dataset file to a temporary path, check its SHA-256, and return whether the source has it."""
     if "://" in source:
         origin = _from_server(dataset, path, source, file)
     else:
@@ -172,7 +173,7 @@ def _get(dataset: RemoteFiles, path: str, source: str, file: Path) -> bool:
 
 
 def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> str:
-    """Download one file to a temporary path, and return its address."""
+    """Download one file to a temporary path, and return the address from which it was downloaded."""
     import pooch
     import requests
 
@@ -203,7 +204,7 @@ def _from_server(dataset: RemoteFiles, path: str, source: str, file: Path) -> st
 
 
 def _from_folder(dataset: RemoteFiles, path: str, source: Path) -> Path | None:
-    """Return the path of a file in a folder, None if it is not there."""
+    """Return the path of a dataset file in a local folder; None if the folder lacks the file."""
     if not source.is_dir():
         raise InputError("is no folder and no address", file=source, hint="name a folder, or a URL with http")
     there = (source / place for place in dataset.places(path))
@@ -211,7 +212,7 @@ def _from_folder(dataset: RemoteFiles, path: str, source: Path) -> Path | None:
 
 
 def _write(dataset: RemoteFiles, found: dict[str, Path], folder: Path) -> list[Path]:
-    """Write downloaded files, licence and citation together."""
+    """Write downloaded files, licence and citation to a folder, all or none; return the written paths."""
     page = [
         f"# Source of the files\n\n{dataset.about.strip()}\n",
         f"- Source: https://github.com/{dataset.repository}/tree/{dataset.commit}",

@@ -1,7 +1,7 @@
-"""Reading of files of other programs in a child process, and limits on the memory that they may take.
+"""Reading of files of other programs in a child process, and limits on the memory that the files may take.
 
 A library that is written in C may crash on a damaged file. A small file may expand to many gigabytes. In a
-child process with limits, either ends in an :class:`InputError` for the file.
+child process with limits, both cases end in an :class:`InputError` for the file.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Made = TypeVar("Made")
 
 #: Size of the samples of a file in memory that is always allowed, bytes.
 ALWAYS_BYTES = 256 << 20
-#: Maximum ratio of the size of the samples in memory to the size of the file. Measured samples are noisy, and
-#: are compressed less.
+#: Maximum ratio of the size of the samples in memory to the size of the file. Measured samples are noisy, so
+#: that their compression ratio is lower.
 MAX_EXPANSION = 100
 #: Maximum fraction of the physical memory for the samples of one file.
 MEMORY_SHARE = 0.25
@@ -82,8 +82,8 @@ def run_isolated(
     """Call a function that reads a file in a child process, and return its result.
 
     On Linux the child process is a fork, which starts within milliseconds, and its memory is limited. On
-    other systems it is a new Python process, and only its time is limited. In a child process the function is
-    called directly.
+    other systems it is a new Python process, and only its time is limited. If this process is already such a
+    child process, the function is called directly.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def run_isolated(
 
 
 def end_with(parent: int) -> None:
-    """Let this process be killed when its parent process ends (``man prctl``). Linux only."""
+    """Tell Linux to kill this process when the parent process ends (``man prctl``). Linux only."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
@@ -141,10 +141,10 @@ def end_with(parent: int) -> None:
 def _in_fork(
     function: Callable[..., Any], args: tuple[Any, ...], time_s: float, memory: int
 ) -> tuple[bytes, int]:
-    """Call a function in a forked process; return its pickled answer, and the exit status of the process."""
+    """Call a function in a forked process; return its pickled result, and the exit status of the process."""
     reading, writing = os.pipe()
     parent = os.getpid()
-    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of forks beside threads
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # about forking with threads
         child = os.fork()
     if child == 0:
         try:
@@ -167,10 +167,10 @@ def _in_fork(
 
 
 def _limit(time_s: float, memory: int) -> None:
-    """Limit the time of this process, s, and the memory that it takes from now on, bytes."""
+    """Limit the run time of this process, s, and the additional memory that it may allocate, bytes."""
     import resource
 
-    # The default allocator of pyarrow, which pandas uses for text, reserves 1 GiB at once.
+    # Avoid the default allocator of pyarrow, which pandas uses for text. It reserves 1 GiB at once.
     os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
     if pyarrow := sys.modules.get("pyarrow"):
         pyarrow.set_memory_pool(pyarrow.system_memory_pool())
@@ -189,7 +189,7 @@ def _limit(time_s: float, memory: int) -> None:
 
 
 def _answer(function: Callable[..., Any], args: tuple[Any, ...]) -> bytes:
-    """Call a function, and return its result or its error, and the paths of the files it read, pickled."""
+    """Call a function, and return, pickled, its result or its error and the paths of the files it read."""
     global _is_child
     _is_child = True
     try:
@@ -203,7 +203,7 @@ def _answer(function: Callable[..., Any], args: tuple[Any, ...]) -> bytes:
 
 
 def _in_new_process(function: Callable[..., Any], args: tuple[Any, ...], time_s: float) -> tuple[bytes, int]:
-    """Call a function in a new Python process; return its pickled answer, and its exit status."""
+    """Call a function in a new Python process; return its pickled result, and the exit status."""
     program = "from swimid.files import isolated; isolated.serve()"
     call = pickle.dumps((function, args))
     try:
@@ -216,6 +216,6 @@ def _in_new_process(function: Callable[..., Any], args: tuple[Any, ...], time_s:
 
 
 def serve() -> None:
-    """Call the function that the standard input holds, and write its answer to the standard output."""
+    """Call the pickled function on the standard input, and write its pickled result to standard output."""
     function, args = pickle.load(sys.stdin.buffer)
     sys.stdout.buffer.write(_answer(function, args))

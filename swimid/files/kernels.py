@@ -1,9 +1,9 @@
-"""The compiler numba, with a folder for compiled kernels to which nobody else can write.
+"""The compiler numba, with a cache folder for compiled functions (kernels) to which nobody else can write.
 
-Numba executes the machine code that it finds in its cache folder. Every module that compiles functions
-imports numba from here. The cache folder is ``NUMBA_CACHE_DIR`` or else those beside the modules, if only
-this user and the administrator can write to it and the disk has space. Otherwise it is the cache folder of
-the user, or a temporary folder that is removed at the end of the process.
+Numba executes the machine code in its cache folder. Every module that compiles functions imports numba from
+this module. The cache folder is ``NUMBA_CACHE_DIR`` or, if this is not set, the folders beside the modules.
+Only this user and the administrator may be able to write to it, and its disk must have space. If not, the
+cache folder of the user is used, or a temporary folder that is removed at the end of the process.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from pathlib import Path
 
 from swimid.notices import warn
 
-#: Minimum free space on the disk of the cache folder, bytes. All kernels together need less.
+#: Minimum free space on the disk of the cache folder, bytes. All compiled functions together need less.
 MIN_FREE_BYTES = 50 << 20
 _VARIABLE = "NUMBA_CACHE_DIR"
 _PACKAGE_ROOT = Path(__file__).parents[1]
 
 
 def find_fault(folder: Path) -> str:
-    """Return why a folder must not hold compiled kernels, as text for a message; empty if it may.
+    """Return the reason why a folder must not hold compiled functions, as message text; empty if none.
 
-    A folder that does not exist is judged by the nearest folder above it that exists.
+    For a folder that does not exist, the nearest existing folder above it is examined.
     """
     try:
         while not folder.exists() and folder != folder.parent:
@@ -42,7 +42,8 @@ def find_fault(folder: Path) -> str:
             return "belongs to another user"
         for place in (folder.resolve(), *folder.resolve().parents):
             about = place.stat()
-            # In a sticky folder above, nobody can rename or replace the folder of another user.
+            # Accept a parent folder with the sticky bit, in which only the owner can rename or replace a
+            # folder.
             if place != folder.resolve() and about.st_mode & stat.S_ISVTX:
                 continue
             if about.st_mode & stat.S_IWOTH:
@@ -57,7 +58,7 @@ def find_fault(folder: Path) -> str:
 
 
 def _is_private(group: int, user: int) -> bool:
-    """Return whether a group has the name of the user and no other members, as most systems set it up."""
+    """Return whether a group is private: it has the name of the user and no other members."""
     import grp
     import pwd
 
@@ -101,7 +102,7 @@ def remove_cache() -> int:
 
 
 def choose_cache() -> None:
-    """Set the environment variable of numba's cache folder, if its usual folders must not be used.
+    """Set the environment variable of numba's cache folder, if the default folders must not be used.
 
     Warns
     -----

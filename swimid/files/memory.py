@@ -1,4 +1,4 @@
-"""Check that data fit in the memory of the computer, before memory is taken."""
+"""Check that data fit in the memory of the computer, before memory is allocated."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_fits(path: Path, what: str, needed: float, hint: str) -> None:
     needed : float
         Memory that the content needs, bytes.
     hint : str
-        Action for the user that needs less memory.
+        Suggestion to the user that reduces the needed memory.
 
     Raises
     ------

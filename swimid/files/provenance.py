@@ -1,8 +1,8 @@
 """Provenance of a result (command, inputs, versions), and the marks of files that swimid wrote.
 
-By its mark swimid recognises a file that it may replace. Every file format has its mark in one place. Only
-that place is read, because a file of another program may contain the word "swimid" anywhere.
-``docs/formats.md`` lists the marks.
+By its mark swimid recognises a file that it wrote and may replace. Every file format has its mark at one
+fixed position. Only that position is read, because a file of another program may contain the word "swimid"
+anywhere. ``docs/formats.md`` lists the marks.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ def path_of(given: Input) -> Path:
 class Inputs(dict[str, str]):
     """SHA-256 of the inputs of a result by the names that the result states (:func:`swimid.reading.name_of`).
 
-    ``paths`` has the absolute path of each file. It is not written to a file.
+    The attribute ``paths`` has the absolute path of each file. It is not written to result files.
     """
 
     def __init__(self) -> None:
         self.paths: dict[str, str] = {}
 
     def add(self, name: str, digest: str, path: str = "") -> str:
-        """Add an input, and return its name. A different input of the same name is numbered."""
+        """Add an input, and return its name. A number is added if another input already has the name."""
         count, key = 1, name
         while self.get(key, digest) != digest:
             count += 1
@@ -81,7 +81,7 @@ def paths_of(block: Mapping[str, Any]) -> list[str]:
 
 
 def rename(block: dict[str, Any], output: Path) -> None:
-    """Name the inputs in the provenance of a result, in place, as the result file ``output`` states them.
+    """Rename the inputs in the provenance of a result, in place, relative to the result file ``output``.
 
     The provenance of a result that was read from a file stays as it is.
     """
@@ -98,7 +98,7 @@ def rename(block: dict[str, Any], output: Path) -> None:
 
 
 def digests_of(inputs: Iterable[Input]) -> Inputs:
-    """Return the SHA-256 of each input of a computation when it was opened. The key is its name.
+    """Return the SHA-256 that each input of a computation had when it was opened, by the name of the input.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def collect(inputs: Iterable[Input], *, settings: dict[str, Any] | None = None) 
     Parameters
     ----------
     inputs : iterable of paths and objects
-        Inputs in memory, and files to name first. All other files that the command has read are added.
+        Inputs in memory, and the files that are listed first. All other files that were read are added.
     settings : dict, optional
         Options of the command, including defaults.
     """
@@ -161,7 +161,7 @@ def collect(inputs: Iterable[Input], *, settings: dict[str, Any] | None = None) 
 def now() -> datetime:
     """Return the present time (UTC), or the time that the variable ``SOURCE_DATE_EPOCH`` states.
 
-    The variable holds seconds since 1970 (reproducible-builds.org). With it, two runs write the same bytes.
+    This variable holds seconds since 1970 (reproducible-builds.org). It makes two runs write the same bytes.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def _head(path: Path) -> str:
             stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
             head = b"".join(b"#%b\n" % line for line in stored.splitlines())
     if head.startswith(b"\x89HDF"):
-        # Take a damaged file, and any file if h5py is missing, for one of another program.
+        # Treat a damaged file, or any file if h5py is missing, as a file of another program.
         with suppress(OSError, RuntimeError, KeyError, ImportError):
             import h5py
 
@@ -217,7 +217,7 @@ def _head(path: Path) -> str:
 
 
 def command_line() -> str:
-    """Return the command line of this process, with paths as results state them.
+    """Return the command line of this process, with paths in the form that results state.
 
     The option for the number of threads is left out, because it changes no result.
     """
@@ -226,12 +226,12 @@ def command_line() -> str:
     return shlex.join(map(reading.publish_word, words))
 
 
-#: Pattern of options that change no result, in a command line whose words end with a zero.
+#: Pattern of options that change no result, in a command line whose words end with a null character.
 _IDLE = re.compile(r"(?<=\0)--jobs[=\0][^\0]*\0")
 
 
 def _publish(value: Any) -> Any:
-    """Return the settings of a command with paths as results state them."""
+    """Return the settings of a command with paths in the form that results state."""
     if isinstance(value, Mapping):
         return {name: _publish(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
@@ -259,12 +259,12 @@ MADE_BY_TEXT = "made by swimid"
 #: Bytes at the end of a video file that mark it as written by swimid. They form a ``free`` box, which players
 #: skip (ISO/IEC 14496-12, section 8.1.2).
 VIDEO_BOX = (8 + len(MADE_BY_TEXT)).to_bytes(4, "big") + b"free" + MADE_BY_TEXT.encode()
-#: Number of bytes at the start and at the end of a file in which the mark of swimid is searched.
+#: Number of bytes at the start, and at the end, of a file in which swimid looks for its mark.
 MARK_RANGE_BYTES = 65536
 
 _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
-#: Pattern of the names of file formats that only swimid writes. The excluded formats are also written by
-#: hand.
+#: Pattern of the names of file formats that only swimid writes. Users also write files in the excluded
+#: formats.
 _FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/|plan/)[a-z-]+/\d+"
 #: Pattern of the beginning of a file that swimid wrote, up to the mark. Its alternatives are, in this order:
 #: log, JSON, JSON Schema, findings of ``doctor``, XML, Python, shell script, HTML, C header, CSV of a Pareto
@@ -306,7 +306,7 @@ def is_own(path: Path) -> bool:
     Raises
     ------
     InputError
-        When the file cannot be read.
+        If the file cannot be read.
     """
     if not path.is_file():
         return True

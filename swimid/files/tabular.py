@@ -16,9 +16,9 @@ from swimid.errors import InputError, extra_needed, nearest
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Texts of table cells that are read as missing values. The file formats of swimid specify an empty cell.
+#: Texts of table cells that are read as missing values. The file formats of swimid use only the empty cell.
 MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
-#: Maximum number of column names that a message quotes, and pattern of a column name that it may quote.
+#: Maximum number of column names that a message quotes, and pattern of the names that a message may quote.
 MAX_QUOTED, _NAME = 30, re.compile(r"[\w .()/\[\]°²-]{1,60}")
 
 
@@ -68,7 +68,7 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
 
 
 def find_repeated(names: Iterable[str]) -> str | None:
-    """Return the first name that stands twice in a list; None if all names differ.
+    """Return the first name that occurs twice in a list; None if all names differ.
 
     >>> find_repeated(["x", "y", "z", "y"])
     'y'
@@ -97,8 +97,8 @@ def parse(
     names : sequence of str
         Names of all columns.
     types : type or mapping of str to type
-        ``float`` or ``str``, for all columns or for each column. The type of another column follows from its
-        cells.
+        ``float`` or ``str``, for all columns or by column name. Columns without a given type get one from
+        their cells.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def pyarrow() -> Any:
     Raises
     ------
     UsageError
-        When pyarrow is not installed.
+        If pyarrow is not installed.
     """
     with extra_needed("a Parquet file", "parquet"):
         import pyarrow.parquet

@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 def environment(package: str, **options: Any) -> Environment:
-    """Return the templates of a package. A variable that a template lacks is an error.
+    """Return the jinja2 environment of a package's templates. An undefined template variable is an error.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def run_file(path: Path, what: str) -> ModuleType:
     ----------
     path : Path
     what : str
-        Plural of the objects that the file defines, for messages: ``"effects"``.
+        Plural noun for the objects that the file defines, such as ``"effects"``, for messages.
 
     Raises
     ------

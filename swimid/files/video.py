@@ -17,15 +17,14 @@ Frame = NDArray[np.uint8]
 CLOCK = 90_000
 #: Remark for the user that browsers do not play an MPEG-4 video. The placeholder is the name of the output.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
-#: Maximum memory of the frames of an animated GIF, bytes. Its writer holds all frames until its end.
+#: Maximum memory of the frames of an animated GIF, bytes. The GIF writer holds all frames until it is closed.
 MAX_GIF_BYTES = 2 << 30
 
 
 class _Stream:
     """Output file for FFmpeg that keeps the first error of the operating system.
 
-    FFmpeg may crash the process if it is used again after a write failed. It does not get to know of the
-    failure.
+    This class hides a failed write from FFmpeg, which may crash the process if it is used after a failure.
     """
 
     def __init__(self, path: Path) -> None:
@@ -55,7 +54,7 @@ class _Stream:
 
 
 class H264:
-    """Writer of an H.264 video with the library PyAV. Browsers play it, and each frame has its own time.
+    """Writer of an H.264 video with the library PyAV. Browsers play H.264, and each frame has its own time.
 
     Raises
     ------
@@ -194,13 +193,14 @@ Writer = H264 | Mpeg4 | Gif
 
 
 def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:
-    """Return a writer for a video file. The ending of the file name determines the format.
+    """Return a writer for a video file. The extension of the file determines the format.
 
     A ``.gif`` file is an animated GIF. Other files are H.264 videos, or MPEG-4 videos without PyAV.
 
     Parameters
     ----------
     rate : float, Hz
+        Frame rate.
     width, height : int
         Size of a frame, px; even numbers.
     """

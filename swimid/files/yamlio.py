@@ -54,8 +54,8 @@ class Document(BaseModel):
     def digest(self) -> str:
         """Return the SHA-256 of the keys and values of the document in hexadecimal digits.
 
-        It does not depend on comments, on the order of the keys, or on keys that are empty or have their
-        default value.
+        The digest does not depend on comments, on the order of the keys, or on keys that are empty or have
+        their default value.
         """
         text = self.model_dump_json(exclude_defaults=True)
         data = json.loads(text, object_hook=lambda d: {k: v for k, v in d.items() if v is not None})
@@ -89,9 +89,9 @@ class ResultFile(Document):
 
 
 def entries(name: str, **kinds: Any) -> Any:
-    """Return the type of a block of a result file whose known keys, none of them required, have given types.
+    """Return the pydantic type of a block of a result file. ``kinds`` has the type of each known key.
 
-    The block remains a dictionary in its order, and may have further keys.
+    No key is required, and further keys are allowed. The block stays a dictionary with unchanged order.
     """
     known = TypedDict(name, kinds, total=False)  # type: ignore[misc]
     known.__pydantic_config__ = ConfigDict(extra="allow", strict=True)  # type: ignore[attr-defined]
@@ -244,7 +244,7 @@ def _refuse_open(data: Any, path: str | Path) -> None:
 def _places(
     data: Any, place: tuple[Any, ...], is_bad: Callable[[Any, Any], bool]
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield the path of keys and indices of each entry for whose key and value ``is_bad`` is true."""
+    """Yield the path (keys and indices) of each entry whose key and value make ``is_bad`` true."""
     parts: Any = ()
     if isinstance(data, Mapping):
         parts = data.items()
@@ -263,7 +263,7 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
     Raises
     ------
     InputError
-        If the document states another format or none. The message calls the document ``what``.
+        If the document states another format or no format. The message calls the document ``what``.
     """
     data = load(path)
     if data.get("format") != form:
@@ -274,7 +274,7 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 def _parse(yaml: YAML, text: str) -> Any:
     """Return the content of a YAML text; raise an error if it has more than :data:`MAX_NODES` nodes.
 
-    The separators of nodes, words and characters are counted before the text is parsed, which takes long.
+    Separators of nodes, words and characters are counted first, because parsing a large text takes long.
     """
     rest = _NUMBERS.sub("", text)
     known = max(rest.count(",") + rest.count("\n"), len(rest.split()) // 5, len(rest) // 50)
@@ -304,7 +304,7 @@ def _count_nodes(node: Any, known: dict[int, int]) -> int:
 def read_document(path: str | Path, model: type[M]) -> M:
     """Read a YAML file and return its content as an object of a pydantic model.
 
-    An error names the line of the file, and the most similar key for an unknown key.
+    An error message names the line of the file and, for an unknown key, the most similar allowed key.
     """
     return validate(load(path), model, path)
 
@@ -364,12 +364,12 @@ def _follow(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | N
 
 
 def line_of(data: Any, location: Sequence[Any]) -> int | None:
-    """Return the line of the last key of a path of keys that is in a YAML document; None if none is."""
+    """Return the line of the last key of a path that exists in a YAML document; None if no key exists."""
     return _follow(data, location)[2]
 
 
 def _key(data: Any, problem: Any) -> list[Any]:
-    """Return the path of the key to which a validation error of pydantic refers, also if it is missing."""
+    """Return the path of the key to which a validation error of pydantic refers, even a missing key."""
     parts = _follow(data, problem["loc"])[0]
     if problem["type"] == "missing":
         parts.append(problem["loc"][-1])
@@ -457,7 +457,7 @@ def _text(styled: Any) -> str:
 def _style(value: Any, on_one_line: Callable[[Any, int], bool], depth: int = 0) -> Any:
     """Return a copy of YAML data that marks the lists and mappings to write on one line.
 
-    ``on_one_line`` decides this from a list or mapping and its depth in the document.
+    The function ``on_one_line`` decides from a list or mapping and its depth in the document.
     """
     styled: Any = value
     if isinstance(value, dict):

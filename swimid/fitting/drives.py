@@ -66,7 +66,7 @@ class TailBeat:
     frequency_hz: float
     amplitude_rad: float
     bias_rad: float = 0.0
-    #: Asymmetry h_a of Eq 10 (tendon fish paper). The angle rises during the fraction (1 - h_a) / 2 of a
+    #: Asymmetry h_a of the oscillator (:func:`hopf`). The angle rises during the fraction (1 - h_a) / 2 of a
     #: period.
     asymmetry: float = 0.0
     #: Duration of the quintic smoothstep with which the command begins, s.
@@ -94,12 +94,12 @@ class TailBeat:
         time_s : ndarray, shape (n,)
             Times. The beat starts at time zero with ``phase_rad``. Before time zero the joint is straight.
         gain, bias_gain : float
-            Factors on the amplitude and on the bias of the beat for this joint.
+            Factors applied to the amplitude and to the bias of the beat for this joint.
         phase_rad : float
             Phase by which the joint leads the beat.
         cell_s : ndarray, shape (n,), optional
             Duration of the interval around each time (:func:`cells`) over which the acceleration is averaged.
-            It is used for waveforms whose acceleration jumps (a-cpg).
+            The average is used for waveforms whose acceleration jumps (a-cpg).
         """
         phase = self.phase_rad + phase_rad
         value, rate, bend = self._wave(time_s, phase)
@@ -141,10 +141,10 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
 
     Notes
     -----
-    The function is Eq 10 of the tendon fish paper with two corrections. In the printed equation the bias has
-    no effect on alpha; here it is added to the output. In the printed equation the radius is the square root
-    of the amplitude A, and the rate of approach depends on the unit of A; here the radius is 1, and A
-    multiplies the output.
+    The function is Eq 10 of "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive
+    Tail Fin", with two corrections. In the printed equation the bias has no effect on alpha; here it is added
+    to the output. In the printed equation the radius is the square root of the amplitude A, and the rate of
+    approach depends on the unit of A; here the radius is 1, and A multiplies the output.
 
     On the limit cycle ``alpha = sin(psi)`` and ``psi' = omega / (1 - h sgn(alpha'))``. The asymmetry does not
     change the period. The angle rises during (1 - h) / 2 of the period and falls during (1 + h) / 2 of it.
@@ -175,7 +175,7 @@ class Cycle:
     law: HingeStroke
     #: Frequency of the stroke: cycles per second.
     frequency_hz: float
-    #: Factor on the deviation of the angles from their values at the start of the cycle.
+    #: Factor applied to the deviation of the angles from their values at the start of the cycle.
     scale: float = 1.0
     #: Duration of the smoothstep with which the motion begins, s.
     ramp_s: float = 0.0

@@ -32,7 +32,7 @@ def fit(
     trials : path or TrialSet
         Trials file, or the trials that :func:`swimid.load` returns.
     output : path, optional
-        Parameter file to write; its evidence goes beside it.
+        Parameter file to write. The evidence file is written beside it.
     progress : Progress
         Progress bar of the search.
 
@@ -52,7 +52,8 @@ def fit(
 
     Examples
     --------
-    A body coasts from 1 m/s against a quadratic drag. The experiment is a class here, or else a file:
+    A body coasts from 1 m/s against a quadratic drag. Here a class defines the experiment. It can also be
+    defined by a file:
 
     >>> from typing import Literal
     >>> import numpy as np

@@ -53,16 +53,17 @@ COVARIANCE = (
 )
 #: Maximum number of parameters that a sentence names.
 MAX_LISTED_PARAMETERS = 4
-#: Maximum standard deviation of the samples of a channel in which nothing moves, divided by that of its white
-#: noise. The estimate of the noise from 100 samples has a standard error of a tenth.
+#: Maximum ratio of the standard deviation of the samples of a channel in which nothing moves to that of its
+#: white noise. The ratio may exceed 1, because 100 samples give the noise with a standard error of a tenth.
 MAX_STILL_RATIO = 1.3
 #: Residual above which a sample is an outlier, in robust standard deviations.
 OUTLIER = 8.0
-#: Minimum change of the samples by the integration step that is shown, over the allowed change.
+#: Minimum change of the samples by the integration step, over the allowed change, that is shown as a number.
 MIN_SHOWN_CHANGE = 1e-3
 #: Verdicts of a check that does not pass, indexed by whether it fails: a warning, or a failure.
 VERDICTS: tuple[Literal["warn"], Literal["fail"]] = ("warn", "fail")
-#: Sources of the values of a model without a parameter file: of a robot file, and of a simulator of the user.
+#: Sources of the values of a model without a parameter file: the robot file (ROBOT_FILE), or the trials file
+#: for a simulator of the user (TRIALS_FILE).
 ROBOT_FILE, TRIALS_FILE = "the robot file", "the trials file"
 #: Names of the channels of angles that a camera may measure in addition to a position.
 ANGLE_CHANNELS = ("yaw_rad", "pitch_rad", "roll_rad")
@@ -118,7 +119,7 @@ class Experiment:
         robot : Robot, optional
             By default the robot that the trials file names.
         **more
-            Further attributes.
+            Further attributes of the experiment.
 
         Raises
         ------
@@ -188,7 +189,7 @@ def load_experiment(source: str | Path | TrialSet, *, command: str = "", **optio
 def read_trial_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
-    """Read the log of a trial, cut it to the interval in the trials file, and blank repeated positions.
+    """Read the log of a trial, cut it to the interval in the trials file, and set repeated positions to NaN.
 
     Positions and angles of a log of ``track video`` are those measured in the frames, not the smoothed ones.
     The errors of smoothed values extend over many frames, which no noise model of a fit describes.
@@ -202,7 +203,7 @@ def read_trial_log(
         log = log_format.read(folder / entry.log, required=required, optional=optional)
     columns = {name: values for name, values in log.columns.items() if name not in measured.values()}
     if log_format.is_written_by(log.metadata, "swimid track video"):
-        # In a log of another program a column of this name may have any meaning.
+        # A log that another program wrote may have a column of this name with another meaning.
         columns |= {name: log[raw] for name, raw in measured.items() if raw in log}
     return _cut(_blank_repeats(replace(log, columns=columns)), entry)
 
@@ -407,7 +408,8 @@ def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
 
     The second value is this difference divided by the largest measured magnitude.
 
-    This is Eq 14 of the T-Fish paper. Samples missing in either series, shape (n,), are left out.
+    The peak error is Eq 14 of "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive
+    Tail Fin". Samples missing in either series, shape (n,), are left out.
 
     >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
     (1.0, 0.25)
@@ -538,8 +540,8 @@ def score_checks(
     scores : mapping of channel name to SeriesScore, or to an object with ``nrmse`` and ``vaf``
         Errors of each channel over all trials.
     fitted : iterable of str
-        Channels to which the parameters were fitted. For these channels a variance accounted for below
-        :data:`MIN_VAF` fails, or a negative one if noise alone is left.
+        Channels to which the parameters were fitted. For these channels a check fails if the variance
+        accounted for is below :data:`MIN_VAF`, or for channels in ``noise`` if it is negative.
     noise : iterable of str
         Channels whose residuals are white, or in which nothing moves. Their errors are noise and not judged.
     held_out : bool
@@ -622,7 +624,7 @@ def _correlation(result: FitResult) -> Correlation | None:
 
 
 def _sum_confounded(result: FitResult) -> dict[str, Estimate]:
-    """Return the weighted sums of confounded parameters that the trials determine, by their text."""
+    """Return weighted sums of confounded parameters that the trials determine, by the text of each sum."""
     return {
         c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
         for c in combinations(result)
@@ -654,7 +656,7 @@ def compute_scores(
 ) -> dict[str, SeriesScore]:
     """Return the errors of each measured channel over the trials of one role.
 
-    If ``trials`` are named, only those among them are used.
+    If ``trials`` are named, other trials are not used.
     """
     pose, found = pose_channels(result.model), _own_pairs(result, role, trials)
     return {
@@ -667,7 +669,7 @@ def compute_scores(
 def _own_pairs(
     result: FitResult, role: str, trials: Sequence[str] | None = None
 ) -> dict[str, list[tuple[Array, Array]]]:
-    """Return measured and simulated values of each channel of each trial of one role, in its own axes."""
+    """Return measured and simulated values by channel, for each trial of a role in the trial's axes."""
     ids = [t.id for t in result.trials if t.role == role and (trials is None or t.id in trials)]
     found: dict[str, list[tuple[Array, Array]]] = {}
     for trial in ids:
@@ -697,7 +699,7 @@ def refuse_interrupted(result: FitResult) -> None:
 def insist_identified(result: FitResult, hint: str) -> None:
     """Raise :class:`NoTrustworthyResult` if a fit has shared parameters but identifies none of them.
 
-    A fit of trials that differ is returned, because its checks say what differs.
+    A fit whose trials differ raises no error, because its checks say what differs.
     """
     if result.differences is not None and result.differences.are_likely:
         return
@@ -767,8 +769,8 @@ def parameter_file(
 def robot_reference(experiment: Experiment, folder: Path) -> str:
     """Return the reference to the robot that a parameter file in a folder stores.
 
-    It is the name of a built-in robot, or the path of a robot file relative to the folder. If the experiment
-    does not know the path of the robot file, it is the name of the robot.
+    The reference is the name of a built-in robot, or the path of a robot file relative to the folder. If the
+    experiment does not know the path of the robot file, the reference is the name of the robot.
     """
     name = experiment.robot.name
     if experiment.robot_path is None:
@@ -810,7 +812,7 @@ def assess(result: FitResult) -> list[ev.Check]:
 
 
 def describe_method(result: FitResult, trials: str, law: str) -> str:
-    """Return a sentence on the estimates, the kind of their trials, and the law of the model."""
+    """Return a sentence that names the estimated parameters, the kind of trials, and the model's law."""
     count = sum(t.role == "fit" for t in result.trials)
     return (
         f"{', '.join(result.common_labels)} were estimated from {count} {trials} ({result.samples} samples) "
@@ -959,7 +961,10 @@ def _visibility(result: FitResult, differ: Differences) -> ev.Check:
 
 
 def _relative(result: FitResult, name: str, sd: float) -> str:
-    """Return a standard deviation between trials as a share of the estimate; with its unit near zero."""
+    """Return a standard deviation between trials as text: as a share of the estimate.
+
+    For an estimate near zero, it has the value with its unit.
+    """
     size = abs(result.value(name))
     if size > 0.1 * result.parameter(name).scale:
         return numbers.percent(sd / size, 2)
@@ -1035,7 +1040,7 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
 
 
 def _join_residuals(result: FitResult, channel: str, role: str = "fit") -> Array:
-    """Return the weighted residuals of a channel. The trials of a role are joined to one series."""
+    """Return the weighted residuals of a channel in the trials of one role, joined to one series."""
     return join_series([s.z_scores for s in result.series_of(channel, role)], gap=30)
 
 
@@ -1109,16 +1114,16 @@ def finish(
     output: Path | None,
     **shown: Any,
 ) -> Fitted:
-    """Return the result of a fit, and write its parameter file and its evidence if an output path is given.
+    """Return the result of a fit, and write its parameter file and evidence file if an output path is given.
 
     Parameters
     ----------
     command : str
-        Name of the command in the evidence.
+        Name of the command in the evidence file.
     warnings : sequence of Notice
         Warnings that were recorded during the fit.
     **shown
-        Further fields of the evidence: title, tables, figures, notes, methods and references.
+        Further fields of the evidence file: title, tables, figures, notes, methods and references.
     """
     evidence = ev.Evidence(
         command=command,
@@ -1132,7 +1137,7 @@ def finish(
 
 
 def answer(file: ParameterFile) -> str:
-    """Return the answer of a fit: a sentence with the first three estimated shared parameters."""
+    """Return the main result of a fit: a sentence with the first three estimated shared parameters."""
     parts = [
         f"{parameter_text(name, e.meaning)} {numbers.format_estimate(e.value, e.stderr, e.unit)}"
         for name, e in file.parameters.items()

@@ -157,8 +157,8 @@ def _better(best: FitResult, other: FitResult) -> FitResult:
 # ---------------------------------------------------------------- several objectives
 
 
-#: Settings of NSGA-II from section II of the sea lion paper: population size, number of generations, and
-#: crossover probability.
+#: Settings of NSGA-II from section II of Kadapa et al. on a bio-robotic sea lion: population size, number of
+#: generations, and crossover probability.
 POPULATION, GENERATIONS, CROSSOVER = 80, 50, 0.8
 #: Value of all objectives of a genetic search for a point at which the simulation diverges.
 BROKEN_OBJECTIVE = 1e9
@@ -168,9 +168,9 @@ BROKEN_OBJECTIVE = 1e9
 class Front:
     """Pareto front: points of which none is better than another one in every objective."""
 
-    #: Points, sorted by the first objective, shape (n, d).
+    #: Points, sorted by the first objective, shape (n, d) for n points with d coordinates.
     points: Array
-    #: Objectives of the points, shape (n, m).
+    #: Values of the m objectives at the points, shape (n, m).
     objectives: Array
     evaluations: int
 
@@ -178,8 +178,9 @@ class Front:
 def knee(objectives: Array) -> int:
     """Return the index of the point of a Pareto front that is nearest to the ideal point.
 
-    The objectives have the shape (n, m). Each is divided by its range on the front. The ideal point has the
-    lowest value of each objective (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
+    The objectives of n points have the shape (n, m). Each is divided by its range on the front. The ideal
+    point has the lowest value of each objective (Miettinen 1999, Nonlinear Multiobjective Optimization,
+    section 2.2).
 
     >>> knee(np.array([[0.0, 1.0], [0.2, 0.2], [1.0, 0.0]]))
     1
@@ -192,8 +193,8 @@ def knee(objectives: Array) -> int:
 def least_worst(objectives: Array) -> int:
     """Return the index of the point of a Pareto front whose worst objective is best.
 
-    Each objective, shape (n, m), is divided by its lowest value on the front. The worst objective of a point
-    has the largest ratio.
+    The m objectives of n points have the shape (n, m). Each objective is divided by its lowest value on the
+    front. The worst objective of a point has the largest ratio.
 
     >>> least_worst(np.array([[1.0, 9.0], [2.0, 4.0], [8.0, 2.0]]))
     1

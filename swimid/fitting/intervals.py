@@ -1,9 +1,10 @@
 """Confidence intervals of the estimates of a fit, for autocorrelated noise and trials that differ.
 
-The estimates are those of least squares. Their error is a mixture of Student distributions: one for each form
-of the noise (:mod:`swimid.fitting.noise`), each set of shared parameters that may differ between the trials,
-and each size of the differences. The weights are the probabilities of these hypotheses. The standard error
-of an estimate is the half-width that contains 95 % of the mixture, divided by 1.96.
+The estimates are those of least squares. Their error is a mixture of Student distributions. Each distribution
+belongs to a hypothesis: a noise model (:mod:`swimid.fitting.noise`), a set of shared parameters that differ
+between the trials, and standard deviations of these differences. The weights are the probabilities of the
+hypotheses. The standard error of an estimate is the half-width that contains 95 % of the mixture, divided by
+1.96.
 
 A difference between trials is visible only in contrasts: combinations of the trials' data in which the shared
 parameters cancel. Differences without a contrast are reported as such, because no interval contains them.
@@ -41,20 +42,23 @@ NORMAL = float(special.ndtri(0.975))
 MANY_DEGREES = 400
 #: Total weight of the least probable hypotheses that are left out of a mixture.
 NEGLIGIBLE_WEIGHT = 1e-4
-#: Binary logarithm of the number of forms of the noise that are drawn from their probabilities.
+#: Binary logarithm of the number of noise models that are drawn at random with their probabilities.
 LOG2_FORMS = 4
-#: Binary logarithm of the number of sizes of the differences of one, two and three parameters.
+#: Binary logarithms of the numbers of samples of the between-trial standard deviations, for one, two and
+#: three parameters that differ.
 LOG2_SIZES = (4, 7, 8)
-#: Maximum number of parameters that differ together. Only the most probable ones are combined.
+#: Maximum number of parameters that differ together in one hypothesis. Only those that most probably differ
+#: are combined.
 MAX_TOGETHER = 3
 #: Smallest and largest standard deviation between trials, in standard errors of the parameter in the most
 #: informative trial. A smaller standard deviation changes no interval.
 SMALLEST_SIZE, LARGEST_SIZE = 0.3, 1e5
-#: Differences of a parameter between trials count as visible up to this ratio of standard errors: the error
-#: with differences of the smallest size that a contrast of the trials shows, divided by that without.
+#: Maximum ratio of two standard errors of a parameter for which its differences between trials count as
+#: visible. The first error allows for the smallest differences that a contrast of the trials shows, and the
+#: second assumes no differences.
 MAX_ENLARGEMENT = 3.0
-#: Memory of the noise, as a fraction of the duration of a trial, above which the distribution of the scores
-#: over the trials also counts. The forms of the noise then hardly determine the error.
+#: Correlation time of the noise, as a fraction of the duration of a trial, above which an interval is at
+#: least as wide as that from the scores of the trials. The samples then hardly determine the noise model.
 LONG_MEMORY = 1.0 / 15.0
 #: Minimum ratio of an eigenvalue of a scaled information matrix to the largest one. A smaller eigenvalue is a
 #: rounding error.
@@ -62,7 +66,8 @@ INFORMATION_RTOL = 1e-10
 #: Probability of differences above which a check warns. Trials that agree exceed it in at most 1 % of all
 #: cases, because a Bayes factor of 99 against the truth is that rare (Markov's inequality).
 DIFFERENT = 0.99
-#: Relative difference between trials for which the error of a parameter with invisible differences is stated.
+#: Relative difference between trials that is assumed for a parameter with invisible differences. Its standard
+#: error with this difference is stated.
 ASSUMED_DIFFERENCE = 0.01
 
 
@@ -104,7 +109,7 @@ class Differences:
 
 @dataclass(frozen=True)
 class Mixture:
-    """Mixture of Student distributions of the error of least-squares estimates, in whitened coordinates.
+    """Mixture, over h hypotheses, of Student distributions of the least-squares error in q coordinates.
 
     Attributes
     ----------
@@ -121,7 +126,7 @@ class Mixture:
     degrees: int
 
     def half_widths(self, directions: Array) -> Array:
-        """Return the half-widths that contain 95 % of the error along directions of shape (m, q)."""
+        """Return the 95 % half-widths of the error along each row of ``directions``, shape (m, q)."""
         mean = directions @ self.mean.T
         variance = np.einsum("mi,hij,mj->mh", directions, self.covariance, directions, optimize=True)
         sd = np.sqrt(np.maximum(variance, 1e-300))
@@ -134,7 +139,7 @@ class Mixture:
         return np.asarray(high)
 
     def _below(self, x: Array) -> Array:
-        """Return the probability below a standardised error."""
+        """Return the cumulative probability of a standardised error ``x``."""
         if self.degrees > MANY_DEGREES:
             return np.asarray(special.ndtr(x))
         return np.asarray(special.stdtr(self.degrees, x))
@@ -143,7 +148,7 @@ class Mixture:
         """Return a covariance whose normal distribution has the 95 % intervals of the mixture, shape (q, q).
 
         The intervals agree along the principal axes of the mean square of the error. The mean square itself
-        depends on the tails of the mixture.
+        is not used as the covariance, because it depends on the tails of the mixture.
         """
         square = np.einsum("h,hij->ij", self.weight, self.covariance)
         square += np.einsum("h,hi,hj->ij", self.weight, self.mean, self.mean)
@@ -163,7 +168,7 @@ class Coordinates:
     Attributes
     ----------
     forward, backward : ndarray, shapes (q, s) and (s, q)
-        Changes of the coordinates by the unknowns, and of the unknowns by the coordinates.
+        Derivatives of the coordinates with respect to the unknowns, and the reverse.
     undetermined : ndarray of bool, shape (s,)
         Mask of the unknowns that take part in a direction without information.
     """
@@ -195,7 +200,7 @@ def compute_errors(
     free : ndarray of bool, shape (p,)
         Mask of the unknowns that no bound holds. At least one of them is shared by the trials.
     rows, residuals : sequence of ndarray, each shape (n_k, m_k) and (n_k,)
-        Weighted derivatives of the simulated samples of each trial with respect to its scaled unknowns
+        Weighted derivatives of the n_k samples of trial k with respect to its m_k scaled unknowns
         (:attr:`Problem.taken`), and weighted residuals.
 
     Returns
@@ -216,7 +221,7 @@ def compute_errors(
         parts.append(columns)
         common = columns[:, : len(shared)]
         rest = orthogonal_part(columns[:, len(shared) :], common, DERIVATIVE_RTOL)
-        # What remains of a column that the own unknowns can replace is rounding error.
+        # If the trial's own unknowns can replace a column, the remainder of the column is rounding error.
         norms = np.linalg.norm(common, axis=0)
         apart.append(np.where(np.linalg.norm(rest, axis=0) > DERIVATIVE_RTOL * norms, rest, 0.0))
     frame = Coordinates(apart)
@@ -234,37 +239,37 @@ def compute_errors(
     whitened = mixture.compute_covariance()
     variance = np.einsum("iq,qr,ir->i", frame.backward, whitened, frame.backward)
     factor = np.where(variance > 0.0, half / (NORMAL * np.sqrt(np.where(variance > 0.0, variance, 1.0))), 1.0)
-    # Unknowns that are confounded have one factor, so that their known sums keep their accuracy.
+    # Enlarge confounded unknowns by one common factor, so that their known sums keep their accuracy.
     vague = half > NORMAL * VAGUE * magnitude
     factor[vague] = np.max(factor[vague], initial=1.0)
     return *_assemble(scores, frame, whitened, factor, shared, own, len(theta)), differences
 
 
 class _Scores:
-    """Information and scores of the trials for several forms of the noise.
+    """Information matrices and scores of the trials, for several models of the noise.
 
     Parameters
     ----------
     series : dict of channel to dict of trial index to NoiseRows
     backward : ndarray, shape (s, q)
-        Changes of the shared unknowns by the whitened coordinates.
+        Derivatives of the shared unknowns with respect to the whitened coordinates.
     own : sequence of int
         Number of own unknowns of each trial.
 
     Attributes
     ----------
     weight : ndarray, shape (j,)
-        Probability of each form of the noise, from the residuals of each trial alone. The first is the most
-        probable one.
+        Probability of each of j noise models, from the residuals of each trial alone. The most probable one
+        comes first.
     information, score : ndarray, shapes (j, trials, q, q) and (j, trials, q)
-        About the whitened coordinates, with the own unknowns of each trial free.
+        Information and scores for the q whitened coordinates, with the own unknowns of each trial free.
     roots : list of (ndarray, ndarray), each shape (r_k, own) and (r_k, q)
-        Square root of the information of the own unknowns of each trial for the first form: their columns,
-        and those of the coordinates.
+        Square root of the information of the own unknowns of each trial under the first noise model: the
+        columns of these unknowns, and the columns of the coordinates.
     degrees : int
         Degrees of freedom of the variance of the noise.
     memory_s : float
-        Memory of the noise, s: the longest of all channels.
+        Correlation time of the noise, s: the longest of all channels.
     """
 
     def __init__(
@@ -286,7 +291,7 @@ class _Scores:
                 scale = np.sqrt(np.maximum(np.diag(starts), 1e-300))
                 values, vectors = np.linalg.eigh(starts / np.outer(scale, scale))
                 kept = values > INFORMATION_RTOL * values.max(initial=0.0)
-                # The rows of this matrix give the own unknowns unit information.
+                # Compute a matrix whose rows are combinations of own unknowns with unit information.
                 base = (vectors[:, kept] / np.sqrt(values[kept])).T / scale
                 mixed = base @ whole[q:, :q]
                 self.information[j, k] = whole[:q, :q] - mixed.T @ mixed
@@ -295,7 +300,7 @@ class _Scores:
                     self.roots.append(((vectors[:, kept] * np.sqrt(values[kept])).T * scale, mixed))
 
     def _whiten(self, channel: int, form: int) -> dict[int, tuple[NDArray[np.intp], Array]]:
-        """Return basis and residual of each trial, whitened by one form of the noise of a channel."""
+        """Return by trial the sample indices, and basis and residual whitened by one noise model."""
         if (channel, form) not in self._white:
             posterior, parts = self.posteriors[channel], list(self.series.values())[channel]
             noise, sd = posterior.forms[form], math.sqrt(posterior.variance[form])
@@ -306,10 +311,11 @@ class _Scores:
         return self._white[channel, form]
 
     def _of_trials(self, chosen: Sequence[int], own: Sequence[int]) -> Iterator[tuple[Array, Array]]:
-        """Yield information and score of each trial about coordinates and own unknowns, for one form.
+        """Yield the information and the score of each trial, for one noise model of each channel.
 
-        Residuals of different channels may be correlated, as those of one camera are. The information is then
-        that of the covariance of the scores.
+        Information and score refer to the whitened coordinates, followed by the trial's own unknowns.
+        Residuals of different channels may be correlated, as those of one camera are. The information then
+        follows from the covariance of the scores.
         """
         white = [self._whiten(c, form) for c, form in enumerate(chosen)]
         parts, s = list(self.series.values()), len(self.backward)
@@ -340,7 +346,10 @@ class _Scores:
 
 
 def _draw_forms(posteriors: Sequence[NoisePosterior]) -> tuple[list[tuple[int, ...]], Array]:
-    """Return forms of the noise of all channels, drawn from their probabilities, most frequent first."""
+    """Return noise models drawn with their probabilities, and the frequency of each.
+
+    A model has one index for each channel. The most frequent model comes first.
+    """
     points = _points(len(posteriors), LOG2_FORMS)
     drawn = [
         np.minimum(np.searchsorted(np.cumsum(p.probability), u), len(p.forms) - 1)
@@ -378,7 +387,7 @@ def _correlate(white: Sequence[Mapping[int, tuple[NDArray[np.intp], Array]]]) ->
 
 
 def _remainder(white: Array) -> Array:
-    """Return the whitened residual of a series after a fit of the series alone."""
+    """Return the whitened residual of a series that remains after a fit of this series alone."""
     basis = np.linalg.qr(white[:, :-1])[0]
     return np.asarray(white[:, -1] - basis @ (basis.T @ white[:, -1]))
 
@@ -393,10 +402,10 @@ def _mix(
 
     Notes
     -----
-    That no parameter differs has the prior probability 1/2, and all sets of parameters share the rest. The
-    standard deviations between trials are uniform in their logarithms, up to the magnitude of the parameter.
-    This prior gives Student's distribution with the degrees of freedom of the trials if the differences
-    exceed the noise [1]_.
+    The hypothesis that no parameter differs has the prior probability 1/2. All sets of parameters that may
+    differ share the rest. The standard deviations between trials are uniform in their logarithms, up to the
+    magnitude of the parameter. This prior gives Student's distribution with as many degrees of freedom as the
+    trials have, if the differences exceed the noise [1]_.
     """
     trials = scores.information.shape[1]
     likely = np.einsum("j,jkqr->kqr", scores.weight, scores.information)
@@ -406,9 +415,9 @@ def _mix(
     visible = np.flatnonzero(shown).tolist()
     own = np.einsum("qi,kqr,ri->ki", frame.forward, likely, frame.forward)
     error = 1.0 / np.sqrt(np.maximum(own.max(axis=0), 1e-300))
-    # Beyond the largest size, the information that is left would be rounding error.
+    # Above the maximum standard deviation, the information that remains would be rounding error.
     highest = np.minimum(magnitude, LARGEST_SIZE * error)
-    # A parameter that no trial determines to within its magnitude has a narrow range of sizes.
+    # If no trial determines a parameter to within its magnitude, the range of standard deviations is narrow.
     lowest = np.minimum(SMALLEST_SIZE * error, 0.1 * highest)
     hypotheses, mixture, weights = _weigh_sets(scores, frame, visible, lowest, highest)
     chance, sd = {}, {}
@@ -435,7 +444,7 @@ def _weigh_sets(
 ) -> tuple[list[_Set], Mixture, list[Array]]:
     """Return the sets of parameters that may differ, their mixture, and the probabilities of each set.
 
-    Each set has one probability for each form of the noise and each size of the differences.
+    Each set has one probability for each noise model and each sample of the standard deviations.
 
     Parameters
     ----------
@@ -487,17 +496,20 @@ class _Set(NamedTuple):
 
 
 def _draw_sizes(members: tuple[int, ...], lowest: Array, highest: Array) -> _Set:
-    """Return a set with sizes that are uniform in their logarithms between two bounds, shape (s,)."""
+    """Return a set of parameters with samples of their between-trial standard deviations.
+
+    The samples are uniform in their logarithms between two bounds, shape (s,).
+    """
     low, high = (np.log(bound[list(members)]) for bound in (lowest, highest))
     points = _points(len(members), LOG2_SIZES[len(members) - 1])
     return _Set(members, np.exp(low + points * (high - low)))
 
 
 def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array, Array, Array]:
-    """Return log-likelihood, estimate and covariance for all forms of the noise j and sizes h.
+    """Return log-likelihood, estimate and covariance for all noise models j and standard deviations h.
 
-    The log-likelihood is that of the differences between the estimates of the trials
-    (:func:`_own_likelihood` has the rest).
+    The log-likelihood is that of the differences between the estimates of the trials. The function
+    :func:`_own_likelihood` computes the other part.
 
     Returns
     -------
@@ -546,7 +558,7 @@ def _evaluate(scores: _Scores, forward: Array, hypotheses: _Set) -> tuple[Array,
 
 
 def _own_likelihood(information: Array, score: Array) -> Array:
-    """Return the log-likelihood of the estimates of each trial alone, about their common part, shape (j,)."""
+    """Return the sum of the parts of the log-likelihood from each trial alone, shape (j,)."""
     values, vectors = np.linalg.eigh(information)
     kept = values > 1e-9 * values[..., -1:]
     safe = np.where(kept, values, 1.0)
@@ -556,7 +568,7 @@ def _own_likelihood(information: Array, score: Array) -> Array:
 
 
 def _visibility(information: Array, pooled: Array, forward: Array) -> tuple[Array, Array]:
-    """Return how differences of each parameter enlarge its error, and the size that a contrast just shows.
+    """Return the factor by which differences of each parameter enlarge its standard error, and their size.
 
     Parameters
     ----------
@@ -567,7 +579,8 @@ def _visibility(information: Array, pooled: Array, forward: Array) -> tuple[Arra
     Returns
     -------
     enlargement, size : ndarray, shape (s,)
-        Ratio of the standard errors with and without differences of this size; infinite without a contrast.
+        Ratio of the standard errors with and without the smallest differences that a contrast of the trials
+        shows, and size of these differences; infinite without a contrast.
     """
     enlargement, size = np.full(forward.shape[1], np.inf), np.full(forward.shape[1], np.inf)
     for i, e in enumerate(forward.T):
@@ -586,10 +599,10 @@ def _visibility(information: Array, pooled: Array, forward: Array) -> tuple[Arra
 
 
 def _cluster_half_widths(scores: _Scores, directions: Array) -> Array:
-    """Return half-widths of 95 % intervals from the scores of the trials. No noise model is assumed.
+    """Return half-widths of 95 % intervals along ``directions``, from the scores of the trials.
 
-    The covariance is the bias-reduced cluster estimate of Bell and McCaffrey, with its degrees of freedom
-    [2]_.
+    No noise model is assumed. The covariance is the bias-reduced cluster estimate of Bell and McCaffrey, with
+    its degrees of freedom [2]_.
 
     Parameters
     ----------
@@ -640,7 +653,7 @@ def _assemble(
     whitened : ndarray, shape (q, q)
         Covariance of the whitened coordinates.
     factor : ndarray, shape (s,)
-        Factor of the standard error of each shared unknown.
+        Factor that is applied to the standard error of each shared unknown.
     """
     values, vectors = np.linalg.eigh(whitened)
     values = np.maximum(values, 1e-14 * values[-1])

@@ -2,7 +2,7 @@
 
 Examples are a heading of the tail instead of the body, a mirrored axis, a wrong unit and a wrong sign. Such a
 mistake makes every fit bad and looks like a missing effect. Each known mistake is undone in turn by a
-transformation of the data or of the drive, and the corrected trials are a rival of the fit
+transformation of the data or of the drive. The fit of the corrected trials is compared with the original fit
 (:mod:`swimid.fitting.rivals`). The data stay unchanged: the result is a sentence.
 """
 
@@ -81,7 +81,7 @@ class Explanation:
     before, after : float
         Error of the channel before and after the correction, divided by its measured range.
     score : float
-        Score of the corrected trials as a rival.
+        Score of the fit to the corrected trials, compared with the original fit.
     """
 
     says: str
@@ -124,7 +124,7 @@ def list_mistakes(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
 
 
 def _list_input_mistakes(model: Model, trials: Sequence[Trial], units: Mapping[str, str]) -> list[Mistake]:
-    """Return wrong signs of the inputs that are no channels."""
+    """Return the mistakes of a wrong sign in inputs that are not channels."""
     columns = {}
     if model.swimmer is not None:
         columns = {name: law.column for name, law in model.swimmer.inputs.items()}
@@ -134,14 +134,14 @@ def _list_input_mistakes(model: Model, trials: Sequence[Trial], units: Mapping[s
 
 
 def _list_joint_mistakes(count: int) -> list[Mistake]:
-    """Return wrong signs and units of the logged motions of driven joints."""
+    """Return the mistakes of a wrong sign or unit in the logged motions of driven joints."""
     signs = [(f"the sign of driven joint {k + 1} changed", -1.0, [k]) for k in range(count)]
     units = [(says, factor, range(count)) for says, factor in JOINTS.items() if count]
     return [Mistake(says, partial(_joint, factor, joints)) for says, factor, joints in (*signs, *units)]
 
 
 def _list_reflections(pose: Sequence[str]) -> Changes:
-    """Return the changes of a pose by a film that is mirrored, or by a heading that is reversed."""
+    """Return the changes of the pose channels by a mirrored film, or by a reversed heading."""
     if {"x_m", "y_m", "yaw_rad"} <= set(pose):
         return {
             "yaw + 180 degrees": {"yaw_rad": (1.0, math.pi)},
@@ -155,7 +155,7 @@ def _list_reflections(pose: Sequence[str]) -> Changes:
 
 
 def _list_channel_changes(pose: Sequence[str], units: Mapping[str, str], names: Sequence[str]) -> Changes:
-    """Return the changes of channels by a wrong sign or a wrong unit."""
+    """Return the changes of channels by a wrong sign or a wrong unit, by their description."""
     changes: Changes = {f"the sign of {n} changed": {n: (-1.0, 0.0)} for n in names if n not in pose}
     for name in (n for n in names if units[n] == "rad"):
         changes[f"{name} taken as degrees"] = {name: (RAD_PER_DEGREE, 0.0)}
@@ -285,13 +285,13 @@ def search(
 ) -> Explanation | None:
     """Return the recording mistake that explains the errors of a model best; None if no mistake does.
 
-    Each mistake is undone in each trial. A trial counts as corrected if the evidence for the correction is
-    strong. The mistake is undone in these trials, or with ``refit`` in all trials that can have it.
+    Each mistake is undone in each trial. A trial counts as corrected if there is strong evidence for the
+    correction. The mistake is then undone in these trials, or with ``refit`` in all trials that can have it.
 
     Parameters
     ----------
     before : mapping of trial id to sequence of Series
-        Series of the trials as they are.
+        Measured and simulated series of the uncorrected trials.
     simulate : callable
         Function that simulates a corrected trial with one or several sets of parameters.
     refit : callable, optional
@@ -321,7 +321,7 @@ def _refit_series(
     corrected: Mapping[str, tuple[Trial, list[Series], float]],
     ids: Collection[str],
 ) -> dict[str, list[Series]]:
-    """Return the series of a fit with some trials corrected, by the id of the trial; empty if it fails."""
+    """Return the series of a fit with some trials corrected, by trial id; empty if the fit fails."""
     fit = refit([corrected[t.id][0] if t.id in ids else t for t in trials])
     if fit is None:
         return {}
@@ -335,7 +335,7 @@ def _correct(
     before: TrialSeries,
     simulate: Callable[[Trial], Iterable[Mapping[str, Array]]],
 ) -> tuple[Trial, list[Series], float] | None:
-    """Return the corrected trial, its series, and the gain by the correction; None if there is none."""
+    """Return the corrected trial, its series, and the gain in likelihood; None if it cannot be corrected."""
     changed = mistake.undo(trial)
     if changed is None:
         return None
@@ -368,9 +368,9 @@ def _explain(
 ) -> Explanation | None:
     """Return the mistake as an explanation if its correction lowers the errors enough; None otherwise.
 
-    The evidence must be strong. The errors of the corrected trials must exceed those of a good model before
-    the correction, and no trial may exceed them after it: a mistake in one trial does not explain that the
-    model fails in all of them.
+    The evidence for the correction must be strong. Before the correction, the errors of the corrected trials
+    must exceed those of a good model. After the correction no trial may exceed them, because a mistake in one
+    trial does not explain why the model fails in all of them.
 
     Parameters
     ----------

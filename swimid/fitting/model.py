@@ -54,8 +54,9 @@ class Parameter:
     start : float
         Start value of the search. A fixed parameter has this value.
     scale : float
-        Typical scale of the parameter. It sets the steps of finite differences. If the value is near zero,
-        the scale replaces the value in the limit of the standard error of an identifiable parameter.
+        Typical scale of the parameter. The steps of finite differences are proportional to it. A parameter is
+        identifiable if its standard error is below a fraction of its absolute value, or of the scale if that
+        is larger.
     free : bool
         Whether a fit estimates the parameter by default.
     per_trial : bool
@@ -68,7 +69,8 @@ class Parameter:
         Whether the simulation is a non-smooth function of the parameter, as for a body that sticks and slips.
         Searches then start from several values.
     members : tuple of str
-        Parameters of the model that share this parameter of a fit. Empty if it is a parameter of the model.
+        Names of the parameters of the model that have the value of this parameter of a fit. Empty if the
+        parameter itself is one of the model.
     """
 
     name: str
@@ -162,8 +164,8 @@ class SwimInput:
     #: Functions that return the value of each input of the robot at given times (s), by the name of the
     #: input. A missing input is zero.
     inputs: Mapping[str, Callable[[Array], Array]] = field(default_factory=dict)
-    #: Pose of the robot's reference point at the first sample. Start offsets that a fit estimates are added
-    #: to it.
+    #: Pose of the robot's reference point at the first sample. If a fit estimates the initial pose, it
+    #: estimates offsets that are added to this pose.
     pose: tuple[float, ...] | None = None
     #: Coefficients of the robot whose values differ in this trial, by name.
     coefficients: Mapping[str, float] | None = None
@@ -187,7 +189,7 @@ class SwimInput:
         return replace(self, beat=replace(self.beat, steady=True, ramp_s=0.0))
 
     def get_pose(self, count: int = 3) -> tuple[float, ...]:
-        """Return the initial pose of the robot; ``count`` zeros if it is unknown."""
+        """Return the initial pose of the robot, or ``count`` zeros if the pose is unknown."""
         return self.pose or (0.0,) * count
 
 
@@ -234,13 +236,14 @@ class Trial:
     held : tuple of str
         Per-trial parameters that are not estimated in this trial.
     value_sd : dict of channel name to ndarray or float
-        Known shape of the measurement error. Its size is estimated. If neither ``value_sd`` nor ``time_sd_s``
-        is given, the error of a channel is constant.
+        Known standard deviation of the measurement error, up to a factor. A fit estimates the factor. If
+        neither ``value_sd`` nor ``time_sd_s`` is given, the error of a channel has a constant standard
+        deviation.
     time_sd_s : float
         Known standard deviation of the time stamps, s.
     stamps_uncertain : bool
-        Whether the time stamps have an error of unknown size. Its size is estimated together with that of the
-        measured values.
+        Whether the time stamps have an error of unknown size. A fit estimates this size together with the
+        size of the error of the measured values.
     """
 
     id: str
@@ -260,10 +263,10 @@ class Trial:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the samples of the trial, which identifies the trial under any name."""
+        """SHA-256 hash of the samples of the trial. A trial has the same hash under any name."""
         found = hashlib.sha256(self.time_s.tobytes())
         for name, values in sorted((*self.measured.items(), *self.inputs.items())):
-            # Have one pattern of bits for NaN and for 0.
+            # Use one bit pattern for all NaN values, and one for 0.0 and -0.0.
             same = np.where(np.isnan(values), np.nan, np.asarray(values, dtype=float) + 0.0)
             found.update(name.encode() + same.tobytes())
         return found.hexdigest()
@@ -339,7 +342,7 @@ MOST_FORCES = 4
 
 @numba.cfunc(FORCE_SIGNATURE, cache=True)
 def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Leave the wrench unchanged, in place of a force that does not act."""
+    """Leave the wrench unchanged. This function replaces a force that does not act in a simulation."""
 
 
 @dataclass(frozen=True)
@@ -536,7 +539,7 @@ class Acting:
     parameters : tuple of Parameter
         Parameters of the effect.
     first : int
-        Index of the first of them among the parameters of the model with all effects.
+        Index of the first parameter of the effect among the parameters of the model with all effects.
     """
 
     def __init__(self, effect: Effect, model: Model, parameters: tuple[Parameter, ...], first: int) -> None:
@@ -548,7 +551,7 @@ class Acting:
         self._latest: dict[str, tuple[Trial, list[float], Hooks]] = {}
 
     def hooks(self, values: Array, trial: Trial) -> Hooks:
-        """Return the hooks of the effect at the given values of all parameters. The latest ones are kept."""
+        """Return the hooks of the effect at given values of all parameters. The latest hooks are cached."""
         own = values[self.first : self.first + len(self.parameters)]
         point = own.tolist()
         if self.adds_to is not None or point == self._null:
@@ -567,7 +570,7 @@ class Acting:
         return hooks
 
     def forget(self, trials: Iterable[str]) -> None:
-        """Remove the hooks that were kept for trials."""
+        """Remove the cached hooks of the trials with the given identifiers."""
         for name in trials:
             self._latest.pop(name, None)
 
@@ -588,7 +591,7 @@ class RobotFacts:
         Whether the model is a robot with links that moves in 3-D, and not in a plane. It is simulated for one
         stroke cycle after the other.
     file_ending : str
-        Ending of the user's file of a simulator; empty if the model has no such file.
+        File name ending of the files in which users define a simulator; empty if the model has no such files.
     fluid_density_kg_m3 : float or None
         Density of the fluid in the robot file; None if unknown.
     """
@@ -628,11 +631,11 @@ class RobotFacts:
         return ("x",)
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the initial position in a trial, by channel. Channels that it does not name start at 0."""
+        """Return the initial position in a trial, by channel. Channels without an entry start at 0."""
         return {}
 
     def get_file_values(self) -> dict[str, float]:
-        """Return the parameter values of the robot file, if a fit may start from other values."""
+        """Return the parameter values of the robot file by name; empty if the model has no such values."""
         return {}
 
     def is_commanded(self, trial: Trial) -> bool:
@@ -851,7 +854,7 @@ class Model(RobotFacts):
         Parameters
         ----------
         effects : bool
-            Whether simulations have effects that add forces, or elements that the model does not have. The
+            Whether effects add forces, or elements that the model does not have, to the simulations. The
             modules of all effects, including those of the user, must have been imported.
         """
 
@@ -947,9 +950,7 @@ def choose_parameters(
         if parameter.name in bounds:
             lower, upper = bounds[parameter.name]
             if not lower < upper:
-                raise UsageError(
-                    f"the lower bound of {parameter.name}, {lower}, must be below the upper bound, {upper}"
-                )
+                raise UsageError(f"{parameter.name}: the lower bound {lower} must be below {upper}")
             start = min(max(parameter.start, lower), upper)
             parameter = replace(parameter, lower=lower, upper=upper, start=start)
         if parameter.name in fixed:
@@ -1045,16 +1046,16 @@ def groups_by_prefix(parameters: Sequence[Parameter], prefix: str) -> dict[str, 
 
 
 def values_of(model: Model, parameters: Sequence[Parameter], known: Mapping[str, float]) -> Array:
-    """Return the values of a model's parameters from the value of each parameter of a fit."""
+    """Return the values of a model's parameters from the known value of each parameter of a fit."""
     expanded = expand(parameters, known)
     return np.array([expanded[p.name] for p in model.parameters])
 
 
 def expand(parameters: Sequence[Parameter], entries: Mapping[str, Entry]) -> dict[str, Entry]:
-    """Return entries by parameter, with each shared parameter replaced by its members.
+    """Return estimates or other entries by parameter, with shared parameters replaced by their members.
 
-    The keys are parameter names or ``name[trial]``. Each member has the entry of the shared parameter, and so
-    its standard error. The members are fully correlated.
+    The keys are parameter names or ``name[trial]``. Each member has the entry of the shared parameter, and
+    therefore its standard error. The members are fully correlated.
     """
     groups = {p.name: p.members for p in parameters if p.members}
     found: dict[str, Entry] = {}
@@ -1112,7 +1113,7 @@ class Scales:
 
     @property
     def brake(self) -> float:
-        """Scale of a drag or friction that is tested: a tenth of the force that moves the robot."""
+        """Typical size of an additional drag or friction: a tenth of the force that moves the robot."""
         return 0.1 * self.force
 
     @property

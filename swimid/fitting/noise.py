@@ -1,11 +1,11 @@
-"""Noise of residuals: local levels, slow noise, autoregressions, and rows that are whitened by them.
+"""Noise of residuals: local levels, slow noise, autoregressions, and whitening of residuals and derivatives.
 
-The weighted residual of a sample is independent noise of unit variance, plus noise with a memory. The noise
-with a memory is a first-order process with the variance g and the time constant tau, or the residual follows
-an autoregression. Both need a number of operations that is proportional to the number of samples, also for
+The weighted residual of a sample is independent noise of unit variance, plus slow noise. Slow noise is a
+first-order process with the variance g and the time constant tau. Alternatively the residual follows an
+autoregression. Whitening needs a number of operations that is proportional to the number of samples, also for
 uneven time stamps. :func:`compute_posterior` weighs all values of g and tau by the restricted likelihood of
-the residuals of each trial, with own values of all parameters for each trial. Differences between trials
-are therefore not taken for slow noise.
+the residuals. For this likelihood each trial has its own values of all parameters, so that differences
+between trials are not taken for slow noise.
 
 References
 ----------
@@ -33,21 +33,23 @@ from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
 from swimid.fitting.uncertainty import fit_joint
 
-#: Ratios of slow to fast noise: variance of the slow noise over that of independent noise in the mean of all
-#: samples within one time constant. The slow noise is negligible at the first one, and the independent noise
-#: at the last.
+#: Ratios of slow to independent noise: variance of the slow noise, divided by the variance of the mean of the
+#: independent noise over one time constant. The slow noise is negligible at the smallest ratio, and the
+#: independent noise at the largest.
 SLOW_NOISE_RATIOS = np.geomspace(0.03, 1e7, 12)
-#: Number of time constants, from two sampling intervals to MAX_MEMORY durations of the longest trial.
+#: Number of time constants of slow noise (N_TIMES). They range from two sampling intervals to MAX_MEMORY
+#: durations of the longest trial.
 N_TIMES, MAX_MEMORY = 12, 1.5
-#: Number of blocks into which the residual of a trial is divided to compare local levels, number of parts
-#: with one level each, minimum number of blocks in a part, and minimum number of samples in a block.
+#: Division of the residual of a trial for the comparison of local levels. N_BLOCKS is the number of blocks.
+#: N_PARTS is the number of parts with one level each. MIN_BLOCKS is the minimum number of blocks in a part.
+#: MIN_BLOCK is the minimum number of samples in a block.
 N_BLOCKS, N_PARTS, MIN_BLOCKS, MIN_BLOCK = 40, 6, 3, 3
 #: Significance level at which unequal local levels replace one level.
 LEVEL_P_VALUE = 0.01
 #: Minimum variance of the noise, in units of the mean squared residual.
 MIN_VARIANCE = 1e-16
-#: Smallest singular value of normalised derivatives that determines a direction, as a fraction of the
-#: largest.
+#: Minimum singular value of normalised derivatives, as a fraction of the largest, for a direction that the
+#: derivatives determine.
 DERIVATIVE_RTOL = 1e-7
 
 
@@ -56,7 +58,7 @@ DERIVATIVE_RTOL = 1e-7
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _filter_slow(rows, decay, ratio):  # type: ignore[no-untyped-def]
-    """Return one-step prediction errors over their standard deviations, and the sum of log variances.
+    """Return one-step prediction errors divided by their standard deviations, and the sum of log variances.
 
     The noise of a sample is independent noise of unit variance plus a first-order process of variance
     ``ratio``, whose value decays by the factor ``decay`` from the sample before (scalar Kalman filter).
@@ -84,7 +86,7 @@ def _filter_slow(rows, decay, ratio):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _filter_autoregression(rows, position, predictors, deviations):  # type: ignore[no-untyped-def]
-    """Return one-step prediction errors over their standard deviations, and the sum of log variances.
+    """Return one-step prediction errors divided by their standard deviations, and the sum of log variances.
 
     ``position`` is the number of samples since the last gap. ``predictors`` has the coefficients of all
     orders up to the largest, one order in each row.
@@ -164,11 +166,11 @@ class NoiseRows:
     time_s : ndarray, shape (n,)
         Times of the existing samples.
     place : ndarray of int, shape (n,)
-        Indices of these samples in the trial.
+        Indices of these samples among all samples of the trial.
     basis : ndarray, shape (n, m)
-        Orthonormal basis of the derivatives.
+        Orthonormal basis of the columns of the derivatives.
     factor : ndarray, shape (m, p)
-        Derivatives in that basis, for all p unknowns of the trial.
+        Coefficients of the derivatives in that basis, for all p unknowns of the trial.
     residual : ndarray, shape (n,)
     """
 
@@ -180,7 +182,7 @@ class NoiseRows:
 
     @classmethod
     def of(cls, time_s: Array, mask: NDArray[np.bool_], derivatives: Array, residual: Array) -> NoiseRows:
-        """Return the rows of the samples that a mask marks. Undetermined directions are left out."""
+        """Return residual and derivatives of samples that a mask marks, without undetermined directions."""
         norms = np.maximum(np.linalg.norm(derivatives, axis=0), 1e-300)
         u, singular, vt = np.linalg.svd(derivatives / norms, full_matrices=False)
         kept = singular > DERIVATIVE_RTOL * singular.max(initial=0.0)
@@ -189,13 +191,13 @@ class NoiseRows:
 
     @classmethod
     def alone(cls, time_s: Array, mask: NDArray[np.bool_], residual: Array) -> NoiseRows:
-        """Return the rows of a residual without derivatives. The times are those of all samples."""
+        """Return the residual of samples that a mask marks, without derivatives. All samples have times."""
         nothing = np.empty((len(residual), 0))
         return cls(time_s[mask], np.flatnonzero(mask), nothing, nothing[:0], residual)
 
     @property
     def own_residual(self) -> Array:
-        """Residual of a fit of this series alone, shape (n,)."""
+        """Residual that remains after a fit of this series alone, shape (n,)."""
         return np.asarray(self.residual - self.basis @ (self.basis.T @ self.residual))
 
     @property
@@ -207,7 +209,7 @@ class NoiseRows:
 def compute_rows(
     problem: Problem, residuals: Sequence[Array], derivatives: Sequence[Array]
 ) -> dict[str, dict[int, NoiseRows]]:
-    """Return the noise rows by channel and by index of the trial.
+    """Return the residual and the derivatives of each channel in each trial, by channel and trial index.
 
     Parameters
     ----------
@@ -227,16 +229,16 @@ def compute_rows(
 
 @dataclass(frozen=True)
 class NoiseForm:
-    """One form of the noise of a channel.
+    """Model of the noise of a channel: independent noise, slow noise, or an autoregression.
 
     Attributes
     ----------
     ratio : float
-        Variance of the slow noise over that of independent noise; 0 for no slow noise.
+        Variance of the slow noise, divided by that of the independent noise; 0 without slow noise.
     time_s : float
-        Time constant of the memory, s; 0 for independent noise.
+        Correlation time of the noise, s; 0 for independent noise.
     autoregression : Autoregression or None
-        Autoregression in place of slow noise.
+        Autoregression that replaces slow noise; None without one.
     """
 
     ratio: float = 0.0
@@ -244,7 +246,7 @@ class NoiseForm:
     autoregression: Autoregression | None = None
 
     def filter(self, time_s: Array, place: NDArray[np.intp]) -> Callable[[Array], tuple[Array, float]]:
-        """Return a function that whitens columns of the samples at given times and indices."""
+        """Return a function that whitens columns at given times and indices of the samples."""
         if self.autoregression is not None:
             ends = np.flatnonzero(np.diff(place, prepend=place[:1] - 2) > 1)
             position = np.arange(len(place)) - np.repeat(ends, np.diff(np.r_[ends, len(place)]))
@@ -256,12 +258,12 @@ class NoiseForm:
         return lambda columns: (columns, 0.0)
 
     def whiten(self, time_s: Array, place: NDArray[np.intp], columns: Array) -> tuple[Array, float]:
-        """Return columns with independent noise of equal variance, and the log determinant of the noise."""
+        """Return columns whitened to noise of equal variance, and the log determinant of the noise."""
         out, log_determinant = self.filter(time_s, place)(columns)
         return np.asarray(out), float(log_determinant)
 
     def correlate(self, time_s: Array, columns: Array) -> Array:
-        """Return the covariance matrix of noise whose independent part has unit variance, times columns.
+        """Return columns multiplied by the covariance of noise whose independent part has unit variance.
 
         The autocorrelation of an autoregression is replaced by that of its slowest mode.
         """
@@ -277,17 +279,17 @@ class NoiseForm:
 
 @dataclass(frozen=True)
 class NoisePosterior:
-    """Probabilities of the forms of the noise of a channel.
+    """Probabilities of the noise models of a channel.
 
     Attributes
     ----------
     forms : list of NoiseForm, length m
     probability, variance : ndarray, shape (m,)
-        Probability of each form, and variance of the independent noise if it is true.
+        Probability of each model, and variance of the independent noise if this model is true.
     degrees : int
         Degrees of freedom of the variance.
     log_likelihood : float
-        Logarithm of the likelihood of the residuals, averaged over the forms, without its constant.
+        Logarithm of the likelihood of the residuals, averaged over the models, without its constant.
     """
 
     forms: list[NoiseForm]
@@ -298,7 +300,7 @@ class NoisePosterior:
 
     @property
     def memory_s(self) -> float:
-        """Geometric mean of the time constant of the memory, s; 0 if independent noise is likelier."""
+        """Geometric mean correlation time of the noise, s; 0 if independent noise is more probable."""
         slow = np.array([form.time_s > 0.0 for form in self.forms])
         weight = self.probability[slow]
         if weight.sum() <= 0.5:
@@ -308,14 +310,14 @@ class NoisePosterior:
 
 
 def compute_posterior(rows: Mapping[int, NoiseRows]) -> NoisePosterior:
-    """Return the probabilities of the forms of the noise of one channel.
+    """Return the probabilities of the noise models of one channel.
 
     Notes
     -----
-    Independent noise has the prior probability 1/2. The rest is shared by slow noise and the autoregression
-    that the BIC selects, whose likelihood is lowered by the BIC penalty of its coefficients. The prior of
-    slow noise is constant in the logarithm of the ratio, and rises with the time constant, so that a trial
-    which cannot exclude slow noise does not count as free of it.
+    Independent noise has the prior probability 1/2. The rest is divided between slow noise and the
+    autoregression that the BIC selects. The likelihood of the autoregression is lowered by the BIC penalty of
+    its coefficients. The prior of slow noise is constant in the logarithm of the ratio, and rises with the
+    time constant. Therefore a trial that cannot exclude slow noise does not count as free of slow noise.
     """
     forms, prior = _possible_forms(rows)
     log_likelihood, squares, degrees = np.zeros(len(forms)), np.zeros(len(forms)), 0
@@ -332,7 +334,7 @@ def compute_posterior(rows: Mapping[int, NoiseRows]) -> NoisePosterior:
             squares[i] += products[-1, -1] - projected @ projected
             log_likelihood[i] -= 0.5 * log_determinant + np.log(np.diag(lower)).sum()
     degrees = max(degrees, 1)
-    # Data without noise have the precision of the numbers.
+    # The squared residuals of data without noise are at least the rounding errors.
     squares = np.maximum(squares, degrees * MIN_VARIANCE)
     weight = np.log(prior) + log_likelihood - 0.5 * degrees * np.log(squares)
     total = float(special.logsumexp(weight))
@@ -340,7 +342,7 @@ def compute_posterior(rows: Mapping[int, NoiseRows]) -> NoisePosterior:
 
 
 def _possible_forms(rows: Mapping[int, NoiseRows]) -> tuple[list[NoiseForm], Array]:
-    """Return the forms of the noise of a channel, and their prior probabilities."""
+    """Return the noise models of a channel that are compared, and their prior probabilities."""
     steps = np.concatenate([np.empty(0), *(np.diff(part.time_s) for part in rows.values())])
     step = float(np.median(steps)) if len(steps) else 0.0
     longest = max((float(np.ptp(part.time_s)) for part in rows.values()), default=0.0)
@@ -377,8 +379,8 @@ def compute_levels(problem: Problem, theta: Array) -> dict[tuple[int, str], Arra
     Returns
     -------
     dict of (trial index, channel) to ndarray, shape (n,)
-        Factors of the noise at each sample. A channel with one level, with a known shape of its error, or
-        with uncertain time stamps is left out.
+        Factors by which the standard deviation of the noise is multiplied at each sample. A channel with one
+        level, with a known shape of its error, or with uncertain time stamps is left out.
     """
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     rows = compute_rows(problem, residuals, problem.own_jacobians(theta))
@@ -401,7 +403,7 @@ def _has_known_shape(trial: Trial, channel: str) -> bool:
 
 
 def _levels(series: dict[int, tuple[Array, Array]], times: dict[int, Array]) -> dict[int, Array]:
-    """Return the local level of each series at given times; nothing if the levels do not differ."""
+    """Return the local noise level of each series at given times; an empty dict for equal levels."""
     owner, middle, level, error = [], [], [], []
     for k, (values, time) in series.items():
         size = max(len(values) // N_BLOCKS, MIN_BLOCK)

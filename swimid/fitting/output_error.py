@@ -38,8 +38,8 @@ from swimid.fitting.problem import (
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import Progress, show, silent, warn
 
-#: Iterations of a fit that re-estimate the noise: their maximum number, and the relative change of the sample
-#: weights at which they have converged.
+#: Maximum number of times that a fit estimates the noise (MAX_NOISE_ITERATIONS), and relative change of the
+#: sample weights at which the weights have converged (WEIGHT_RTOL).
 MAX_NOISE_ITERATIONS = 12
 WEIGHT_RTOL = 0.01
 #: Relative tolerances of the cost of a search: while the sample weights still change (COARSE_RTOL), and in
@@ -48,8 +48,8 @@ COARSE_RTOL, FINE_RTOL = 1e-3, 1e-10
 #: Maximum change of an estimate, in standard errors, that is negligible at the end of a search.
 NEGLIGIBLE_MOVE = 0.03
 #: Maximum number of iterations of a fit that must converge (MAX_ITERATIONS), and of a fit that may be
-#: returned unfinished (UNFINISHED_ITERATIONS). The second is three times the number that fits of correct
-#: models need (6 to 25; 52 if simulations diverge at the start).
+#: returned unfinished (UNFINISHED_ITERATIONS). Fits of correct models need 6 to 25 iterations, or 52 if
+#: simulations diverge at the start. UNFINISHED_ITERATIONS is three times the usual number.
 MAX_ITERATIONS, UNFINISHED_ITERATIONS = 200, 75
 #: Maximum number of times that the integration step is halved because simulations diverge at the start of
 #: a fit. Simulations with wrong parameters may diverge with every step.
@@ -140,8 +140,8 @@ class FitResult:
     #: Whether the user stopped the search. The estimates are then the best ones found so far.
     interrupted: bool = False
     #: Cost of the fit: mean squared residual, as a geometric mean over channels of different units. It is the
-    #: exponential of (twice the negative log-likelihood per sample, minus one). It compares fits of the same
-    #: samples, even if their weights differ.
+    #: exponential of (twice the negative log-likelihood per sample, minus one). Costs can be compared between
+    #: fits of the same samples, even if the sample weights of these fits differ.
     cost: float = math.nan
     #: Square root of the information matrix, shape (q, p): ``information_root' information_root`` is the
     #: inverse of the covariance. It is accurate even if the covariance is infinite. Columns of parameters
@@ -382,9 +382,9 @@ class NoiseSearch:
     begin : ndarray, shape (p,), optional
         Point at which the search begins.
     near : FitResult, optional
-        Fit whose final weights are the first ones of the search.
+        Fit whose final sample weights are those of the first search.
     budget : int or None
-        Maximum number of iterations. With None the fit is evaluated at its start.
+        Maximum number of iterations. With None the fit is evaluated at its starting point, without a search.
     must_converge : bool
         Whether a search that does not converge is an error.
     problem : Problem
@@ -533,11 +533,11 @@ class NoiseSearch:
         return bool(self.levels)
 
     def _noise_limits(self) -> Patience:
-        """Return the rule that ends a search when its steps change less than noise does.
+        """Return the rule that ends a search when its steps have a smaller effect than the noise.
 
-        Five successive steps together lower the squared residuals by less than one parameter that is fitted
-        to noise alone (:attr:`Sandwich.gain`), and move each shared estimate by less than
-        :data:`NEGLIGIBLE_MOVE` standard errors.
+        The search ends if five successive steps together lower the squared residuals by less than one
+        parameter that is fitted to noise alone (:attr:`Sandwich.gain`), and move each shared estimate by less
+        than :data:`NEGLIGIBLE_MOVE` standard errors.
         """
         problem, theta = self.problem, self.theta
         self._insist_unbroken()
@@ -616,10 +616,10 @@ def _linearise(problem: Problem, theta: Array, *, central: bool = False) -> tupl
 
 
 def with_intervals(result: FitResult) -> FitResult:
-    """Return the result of a fit with errors that hold where noise is slow and where trials differ.
+    """Return a fit with standard errors that allow for slow noise and for trials that differ.
 
-    See :mod:`swimid.fitting.intervals`. The search and the rivals of a fit use the errors under an
-    autoregression, which need less time.
+    See :mod:`swimid.fitting.intervals`. The search, and the comparison with alternative fits, use the errors
+    under an autoregression, because they need less computing time.
     """
     free: NDArray[np.bool_] = np.asarray(np.isfinite(result.information_root).all(axis=0))
     problem, theta = rebuild_problem(result), np.asarray(result.estimate)
@@ -647,7 +647,7 @@ def complete_fit(result: FitResult) -> FitResult:
 
 
 def _outward(problem: Problem, theta: Array) -> Array:
-    """Return the direction of the bound at which each unknown is, shape (p,): -1, 1, or 0 inside."""
+    """Return for each unknown -1 at its lower bound, 1 at its upper bound, and 0 inside, shape (p,)."""
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0
@@ -662,11 +662,11 @@ def _judge(
     Parameters
     ----------
     covariance : ndarray, shape (p, p)
-        NaN for unknowns that the trials do not determine.
+        Covariance of the unknowns; NaN for unknowns that the trials do not determine.
     free : ndarray of bool, shape (p,)
         Mask of the unknowns that no bound holds.
     """
-    # An unknown (NaN) standard error makes the comparison false.
+    # A standard error of NaN makes the comparison false.
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale)
     held = (_outward(problem, theta) != 0) & (known | ~free)
@@ -733,8 +733,8 @@ def _free_in_noise(
     """Return a mask of the unknowns that are not at a bound, and the covariance of these unknowns.
 
     An unknown is held by its bound if the minimum without bounds is more than two standard errors beyond the
-    bound. Noise alone can explain why other unknowns are at a bound, so that they count as free. If they were
-    held, unknowns that are confounded with them would have too small standard errors.
+    bound. Noise alone can explain why the other unknowns are at a bound, so that these count as free. If they
+    were held, unknowns that are confounded with them would have too small standard errors.
     """
     free = np.ones(len(outward), dtype=bool)
     while free.any():
@@ -795,10 +795,10 @@ DISTANCES = {False: (10.0,), True: (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100
 #: Number of iterations of a short search around the estimates (SHORT_ITERATIONS). If the cost is non-smooth,
 #: a second search with LONG_ITERATIONS starts from the two best end points.
 SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
-#: Values at which a parameter with a non-smooth effect is tested: multiples of its typical scale (SCALES),
-#: and multiples of its estimate (FACTORS). Multiples of the scale help if the estimate is far from the best
-#: value. A free decay with dry friction has a local minimum for every number of half swings before the body
-#: sticks.
+#: Values at which a parameter with a non-smooth effect is tested: multiples of its typical scale
+#: (SCALE_FACTORS), and multiples of its estimate (ESTIMATE_FACTORS). Multiples of the scale help if the
+#: estimate is far from the best value. A free decay with dry friction has a local minimum for every number of
+#: half swings before the body sticks.
 SCALE_FACTORS, ESTIMATE_FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
 #: Distance from the bound at which a parameter at a bound is tested, in typical scales of the parameter.
 INSIDE = 1.0
@@ -869,15 +869,16 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
 def _search_smooth(
     problem: Problem, theta: Array, rows: Blocks, start: Array, limit: float, tolerance: float
 ) -> list[tuple[float, Array]]:
-    """Return costs and end points of a step with given derivatives, and of a short search if it is needed.
+    """Return the cost and the end point of one step, and of a short search if the step is not sufficient.
 
-    The search is needed if the cost is not below the limit, and if the step leads less than half of the way
-    back to ``theta``.
+    The step begins at ``start`` and uses the derivatives ``rows``, which belong to ``theta``. The short
+    search follows if the cost after the step is not below ``limit``, and if more than half of the distance to
+    ``theta`` remains.
     """
     solution = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
     cost = solution.cost if np.isfinite(solution.cost) else np.inf
     before, after = (float(np.linalg.norm(rows.along(p - theta))) for p in (start, solution.x))
-    # A parameter without slope does not move: both distances are 0.
+    # If the residuals do not depend on the parameter that was moved, both distances are 0.
     if cost < limit or after < 0.5 * before:
         return [(cost, solution.x)]
     return [(cost, solution.x), *_search_briefly(problem, [solution.x], SHORT_ITERATIONS, tolerance)]
@@ -901,10 +902,10 @@ def set_weights(problem: Problem, result: FitResult) -> None:
 def _smooth(problem: Problem, theta: Array, rows: Blocks, step: Array, allowed: float) -> bool:
     """Return whether the cost is smooth along a step.
 
-    The mean cost of two opposite points is compared with its quadratic prediction. If it deviates by more
-    than ``allowed`` and :data:`KINK_SHARE` of the prediction, nearer points are compared. The deviation falls
-    with the fourth power of the step if the cost is smooth. With a kink it falls with the step, and with a
-    piecewise constant cost it falls with the square of the step.
+    The mean cost of two opposite points is compared with its quadratic prediction. If the deviation exceeds
+    both ``allowed`` and the fraction :data:`KINK_SHARE` of the prediction, nearer points are compared. The
+    deviation falls with the fourth power of the step if the cost is smooth. With a kink it falls with the
+    step, and with a piecewise constant cost it falls with the square of the step.
     """
     before = math.nan
     for nearer in (1.0, 4.0, 16.0):
@@ -997,8 +998,8 @@ def estimate_start(
 ) -> dict[str, float]:
     """Estimate the per-trial parameters of one trial, with the shared parameters held.
 
-    A held-out trial has its own initial pose, initial speed and clock offset. They are estimated, because
-    they are not part of the test.
+    A held-out trial has its own initial pose, initial speed and clock offset. These values are estimated,
+    because they are not part of the test.
 
     Parameters
     ----------
@@ -1006,7 +1007,7 @@ def estimate_start(
         Parameters of the model. Shared parameters are held at ``start``; free per-trial parameters are
         estimated.
     sd : mapping of channel name to float
-        Noise of each channel for the weights. Channels that are not named are not used.
+        Standard deviation of the noise of each channel, for the sample weights. Other channels are not used.
 
     Returns
     -------

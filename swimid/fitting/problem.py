@@ -1,9 +1,9 @@
 """Least-squares problem of an output-error fit, and Levenberg-Marquardt search within bounds.
 
-:class:`Problem` computes the residuals of all trials and their derivatives. :func:`minimise` searches for
-their minimum. SciPy's trust-region method decomposes the whole Jacobian in every iteration. With thousands of
-residuals and few parameters the normal equations need a tenth of that time, and the parameters are scaled
-well enough for them. Tests compare the optima of both methods.
+:class:`Problem` computes the residuals of all trials and their derivatives. :func:`minimise` searches for the
+minimum of the sum of squared residuals. SciPy's trust-region method decomposes the whole Jacobian in every
+iteration. With thousands of residuals and few parameters the normal equations need a tenth of that time, and
+the parameters are scaled well enough for them. Tests compare the optima of both methods.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Box(NamedTuple):
 class Blocks:
     """Derivatives of residuals, without the columns that are zero in all rows of a trial.
 
-    The cost of its products grows with the number of trials, and not with its square.
+    Products with such derivatives need a time proportional to the number of trials, and not to its square.
 
     Attributes
     ----------
@@ -74,8 +74,8 @@ class Blocks:
     def factorise(self, scale: Array) -> tuple[list[Array], list[Array]]:
         """Return a QR factorisation of the block of each trial, with its columns multiplied by ``scale``.
 
-        The first list has the orthonormal columns of each block, shape (n_k, m_k), and the second the
-        triangular factors with a column for each unknown, shape (m_k, p).
+        For n_k residuals and m_k unknowns of trial k, the first list has the orthonormal columns, shape (n_k,
+        m_k). The second has the triangular factors with a column for all p unknowns, shape (m_k, p).
         """
         bases, factors = [], []
         for _, at, part in self.parts:
@@ -153,10 +153,10 @@ class ParameterMap:
     taken : list of ndarray
         For each trial the indices of the unknowns that affect it.
     start, lower, upper, scale : ndarray, shape (p,)
-        Start values, bounds and typical scales of the unknowns. Start values that the log of a trial suggests
-        are preferred to those of the parameter.
+        Start values, bounds and typical scales of the unknowns. A start value that the log of a trial
+        suggests replaces that of the parameter.
     means : ndarray, shape (p,)
-        Start values of the parameters of the unknowns.
+        Start values of the unknowns without suggestions from logs.
     """
 
     def __init__(self, model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial]) -> None:
@@ -248,8 +248,8 @@ class Problem(ParameterMap):
     near : float
         Maximum step after which derivatives are used again, as in :data:`REUSE_DISTANCE`.
     prior : tuple of ndarray, shapes (p,) and (m, p)
-        Prior of the unknowns: mean, and square root of the precision matrix. They add the rows ``root @
-        (theta - mean)`` to the residuals. The default is no prior.
+        Prior of the unknowns: mean, and square root of the precision matrix with m rows. The prior adds the
+        rows ``root @ (theta - mean)`` to the residuals. The default is no prior.
     whiten : callable
         Function that is called with the index of a trial and its weighted residuals or their derivatives. It
         returns independent residuals of unit variance, or their derivatives. The default returns its
@@ -282,7 +282,7 @@ class Problem(ParameterMap):
         self._typical_s = math.inf
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
-        """Return the simulated channels of every trial, which :data:`MAX_CACHED_POINTS` points cache."""
+        """Return the simulated channels of every trial, cached for :data:`MAX_CACHED_POINTS` points."""
         key = np.asarray(theta, dtype=float).tobytes()
         if key not in self._simulated:
             found = self.simulate_points([(theta, k) for k in range(len(self.trials))])
@@ -345,7 +345,7 @@ class Problem(ParameterMap):
     def hold_derivatives(self, other: Problem, derivatives: Sequence[Array]) -> None:
         """Use the derivatives of another problem with the same trials in place of computed ones.
 
-        They replace the derivatives with respect to the unknowns that both problems have.
+        The given derivatives replace those with respect to the unknowns that both problems have.
 
         Parameters
         ----------
@@ -406,7 +406,7 @@ class Problem(ParameterMap):
     def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:
         """Split the rows of a trial's residuals or derivatives by channel.
 
-        The result has the name, the mask of the samples and the rows of each channel.
+        Each item of the result has the name of a channel, the mask of its samples, and its rows.
         """
         ends = np.cumsum([int(mask.sum()) for mask in self.masks[k]])
         return list(zip(self.channels[k], self.masks[k], np.split(rows, ends)[:-1], strict=True))
@@ -514,7 +514,8 @@ MIN_AGREEMENT = 0.9
 MAX_CORRECTION = 0.75
 #: Decrease of the cost by an undamped step, in units of the noise variance, above which a search continues.
 MIN_REST = 1.0
-#: Fractions of an undamped step that are tried if it increases the cost, and factor of the damping after it.
+#: Fractions of an undamped step that are tried if the whole step increases the cost (SHORTER), and factor by
+#: which the damping is multiplied after an undamped step (LESS_DAMPED).
 SHORTER, LESS_DAMPED = (0.3, 0.1), 0.01
 #: Minimum decrease of the cost by a step, as a fraction of the predicted decrease, that allows a secant
 #: update instead of new derivatives.
@@ -545,7 +546,7 @@ class Solution:
 
 
 class _Tried(NamedTuple):
-    """Tried step of a search, in typical scales, with its end point and the residuals and cost there.
+    """Tried step of a search, in typical scales, with its end point and the residuals and cost at this point.
 
     The cost is infinite if it is not a number.
     """
@@ -609,8 +610,8 @@ class _Descent:
         only if a step falls short of its prediction, and such a step is also corrected for curvature. Use it
         if derivatives are expensive.
     undamped : bool
-        Whether the search ends only where an undamped step gains nothing. Use it if a prior determines what
-        the data leave open: damping hides such directions.
+        Whether the search ends only where an undamped step does not lower the cost. Use it if a prior
+        determines directions that the data do not determine, because damping hides such directions.
     x, r, cost
         Current point, its residuals, and their sum of squares.
     rows : Blocks
@@ -759,7 +760,7 @@ class _Descent:
         step = min(within, until, key=lambda step: float(2.0 * step @ gradient + step @ normal @ step))
         tried = self._attempt(step)
         for part in SHORTER:
-            # A long step may leave the range of the derivatives.
+            # After a long step, the derivatives may be invalid.
             if not tried.cost < self.cost:
                 tried = self._attempt(part * step)
         return tried
@@ -835,7 +836,7 @@ class Patience:
     def last(self, steps: int) -> tuple[float, Array]:
         """Return the decrease of the cost and the change of the parameters over the last ``steps`` steps.
 
-        Both are infinite if the search has made fewer steps.
+        The decrease and the change are infinite if the search has made fewer steps.
         """
         if not self.path:
             return math.inf, np.empty(0)
@@ -934,8 +935,8 @@ def map_in_threads(
 
 
 #: Maximum change of a simulated sample when the integration step is halved, for which the step counts as
-#: small enough: in standard deviations of the noise, and if the noise is unknown as a fraction of the range
-#: of the channel.
+#: small enough. STEP_ERROR is this change in standard deviations of the noise. STEP_LIMIT applies if the
+#: noise is unknown, and is a fraction of the range of the channel.
 STEP_ERROR, STEP_LIMIT = 0.1, 1e-3
 #: Maximum number of times that the integration step is halved.
 MAX_REFINEMENTS = 6
@@ -954,8 +955,8 @@ class StepChoice(NamedTuple):
     model : Model
     changes : list of dict of str to float
         Maximum change of a sample when the step is halved, divided by the maximum allowed change, for each
-        simulation and channel. It is infinite if the simulation diverges. It is empty if the model does
-        not integrate.
+        simulation and channel. The value is infinite if the simulation diverges. The list is empty if the
+        model does not integrate.
     halvings: int
         Number of times that the step was halved.
     """

@@ -1,12 +1,13 @@
-"""Rivals of a fit: other hypotheses about the same trials, refitted and judged by one criterion.
+"""Alternative fits of the same trials (:class:`Rival`), each compared with the original fit by one score.
 
-A rival frees, fixes or replaces parameters, replaces trials, or gives one trial parameters of its own. The
-score of a rival is the decrease of minus twice the log-likelihood of all residuals. The likelihood is
-averaged over the forms of the noise (:mod:`swimid.fitting.noise`), with and without memory. Residuals that
-are coloured, or that differ between trials, are noise with a memory under this likelihood. A rival must
-explain more than such noise does. Each further unknown costs the logarithm of the number of samples [1]_. If
-the trial or the mistake of a rival is one of m, the choice costs 2 log m. The score is then twice the
-logarithm of the odds of the rival.
+An alternative fit frees, fixes or replaces parameters, replaces trials, or gives one trial parameters of its
+own. Its score is the decrease of minus twice the log-likelihood of all residuals. The likelihood is averaged
+over models of the noise (:mod:`swimid.fitting.noise`), which may be white or autocorrelated. Autocorrelated
+noise can also explain residuals that are coloured or that differ between trials. An alternative fit has a
+high score only if it explains the residuals better than such noise does. Each additional unknown lowers the
+score by the logarithm of the number of samples [1]_. If one of m trials or of m recording mistakes was
+selected, the selection lowers the score by 2 log m. The score is then twice the logarithm of the odds for the
+alternative fit against the original one.
 
 References
 ----------
@@ -34,23 +35,24 @@ from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult, Series
 from swimid.fitting.problem import BROKEN_RESIDUAL, Problem
 from swimid.notices import record_warnings
 
-#: Score above which a rival is better than a fit, and minus the score down to which it is as good: strong
-#: evidence (Kass and Raftery [2]_).
+#: Minimum score at which an alternative fit is better than the original fit. With a score above minus this
+#: value it is as good. The value stands for strong evidence (Kass and Raftery [2]_).
 STRONG = 6.0
-#: Start values of the search for a parameter that a rival frees. They are distances from the value at which
-#: the parameter was held, in multiples of its typical scale.
+#: Start values of a parameter that an alternative fit frees. They are distances from the value at which the
+#: original fit holds the parameter, in multiples of its typical scale.
 FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
-#: Maximum number of steps of generalised least squares, and smallest singular value of normalised derivatives
-#: that determines a direction, as a fraction of the largest.
+#: Maximum number of steps of generalised least squares (MAX_STEPS). Minimum singular value of normalised
+#: derivatives in the directions of a step, as a fraction of the largest (DETERMINED). Finite differences do
+#: not determine the other directions.
 MAX_STEPS, DETERMINED = 5, 1e-4
-#: Minimum number of trials for the search for a trial with parameters of its own, and for a parameter that
-#: depends on a setting of the trials.
+#: Minimum number of trials for two kinds of alternative fits: those with one trial that has parameters of its
+#: own, and those with a parameter that depends on a setting of the trials.
 MIN_TRIALS_RIVAL = 4
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Changed hypothesis about the trials of a fit.
+    """Alternative hypothesis about the trials of a fit, for comparison.
 
     Attributes
     ----------
@@ -70,7 +72,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Judged:
-    """Rival of a fit, its own fit, and its score: twice the logarithm of the odds against the fit."""
+    """Alternative hypothesis with its fit and its score: twice the logarithm of the odds for it."""
 
     rival: Rival
     fit: FitResult
@@ -78,17 +80,17 @@ class Judged:
 
     @property
     def is_better(self) -> bool:
-        """Whether the evidence for the rival is strong."""
+        """Whether there is strong evidence for the alternative against the original fit."""
         return self.score > STRONG
 
 
 def free(stated: FitResult, name: str) -> Rival:
-    """Return the rival of a fit in which a held parameter is free."""
+    """Return the alternative hypothesis in which a parameter that a fit holds is free."""
     return Rival(name, choose_parameters(stated.parameters, freed=(name,)), stated.trials)
 
 
 def judge(stated: FitResult, rivals: Sequence[Rival]) -> list[Judged]:
-    """Return the rivals that can be fitted with their scores, highest score first."""
+    """Return the alternatives that can be fitted, with their fits and scores, highest score first."""
     fits = [(rival, refit(stated, rival)) for rival in rivals]
     before = compute_deviance(stated, [stated])
     found = []
@@ -100,11 +102,11 @@ def judge(stated: FitResult, rivals: Sequence[Rival]) -> list[Judged]:
 
 
 def refit(stated: FitResult, rival: Rival, **settings: Any) -> FitResult | None:
-    """Return the fit of a rival with the lowest cost among several starts; None if all fits fail.
+    """Return the fit of an alternative hypothesis with the lowest cost among several starts.
 
-    The search begins at the estimates of the fit ``stated``, unless the rival changes trials. A parameter
-    that only the rival estimates has several start values. The ``settings`` are those of
-    :func:`swimid.fitting.output_error.fit_output_error`.
+    Return None if all fits fail. The search begins at the estimates of the fit ``stated``, unless the
+    hypothesis changes trials. A parameter that only the alternative fit estimates has several start values.
+    The ``settings`` are those of :func:`swimid.fitting.output_error.fit_output_error`.
     """
     fits = []
     for start in _list_starts(stated, rival):
@@ -122,7 +124,7 @@ def refit(stated: FitResult, rival: Rival, **settings: Any) -> FitResult | None:
 
 
 def _list_starts(stated: FitResult, rival: Rival) -> list[dict[str, float]]:
-    """Return the start values of parameters from which a rival is fitted."""
+    """Return the start values, by parameter name, from which an alternative hypothesis is fitted."""
     known = {}
     if all(any(trial is other for other in stated.trials) for trial in rival.trials):
         known = {label: stated.value(label) for label in stated.common_labels}
@@ -134,15 +136,15 @@ def _list_starts(stated: FitResult, rival: Rival) -> list[dict[str, float]]:
 
 
 def compute_deviance(stated: FitResult, fits: Sequence[FitResult]) -> float:
-    """Return minus twice the log-likelihood of all residuals, averaged over the forms of the noise.
+    """Return minus twice the log-likelihood of all residuals, averaged over the models of the noise.
 
-    Least squares follows noise with a memory. The estimates are therefore moved by steps of generalised least
-    squares under the most probable form of the noise.
+    Autocorrelated noise distorts least-squares estimates. The estimates are therefore moved by steps of
+    generalised least squares under the most probable noise model.
 
     Parameters
     ----------
     stated : FitResult
-        Fit whose weights the samples have.
+        Original fit. Its sample weights are used for all ``fits``.
     fits : sequence of FitResult
         Fit of all trials, or fits of different trials.
     """
@@ -163,9 +165,9 @@ def compute_deviance(stated: FitResult, fits: Sequence[FitResult]) -> float:
 
 
 def _evaluate(problems: Sequence[Problem], points: Sequence[Array]) -> tuple[float, list[Array]]:
-    """Return the deviance of several problems at given points, and a step of each that may lower it.
+    """Return the deviance of several problems at given points, and for each problem a step that may lower it.
 
-    The steps are 0 if the most probable noise has no memory.
+    The steps are 0 if the most probable noise model is white noise.
     """
     rows = [
         (channel, NoiseRows.alone(trial.time_s, mask, part))
@@ -183,7 +185,7 @@ def _evaluate(problems: Sequence[Problem], points: Sequence[Array]) -> tuple[flo
 
 
 def _step(problem: Problem, theta: Array, posteriors: Mapping[str, NoisePosterior]) -> Array:
-    """Return a step of generalised least squares under the most probable form of the noise, shape (p,)."""
+    """Return a step of generalised least squares under the most probable noise model, shape (p,)."""
     white = [np.empty((0, len(theta) + 1))]
     jacobians = problem.trial_jacobians(theta)
     for k, trial in enumerate(problem.trials):
@@ -201,11 +203,11 @@ def _step(problem: Problem, theta: Array, posteriors: Mapping[str, NoisePosterio
 
 
 def compute_gain(before: Iterable[Series], after: Iterable[Series]) -> float:
-    """Return the decrease of minus twice the log-likelihood from one set of simulations to another.
+    """Return the decrease of minus twice the log-likelihood between two sets of simulated series.
 
-    The samples have the weights of ``before`` in both. If the measured values differ, the errors are compared
-    with the measured range of the channel, or of the position. A simulation that diverges has no
-    likelihood.
+    Both sets have the sample weights of ``before``. If the measured values of the two sets differ, each error
+    is divided by the measured range of its channel (for positions, by one common range). A simulation that
+    diverges has no likelihood.
     """
     first = {(s.trial, s.channel): s for s in before}
     last = {(s.trial, s.channel): s for s in after}
@@ -228,7 +230,7 @@ def compute_gain(before: Iterable[Series], after: Iterable[Series]) -> float:
 
 
 def _ranges(series: Iterable[Series]) -> dict[tuple[str, str], float]:
-    """Return the measured range of each channel of each trial; coordinates of a position have one range."""
+    """Return the measured range by trial and channel. All coordinates of a position have the same range."""
     spans = {
         (s.trial, s.channel): float(np.ptp(s.measured[there]))
         for s in series
@@ -242,7 +244,7 @@ def _ranges(series: Iterable[Series]) -> dict[tuple[str, str], float]:
 
 
 def _weigh_noise(rows: Iterable[tuple[str, NoiseRows]]) -> dict[str, NoisePosterior]:
-    """Return the probabilities of the forms of the noise of each channel from the residuals of its trials."""
+    """Return the probabilities of the noise models of each channel, from the residuals of its trials."""
     channels: dict[str, dict[int, NoiseRows]] = {}
     for channel, part in rows:
         parts = channels.setdefault(channel, {})
@@ -254,9 +256,9 @@ def _weigh_noise(rows: Iterable[tuple[str, NoiseRows]]) -> dict[str, NoisePoster
 
 
 def find_odd_trial(stated: FitResult) -> Judged | None:
-    """Return the rival in which one trial has its own values of all parameters; None if it is not better.
+    """Return the alternative fit in which one trial has its own values of all parameters.
 
-    Its fit is that of the other trials.
+    Return None if no such fit is better than the original one. The returned fit is that of the other trials.
     """
     names = [t.id for t in stated.trials if t.role == "fit"]
     if len(names) < MIN_TRIALS_RIVAL:
@@ -277,10 +279,10 @@ def find_odd_trial(stated: FitResult) -> Judged | None:
 
 
 def compute_trend_score(value: Array, covariance: Array, setting: Array) -> float:
-    """Return the score of values that depend linearly on a setting of the trials.
+    """Return the score of a linear dependence of a parameter on a setting of the trials.
 
-    The values are compared with a random difference of each trial from a common value. Both have the
-    restricted likelihood [3]_.
+    The alternative is that the values of the trials differ at random from a common value. Both hypotheses
+    have the restricted likelihood [3]_.
 
     Parameters
     ----------

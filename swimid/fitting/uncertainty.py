@@ -71,13 +71,13 @@ def estimate_noise(
     previous : dict of channel name to (float, float)
         Standard deviations of the previous noise iteration; empty in the first iteration.
     levels : mapping of (trial index, channel) to ndarray, shape (n,)
-        Local levels of the noise, which are shapes of the error.
+        Local levels of the noise: relative standard deviations of the samples.
 
     Returns
     -------
     dict of channel name to (value, stamp)
         Standard deviation of the values in the unit of the channel, and of the time stamps in s. If the shape
-        of the error is known, the first one is a factor on this shape.
+        of the error is known, the first value is a factor that is applied to this shape.
     """
     found: dict[str, tuple[float, float]] = {}
     simulations = problem.simulations(theta)
@@ -120,8 +120,8 @@ def _components(
 ) -> tuple[float, float]:
     """Return the standard deviations of the errors of values and of time stamps in one channel.
 
-    If the shape of the error is known, the first result is the factor on this shape. The ``rates`` are zero
-    in trials with exact time stamps.
+    If the shape of the error is known, the first result is the factor that is applied to this shape. The
+    ``rates`` are zero in trials with exact time stamps.
     """
     r, rate, shape = (np.concatenate(parts) for parts in (errors, rates, shapes))
     there = np.isfinite(r)
@@ -278,7 +278,8 @@ def count_absorbed(fitted: np.ndarray, tested: np.ndarray) -> float:
     """Return the number of tested regressors that a fit has made orthogonal to its residuals.
 
     A regression removes from the residuals what its own regressors explain. A test of whether the residuals
-    depend on other regressors loses a degree of freedom only as far as the fitted regressors explain those.
+    depend on other regressors loses a degree of freedom only as far as the fitted regressors explain the
+    tested ones.
 
     Parameters
     ----------
@@ -315,7 +316,7 @@ def count_absorbed(fitted: np.ndarray, tested: np.ndarray) -> float:
 
 
 def lag_matrix(x: np.ndarray, lags: Sequence[int]) -> np.ndarray:
-    """Return the samples that precede each sample of a series by m lags, shape (n, m); 0 where missing."""
+    """Return the samples of a series shifted by each of m lags, shape (n, m); 0 for missing samples."""
     x = np.where(np.isfinite(x), x, 0.0)
     return np.column_stack([np.concatenate((np.zeros(lag), x[: len(x) - lag])) for lag in lags])
 
@@ -530,10 +531,10 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
 
 
 def _correlate_rows(problem: Problem, rows: list[Array], autoregressions: dict[str, Array]) -> list[Array]:
-    """Return the rows of each trial multiplied by the correlation matrix of the trial's residuals.
+    """Return derivatives of each trial multiplied by the correlation matrix of the trial's residuals.
 
-    The correlation follows from the autoregression of each channel. Rows after the samples of a trial belong
-    to random effects. They are uncorrelated, and stay unchanged.
+    The correlation follows from the autoregression of each channel. Rows of the derivatives after the samples
+    of a trial belong to random effects. Random effects are uncorrelated, so that these rows stay unchanged.
     """
     longest = max(len(t.time_s) for t in problem.trials)
     rho = {c: _autocorrelation(a, longest - 1) for c, a in autoregressions.items() if len(a)}
@@ -597,9 +598,9 @@ def sandwich(
     Notes
     -----
     With the singular value decomposition ``J = U S V'`` the middle factor ``U' R U`` is computed from the
-    orthogonal matrix U. A direction that the data hardly determine then has a large variance. It would
-    otherwise have a small variance that is only rounding error. The derivatives of each trial are replaced by
-    their triangular factor first, because few unknowns affect each of many trials.
+    orthogonal matrix U. A direction that the data hardly determine then has a large variance, and not a small
+    variance that is only rounding error. The derivatives of each trial are replaced by their triangular
+    factor first, because few unknowns affect each of many trials.
     """
     samples, unknowns = blocks.shape
     squares = np.zeros(unknowns)
@@ -647,10 +648,11 @@ UNIDENTIFIABLE = 0.5
 UNSEEN = 1e-7
 #: Minimum standard error of a parameter in a group of confounded parameters, as a fraction of its magnitude.
 VAGUE = 0.5 * UNIDENTIFIABLE
-#: Maximum number of parameters in a group for which the report states their known weighted sum.
+#: Maximum number of confounded parameters in a group whose known weighted sum the report states. A sum of
+#: more parameters is hard to read.
 MAX_GROUP_NAMES = 6
-#: Minimum weight of a parameter in a known weighted sum of parameters, as a fraction of the largest weight.
-#: Parameters with smaller weights are left out.
+#: Minimum weight of a parameter that is shown in a known weighted sum of parameters, as a fraction of the
+#: largest weight.
 NEGLIGIBLE = 0.01
 
 
@@ -699,7 +701,7 @@ def find_confounded(result: FitResult) -> list[tuple[str, ...]]:
     if len(usable := _usable(result)) < 2:
         return []
     _, singular, vt = np.linalg.svd((result.information_root * _sizes(result))[:, usable])
-    # A matrix with fewer rows than columns does not determine the other directions at all.
+    # If the matrix has fewer rows than columns, it has no information on the remaining directions.
     singular = np.pad(singular, (0, len(vt) - len(singular)))
     floor = np.maximum(singular, UNSEEN * singular.max(initial=0.0) + 1e-150)
     errors = np.linalg.norm(vt / floor[:, None], axis=0)
@@ -722,7 +724,8 @@ def combinations(result: FitResult) -> list[Combination]:
     """Return for each group of confounded parameters the weighted sum that the trials determine best.
 
     A group without a known sum is left out. The sum is the leading eigenvector of the information matrix of
-    the group. All other parameters are free, and all parameters are divided by their magnitudes.
+    the group. For this matrix all other parameters are free, and all parameters are divided by their
+    magnitudes.
     """
     found = []
     for group in find_confounded(result):

@@ -23,14 +23,14 @@ Rows = NDArray[np.int64]
 #: Minimum distance of an outlying value of a channel (a code for missing samples, or an error) from all other
 #: values, divided by the range of the other values.
 FAR = 10.0
-#: Minimum number of consecutive samples at the largest or smallest value of a channel, and minimum number of
-#: such sequences, for a channel that counts as saturated.
+#: Criteria for a saturated channel. CUT_SAMPLES is the minimum number of consecutive samples at its largest
+#: or smallest value. CUT_TIMES is the minimum number of such sequences.
 CUT_SAMPLES, CUT_TIMES = 3, 3
 
 
 @dataclass
 class Extreme:
-    """Largest value of a channel, taken in batches, or of the channel with its sign changed.
+    """Largest value of a channel that is read in batches, or of the channel with its sign changed.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Extreme:
     count : int
         Number of samples at the largest value.
     cuts : int
-        Number of sequences of at least :data:`CUT_SAMPLES` of these samples.
+        Number of sequences of at least :data:`CUT_SAMPLES` successive samples at the largest value.
     """
 
     value: float = -np.inf
@@ -64,7 +64,7 @@ class Extreme:
 
 @dataclass
 class ChannelStatistics:
-    """Statistics of all rows of one channel, taken in batches.
+    """Statistics of all rows of one channel that is read in batches.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class ChannelStatistics:
             self._continuous = not has_levels(known) and rounding_ratio(known) <= NEAR_ROUNDED
 
     def far(self) -> str:
-        """Return a message on an extreme value of the channel far from all others; empty without one."""
+        """Return a message on an extreme value far from all others; an empty text if there is none."""
         for end, other, value in self._ends:
             if end.value - end.following > FAR * (end.following + other.value) > 0:
                 return f"holds {value:.6g} in {end.count} samples, far from all others: missing samples?"
@@ -147,7 +147,7 @@ class ChannelStatistics:
 
     @property
     def _ends(self) -> list[tuple[Extreme, Extreme, float]]:
-        """Both extremes of the channel: the extreme, the opposite extreme, and the value of the former."""
+        """Minimum and maximum of the channel, each with the opposite extreme and its own value."""
         return [(self.smallest, self.largest, self.low), (self.largest, self.smallest, self.high)]
 
 
@@ -162,7 +162,8 @@ class RowStatistics:
     rows, untimed : int
         Number of all rows, and of rows without a time, which are left out.
     backwards, repeated : int
-        Number of rows with a time before that of the row before, and of rows with the same time.
+        Number of rows whose time is before that of the preceding row, and of rows with the time of the
+        preceding row.
     pauses : int
         Number of steps longer than ``PAUSE`` median steps.
     shortest_s, longest_s : float
@@ -192,8 +193,8 @@ class Averager:
     """Averages of every N successive rows of a recording that is read in batches.
 
     Angles (``..._rad``) are averaged across ±180 degrees: within one average they turn by less than half a
-    turn. Quaternions are averaged with equal signs, and normalised. A mean is that of the known samples, and
-    NaN if none is known. The result does not depend on the size of the batches.
+    turn. Quaternions are averaged with equal signs, and normalised. A mean is the mean of the known samples,
+    and NaN if no sample is known. The result does not depend on the size of the batches.
 
     Parameters
     ----------

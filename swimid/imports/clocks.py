@@ -1,7 +1,7 @@
 """Offset between the clocks of two logs of one motion.
 
-A linear regression predicts the motion in one log from that in the other, up to slow drift. The clock offset
-with the best prediction is used.
+A linear regression predicts the motion in one log from the motion in the other log, apart from slow drift.
+The clock offset with the best prediction is used.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ MIN_SAMPLES_OFFSET = 16
 MAX_STEP = 0.2
 #: Minimum overlap of the two logs in time, as a fraction of the shorter log.
 MIN_OVERLAP = 0.3
-#: Half-width of the grid of clock offsets that are tried, in periods of the signal; and number of offsets in
-#: this grid.
+#: SEARCH_PERIODS is the half-width of the grid of clock offsets that are tried, in periods of the signal.
+#: N_OFFSETS is the number of offsets in this grid.
 SEARCH_PERIODS, N_OFFSETS = 0.6, 61
 #: Maximum time between two correlated residuals of the regression, s. Residuals further apart are taken as
 #: independent.
@@ -31,8 +31,9 @@ INDEPENDENT_S = 1.0
 #: Minimum fraction of the variance of one log that the other log explains if the two logs record the same
 #: motion.
 MIN_EXPLAINED = 0.2
-#: Maximum number of rivals of an offset, and 99 % quantile of the chi-squared distribution with one degree of
-#: freedom.
+#: MAX_RIVALS is the maximum number of alternative offsets that are compared with the best one. CHI2_99 is the
+#: 99 % quantile of the chi-squared distribution with one degree of freedom, by which alternatives are
+#: excluded.
 MAX_RIVALS, CHI2_99 = 6, 6.635
 #: Half-width of a 95 % interval in standard deviations.
 BAND = 1.96
@@ -54,9 +55,10 @@ class Offset:
     #: Mounting of the sensor: rotation from body to sensor axes; None unless the other log has three angles.
     mount: Rotation | None = None
     #: Handedness of the axes, from the correlation between the rotations in the two logs: -1 if an axis is
-    #: mirrored, 1 if none is, 0 if unknown.
+    #: mirrored, 1 if no axis is mirrored, 0 if unknown.
     handed: float = 0.0
-    #: Other offsets that explain the other log equally well, s, such as those that differ by one period.
+    #: Alternative offsets that explain the other log about equally well, s, such as those that differ by one
+    #: period.
     rivals: tuple[float, ...] = ()
 
 
@@ -83,7 +85,8 @@ def clock_offset(
     slow_s : float
         Period above which a motion is taken for drift, s. Drift is not compared.
     near_s : (float, float), optional
-        Interval in which the offset is known to be, s. With an interval, rivals of the offset are searched.
+        Interval in which the offset is known to be, s. If the interval is given, alternative offsets are
+        searched, too.
 
     Returns
     -------
@@ -206,8 +209,8 @@ class _Profile:
     def rivals(self, best: float, starts: Array) -> tuple[float, ...]:
         """Return the offsets near ``starts``, apart from ``best``, that the data do not exclude, s.
 
-        The excess of the variance of the score over its information divides the likelihood ratio (Rotnitzky
-        and Jewell 1990, doi:10.1093/biomet/77.3.485), because the residuals are correlated.
+        Because the residuals are correlated, the likelihood ratio is divided by the ratio of the variance of
+        the score to its information (Rotnitzky and Jewell 1990, doi:10.1093/biomet/77.3.485).
         """
         found, half, top = [], 0.2 * self.period_s, self(best)
         for start in starts[np.abs(starts - best) > half]:
@@ -228,8 +231,9 @@ class _Profile:
         x, y, factors, times = here
         residual = y - x @ factors
         slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
-        # Remove the component of the slope (derivative of the prediction by the offset) that the regression
-        # coefficients can reproduce, because it has no information about the offset.
+        # Remove the component of the slope (derivative of the prediction with respect to the offset) that a
+        # change of the regression coefficients can reproduce. This component has no information about the
+        # offset.
         slope = slope - x @ np.linalg.lstsq(x, slope, rcond=1e-9)[0]
         variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
         information = float(np.sum(slope**2 / variance))

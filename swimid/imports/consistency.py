@@ -29,16 +29,16 @@ from swimid.logs.units import quantity_of
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-#: Minimum ratio of a gain (regression coefficient between two columns of a log) to its standard error.
-#: Smaller gains are not judged. Unrelated columns exceed this ratio in one of 16,000 pairs.
+#: Minimum ratio of a gain (regression coefficient between two columns of a log) to its standard error. Gains
+#: with a smaller ratio are not judged. Unrelated columns reach this ratio in one of 16,000 pairs.
 MIN_STDERRS = 4.0
 #: Minimum number of non-overlapping increments of a column in the regression on another column. With fewer
 #: increments the standard error of the gain is not useful.
 MIN_WINDOWS = 8
 #: Number of windows of a log without a stroke in which the course is compared with the heading.
 N_WINDOWS = 12
-#: Minimum speed of a track, m/s, whose mean angle to the heading is judged. Slower robots hover, and drift
-#: with the water.
+#: Minimum speed of a track, m/s, for which the mean angle between track and heading is judged. Slower robots
+#: hover and drift with the water.
 MIN_SPEED_M_S = 0.01
 #: Columns of a track in a plane and of its heading.
 PLANES = (("x_m", "y_m", "yaw_rad"), ("x_px", "y_px", "yaw_rad"), ("x_m", "z_m", "pitch_rad"))
@@ -57,11 +57,11 @@ class ColumnComparison:
         Name of the column, and name of the quantity that the column is compared with.
     gain, stderr : float
         Ratio of increments of the other quantity to increments of the integrated column, by regression, and
-        the standard error of this gain. The gain is 1 if the two agree.
+        the standard error of this gain. The gain is 1 if column and quantity agree.
     text : str
         Mistake that explains the gain, as text for a message; empty if the column agrees with the quantity.
     doubtful : bool
-        Whether the difference may be intended, as of a robot that swims sideways.
+        Whether the difference may be intended, for example if the robot swims sideways.
     """
 
     column: str
@@ -84,7 +84,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     columns : mapping of str to ndarray, each shape (n,)
         Columns of a log in SI, ``t_s`` among them.
     period_s : float, optional
-        Period of the stroke, s, over which direction of travel and heading are averaged. By default it is a
+        Period of the stroke, s, over which direction of travel and heading are averaged. The default is a
         twelfth of the duration.
     """
     time, found = columns[TIME], _compare_rates(columns)
@@ -133,7 +133,8 @@ def _of_course(
 ) -> list[ColumnComparison]:
     """Compare the direction of travel of a track with the heading, averaged over windows of a stroke or more.
 
-    The mean angle is that of windows of several strokes, because the sway changes the course of one stroke.
+    The mean angle between the two is computed from windows of several strokes, because the sway changes the
+    course within one stroke.
     """
     long_s = float(np.ptp(time)) / N_WINDOWS
     seen = compare_course([(time, x, y, yaw)], period_s or long_s)
@@ -191,10 +192,10 @@ def _judge(
 ) -> list[ColumnComparison]:
     """Regress a pose on integrated rates, and name the mistake that explains a coefficient other than 1.
 
-    The regression is that of increments of the pose on increments of the integrated rates.
+    Increments of the pose are regressed on increments of the integrated rates.
 
-    ``rates[k]`` holds the contribution of the rate ``names[k]`` to each coordinate of the pose. Each
-    increment spans the same number of samples: the one with which the rates explain the largest fraction of
+    ``rates[k]`` holds the contribution of the rate ``names[k]`` to each coordinate of the pose. All
+    increments span the same number of samples. It is chosen so that the rates explain the largest fraction of
     the pose increments. Gains that do not differ significantly from 0 are left out.
     """
     from scipy.integrate import cumulative_trapezoid
@@ -254,8 +255,8 @@ def _explain_factor(gain: float, *, angle: bool) -> str:
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 #: Maximum rate of a joint, rad/s: the fastest hobby servos turn 60 degrees in 0.05 s.
 MAX_JOINT_RATE = math.radians(60.0) / 0.05
-#: Maximum fraction of the samples of a channel that lie in jumps. A joint with more of them is commanded in
-#: steps. Other columns with more of them are probably no track or attitude.
+#: Maximum fraction of the samples of a channel that lie in jumps. A joint with more jumps is probably
+#: commanded in steps. Any other column with more jumps is probably not a track or an attitude.
 MAX_JUMPED = 0.2
 
 
@@ -282,8 +283,8 @@ def find_jumped(columns: Mapping[str, Array]) -> list[Jumped]:
     """Find jumps of attitudes, angles and tracks with one coordinate, and spikes of all other channels.
 
     Angles and attitudes are compared as directions, so that neither a full turn nor the sign of a quaternion
-    is a jump. The rules are those of :func:`swimid.kinematics.jumps.find_jumps`. Tracks of several
-    coordinates are left to :func:`swimid.kinematics.jumps.clean_track`.
+    is a jump. A jump is defined as in :func:`swimid.kinematics.jumps.find_jumps`. Tracks of several
+    coordinates are not searched here, but by :func:`swimid.kinematics.jumps.clean_track`.
 
     Parameters
     ----------
@@ -352,7 +353,8 @@ def _channels(columns: Mapping[str, Array]) -> Iterator[tuple[tuple[str, ...], A
 def find_code(values: Sequence[float] | Array) -> float | None:
     """Return the value that at least half of the outlying samples of a channel hold exactly, or None.
 
-    It is probably the code of missing samples. A single sample has a code only if it is 0.
+    The value is probably the code of missing samples. A single outlying sample counts as a code only if it is
+    0.
 
     >>> find_code([0.0, 0.0, 0.3]), find_code([0.1, 0.2, 0.3])
     (0.0, None)

@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 def import_log(
     source: LogLike, *, options: ImportOptions, output: str | Path | None = None, progress: Progress = silent
 ) -> Logged:
-    """Convert a foreign recording to a log in SI units, with rows in order and jumps removed.
+    """Convert a recording of another program to a log in SI units, with rows in order and jumps removed.
 
     A profile reads a file of a known format. For any other file, a mapping (file or dict) assigns a source
     column and its unit to each column of the log. Without a mapping the columns must be named as in the log
@@ -65,8 +65,9 @@ def import_log(
         Path of a file in any format listed in ``docs/import.md``; or a table, shape (n, k), one row per
         sample.
     output : path, optional
-        Path of the log, CSV or Parquet by its ending. ``<stem>.evidence.json`` is written to the same folder.
-        Without a path nothing is written; :meth:`~swimid.results.result.Result.save` writes both files later.
+        Path of the log, CSV or Parquet by its file name extension. ``<stem>.evidence.json`` (checks and
+        results) is written to the same folder. Without a path nothing is written;
+        :meth:`~swimid.results.result.Result.save` writes both files later.
     progress : Progress
         Shows the progress of reading and writing.
 
@@ -135,7 +136,7 @@ _OF_POSE = re.compile(r"(x|y|z|yaw|pitch|roll)_.+|(u|v|w|vx|vy|vz)_(sd_)?(m|px)_
 
 @dataclass(frozen=True)
 class Examined:
-    """Imported log with its rows in order of time, and the findings of its examination.
+    """Imported log with its rows in order of time, and the results of all checks.
 
     Attributes
     ----------
@@ -150,7 +151,7 @@ class Examined:
     cleaned : bool
         Whether repeated samples and jumps were left out of the track.
     jumped : dict of str to Jumped
-        Jumps and spikes of the channels beside the track, by a message on them.
+        Jumps and spikes of the channels other than the track. The key is a message on them.
     speed : TrackSpeed or None
         Speed of the track.
     stroke : StrokeEstimate
@@ -166,7 +167,7 @@ class Examined:
     bursts : bool
         Whether the time stamps come in bursts.
     posed : Posed or None
-        Pose and joint angles from tracked points, if they were asked for.
+        Pose and joint angles from tracked points; None if they were not requested.
     wave : Wave or None
         Body wave at the stroke frequency, from the tracked points.
     """
@@ -261,7 +262,8 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
 def _find_picture_times(times: Array, stamps: Array, cleaning: Cleaning | None) -> tuple[Array, float]:
     """Return the times at which the pictures of a track were taken, s, and their standard deviation, s.
 
-    ``times`` has the times of the samples that remain, and ``stamps`` those of all samples of the track.
+    ``times`` has the times of the samples that are kept, and ``stamps`` the times of all samples of the
+    track.
     """
     if cleaning is None:
         return times, 0.0
@@ -277,7 +279,7 @@ def _sort_rows(source: MappedLog) -> Order:
     Raises
     ------
     InputError
-        Fewer than two rows have a time of their own, or the clock was reset.
+        Fewer than two rows have a time that no other row has, or the clock was reset.
     """
     channels = {name: values for name, values in source.columns.items() if name != TIME}
     order = mapping.in_order(source.time_s, channels)
@@ -332,7 +334,7 @@ def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
 def _doubt_amplitudes(stroke: StrokeEstimate) -> list[Doubt]:
     """Return a :class:`Doubt` about each angle that oscillates with an amplitude above 180 degrees.
 
-    No joint of a robot can move so far. The angle is probably in degrees.
+    No joint of a robot can move so far, so that the values of such an angle are probably in degrees.
     """
     text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
     beats = {name: beat.amplitude for name, beat in stroke.channels.items() if name.endswith("_rad")}
@@ -351,7 +353,7 @@ def _compare_columns(columns: dict[str, Array], period_s: float | None, name: st
 
 
 def _remove_jumps(source: MappedLog, lines: NDArray[np.int64], clean: bool | None) -> dict[str, Jumped]:
-    """Return the jumps and spikes of the channels of a log by a message on them; warn of them.
+    """Return the jumps and spikes of the channels of a log, each by a message on it; warn of them.
 
     A track that swimid computed is not searched, unless ``clean`` asks for it.
     """
@@ -396,7 +398,7 @@ def _take_out(
 ) -> None:
     """Remove jumps and spikes of channels, and repeated samples and jumps of a track, from a log, in place.
 
-    Such a sample becomes NaN. A row that holds no other value is removed.
+    Each such sample becomes NaN. A row in which no value is left is removed.
     """
     columns |= {n: np.where(one.out, np.nan, columns[n]) for one in jumped for n in one.columns}
     # A reader that unwraps attitudes counts a full turn for a jump of the heading by more than half a turn.
@@ -463,16 +465,15 @@ def _select_measured(columns: dict[str, Array]) -> dict[str, Array]:
 
 # ---------------------------------------------------------------- evidence
 
-#: Minimum number of values of each channel, and minimum number of samples of a log, for the checks of an
-#: imported log.
+#: Minimum number of samples of a log, and of values of each channel, for the checks of an imported log.
 MIN_SAMPLES_STROKE = LONG_ENOUGH + 1
 #: Minimum number of track samples per stroke. With fewer samples the path of the robot between two samples is
 #: not known.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: Maximum fraction of the rows of a log that are left out because of a missing or repeated time, and of its
-#: duration in which a channel is frozen. With a larger fraction the log is not usable. Frozen samples stay in
-#: the log: a fraction of them changes an amplitude or a mean speed by at most as much, and one per cent is
-#: the accuracy of both in a track (docs/tracking.md).
+#: Limits of a usable log. MAX_DROPPED is the maximum fraction of its rows that are left out because of a
+#: missing or repeated time. MAX_FROZEN is the maximum fraction of its duration in which a channel is frozen.
+#: Frozen samples stay in the log: a fraction of 1 % changes an amplitude or a mean speed by at most 1 %,
+#: which is the accuracy of both in a track (docs/tracking.md).
 MAX_DROPPED, MAX_FROZEN = 0.1, 0.01
 #: Pattern of the columns whose values are compared with the limits of a swimmer
 #: (:func:`swimid.logs.log.doubts`).
@@ -691,7 +692,7 @@ def _stroke_checks(found: Examined) -> list[Check]:
 
 
 def _facts(found: Examined) -> dict[str, str]:
-    """Return stroke, track and speed of an imported log, for the list of facts in the evidence."""
+    """Return stroke, track and speed of an imported log as texts, for the list of facts in its report."""
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     facts = {"Stroke": f"unknown: {stroke.unknown}"}
     if stroke.beat is not None:
@@ -759,7 +760,7 @@ def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
-    """Return the findings of the import of a log as plain data (numbers, text, lists and dicts)."""
+    """Return the results of the import of a log as plain data (numbers, text, lists and dicts)."""
     time, unit = found.log.time_s, found.unit
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     made: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Mapping of a foreign log to the log format (``swimid-mapping/1``, ``docs/import.md``).
+"""Mapping of a log of another program to the log format (``swimid-mapping/1``, ``docs/import.md``).
 
 A mapping assigns a source column of the file to each target column of the log, with the unit of the source.
 :func:`apply` returns the target columns in SI units, in the row order of the file. The times may still
@@ -65,11 +65,11 @@ MIN_LIKELIHOOD = 0.6
 _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(ability)?)", re.I)
 #: Hint at the end of an error message about a cell that is not a number.
 MISSING_HINT = ", or name what marks it under 'missing:' of the mapping"
-#: Pattern of the rest of a column name after the name of a tracked point: a coordinate such as ``_x``.
+#: Pattern of the part of a column name that follows the name of a tracked point: a coordinate such as ``_x``.
 _COORDINATE_NAME = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 #: Name of the unit of a dimensionless quantity in a mapping.
 NO_UNIT = "1"
-#: Period of a time of day, s.
+#: Length of a day, s: period with which a time of day repeats.
 DAY_S = 86400.0
 #: Example of a format of dates in a message.
 EXAMPLE = "'%d.%m.%Y %H:%M:%S.%f'"
@@ -102,7 +102,8 @@ class Time(yamlio.Document):
     #: Origin of the time: ``keep`` leaves the times as in the file, ``first`` counts the time from the first
     #: sample.
     origin: Literal["keep", "first"] = "keep"
-    #: Time that is added to the times of the file, s. With it alone, the file must state its times.
+    #: Time that is added to the times of the file, s. If ``time:`` has no other key, the file must state its
+    #: times.
     offset_s: float = 0.0
 
     @model_validator(mode="after")
@@ -146,8 +147,8 @@ class Column(yamlio.Document):
 
     source: ColumnKey
     target: str
-    #: Unit of the source column. Values are converted from it to the unit in the name of the target column.
-    #: The unit of a dimensionless quantity is ``1``.
+    #: Unit of the source column. Values are converted from this unit to the unit in the name of the target
+    #: column. The unit of a dimensionless quantity is ``1``.
     unit: str | None = None
     factor: float = 1.0
     #: Offset that is added to the converted values, in the unit of the target column.
@@ -188,7 +189,7 @@ class Align(yamlio.Document):
 
     #: Column of the log.
     this: str
-    #: Column of the joined table: its target, or its source.
+    #: Column of the joined table, by the name of its target or of its source.
     that: str
     #: Maximum difference between the offset and the ``offset_s`` of the joined table, s.
     within_s: PositiveFloat | None = None
@@ -204,7 +205,7 @@ class TableSource(yamlio.Document):
     reader: ReaderOptions = ReaderOptions()
     #: Source of the sample times, if the file does not state its times.
     time: Time | None = None
-    #: Condition for the rows that are read: they have one of the given values in each named column.
+    #: Condition for the rows that are read: in each named column, a row must have one of the given values.
     where: dict[str, str | float | int | list[str | float | int]] = {}
 
     def table(self, given: str | Path | Log) -> ForeignTable:
@@ -216,12 +217,14 @@ class TableSource(yamlio.Document):
 class Joined(TableSource):
     """Columns of another topic, struct or file, which are interpolated at the times of the log."""
 
-    #: Path of another file, relative to the folder of the foreign log, or else of the mapping; by default the
-    #: same file. ``{stem}`` is the name of the recording without its ending.
+    #: Path of another file, relative to the folder of the imported log or, if it is not there, of the
+    #: mapping; by default the imported file itself. ``{stem}`` is the name of the recording without its file
+    #: name extension.
     file: str | None = None
     #: Columns that are added to the log, each with its source.
     columns: Annotated[list[Column], Field(min_length=1)]
-    #: Value between two samples: on the line through them, or that of the first, as of a command.
+    #: Value between two samples: ``line`` interpolates linearly, ``hold`` keeps the value of the first
+    #: sample, for example of a command.
     between: Literal["line", "hold"] = "line"
     #: Columns by which the offset between the two clocks is estimated.
     align: Align | None = None
@@ -271,7 +274,7 @@ class Mapping(TableSource):
 
 @dataclass(frozen=True)
 class MappedLog:
-    """Foreign log whose columns are converted to target columns and SI units. Its rows are not cleaned.
+    """Log of another program, converted to target columns and SI units. Its rows are not sorted or cleaned.
 
     Attributes
     ----------
@@ -390,8 +393,8 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
 
     ``folder`` is that of the mapping file.
 
-    The clock of each table counts from its ``first_stamp_s``, if it has one. Values outside the record of the
-    other table, or in a pause of it, are missing.
+    The times of each table count from its ``first_stamp_s``, if it has one. Values are missing before the
+    first and after the last sample of the other table, and in its pauses.
 
     Raises
     ------
@@ -435,8 +438,8 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
     log.notes.extend(other.notes)
 
 
-#: Minimum period of a motion that counts as drift when two clocks are aligned, s, and in mean periods of the
-#: column.
+#: Minimum period of a motion that counts as drift when two clocks are aligned: MIN_SLOW_S in s, and
+#: MIN_SLOW_PERIODS in mean periods of the column.
 MIN_SLOW_S, MIN_SLOW_PERIODS = 5.0, 3.0
 
 
@@ -456,7 +459,7 @@ def _offset(
     Raises
     ------
     InputError
-        There is no such column, or the two columns do not move together.
+        There is no such column, or the two columns do not show the same motion.
     """
     from swimid.imports import clocks
 
@@ -470,7 +473,7 @@ def _offset(
     there, near_s = np.isfinite(that), align.within_s or np.inf
     spread, turning = np.std(that[there]), np.std(np.gradient(that[there], time_s[there]))
     slow_s = max(MIN_SLOW_S, MIN_SLOW_PERIODS * 2 * np.pi * float(spread / max(turning, 1e-300)))
-    # A held value is on average half a step older than one on the line through the samples.
+    # A held value is on average half a time step older than a linearly interpolated value.
     delay_s = 0.5 * usual_step(time_s[there]) * (joined.between == "hold")
     this_s, this = log.time_s[order], log.columns[align.this][order, None]
     pair = (time_s[there] + delay_s, that[there, None], this_s, this)
@@ -504,11 +507,11 @@ N_ROWS_COPIED = 8
 
 
 class NoRowError(InputError):
-    """Error for a table of which ``where`` chooses no row."""
+    """Error for a table in which no row meets the condition ``where``."""
 
 
 def _read(mapping: Mapping, table: ForeignTable, path: Path, every: int = 1) -> MappedLog:
-    """Map the rows of a table and those that follow in its file. The mean of ``every`` rows becomes one row.
+    """Map the rows of a table and the following rows of its file. The mean of ``every`` rows becomes one row.
 
     Raises
     ------
@@ -560,7 +563,7 @@ def _check_memory(rows: int, width: int, every: int, path: Path) -> None:
 
 
 def _average(piece: MappedLog, averager: Averager, *, last: bool = False) -> MappedLog:
-    """Average the rows of a piece; with ``last`` those that the averager still holds of the pieces before."""
+    """Average the rows of a piece; if ``last`` is true, also the rows that wait in the averager."""
     if last:
         nothing = {name: values[:0] for name, values in piece.columns.items()}
         piece = replace(piece, columns=nothing, rows=piece.rows[:0], unlikely={})
@@ -612,7 +615,7 @@ def _map_columns(
         found.setdefault(column.target, values)
     chosen = _select_rows(table, mapping.where, rows, path)
     if np.isnan(found[TIME]).any():
-        # Leave out rows without any value, which pad a table. They are no lost samples.
+        # Leave out rows without any value. They only pad the table, and do not count as lost samples.
         padding = np.all([np.isnan(values) for values in found.values()], axis=0)
         chosen &= ~padding | padding.all()
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
@@ -653,7 +656,7 @@ def _convert_quaternion(columns: dict[str, Array], convention: Quaternion, path:
     Raises
     ------
     InputError
-        Some of the four components are missing.
+        The log has some of the four components, but not all.
     """
     lacking = [axis for axis in AXES if axis not in columns]
     if 0 < len(lacking) < len(AXES):
@@ -667,7 +670,7 @@ def _convert_quaternion(columns: dict[str, Array], convention: Quaternion, path:
 
 
 def _with_unit(column: Column, stated: str | None, path: Path) -> Column:
-    """Complete the mapping of a column by the unit that the file states; raise an error if they differ."""
+    """Add the unit that the file states to the mapping of a column; raise an error if the two differ."""
     unit = canonical(stated or "")
     if unit not in UNITS.get(quantity_of(column.target) or "", {}):
         return column
@@ -734,10 +737,7 @@ def _identity(table: ForeignTable, path: Path, metadata: dict[str, Any]) -> list
         raise InputError(text, file=path, hint=hint)
     twice = [column.target for column in kept if f"{column.target} (2)" in out]
     if twice:
-        text, hint = (
-            "several columns have this name",
-            "choose a column by number in a mapping, as in source: 2",
-        )
+        text, hint = "several columns have this name", "choose one by number in a mapping, as in source: 2"
         raise InputError(text, file=path, column=twice[0], hint=hint)
     if out and not own:
         warn("SWM004", f"{path.name}: columns whose names state no unit are left out: {', '.join(out[:20])}")
@@ -764,7 +764,7 @@ def _time(mapping: Mapping, table: ForeignTable, sources: dict[str, str], path: 
 
 
 def _with_time_units(time: Time, table: ForeignTable, path: Path) -> Time:
-    """Complete the source of the times by the units that the file states; raise an error if they differ."""
+    """Add the units that the file states to the source of the times; raise an error if others are mapped."""
     stated = [canonical(table.units.get(table.column(key, path), "")) for key in time.sources]
     if not stated or time.frame is not None or not set(stated) <= set(UNITS["time"]):
         return time
@@ -851,7 +851,7 @@ def _select_rows(table: ForeignTable, where: dict[str, Any], rows: int, path: Pa
     Raises
     ------
     NoRowError
-        No row is left. The message lists the values in the column.
+        No row meets the condition. The message lists the values in the column.
     """
     kept = np.ones(rows, dtype=bool)
     for key, wanted in where.items():
@@ -984,7 +984,7 @@ def seconds(
 
     The origin is subtracted before integers become floating-point numbers, so that no digit is lost. With
     ``origin: first`` the time of the first sample in the file's clock is stored as
-    ``metadata['first_stamp_s']``. ``clock`` has the state of the clock after the batch of rows before.
+    ``metadata['first_stamp_s']``. ``clock`` has the state of the clock after the previous batch of rows.
 
     Raises
     ------
@@ -1060,7 +1060,7 @@ def _frames(table: ForeignTable, name: str, path: Path) -> Array:
 def unwrap_counter(counts: NDArray[Any], period: float, before: float = 0.0) -> Array:
     """Unwrap a counter that restarts from 0 at ``period``: return values that never decrease.
 
-    ``before`` is the last unwrapped value of the rows before.
+    ``before`` is the last unwrapped value of the previous batch of rows.
 
     >>> unwrap_counter(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
     [65534.0, 65535.0, 65536.0, 65537.0]
@@ -1093,7 +1093,7 @@ def _parse_times(
 
 
 def _join_cells(parts: list[NDArray[Any]]) -> Any:
-    """Return the text of the cells of several columns, which a blank separates."""
+    """Return the text of the cells of several columns, joined by blanks."""
     import pandas as pd
 
     # Write whole numbers without a decimal point, before they are joined with the text of another column.
@@ -1102,9 +1102,10 @@ def _join_cells(parts: list[NDArray[Any]]) -> Any:
 
 
 def _dates(cells: Any, form: str | None) -> Any:
-    """Return the dates or times of day in cells, missing where a cell has another form.
+    """Return the dates or times of day in cells; a cell of another form becomes missing.
 
-    Without a form, the cells hold times of day or dates after ISO 8601. A second may have no fraction.
+    If ``form`` is not given, the cells hold times of day or dates in the format ISO 8601. Seconds may have a
+    fraction or none.
     """
     import pandas as pd
 
@@ -1146,11 +1147,11 @@ def date_formats(cells: Any) -> list[str]:
 
 # ---------------------------------------------------------------- rows in order
 
-#: Maximum fraction of samples in a record with an earlier time than the sample before, if their times do not
-#: fit into the gaps that they left, and maximum number of such late samples in sequence. With more late
-#: samples, the clock is taken to have been reset.
+#: A late sample has an earlier time than the sample before. LATE_SHARE is the maximum fraction of late
+#: samples, if their times do not fit into gaps of the record. LATE_RUN is the maximum number of late samples
+#: in sequence. If there are more, the clock is taken to have been reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
-#: Minimum distance of a late sample that fits into its gap from the samples beside it, in time steps.
+#: Minimum time between a late sample that fits into a gap and its neighbours in the gap, in time steps.
 MIN_DISTANCE = 0.5
 #: Text of the import summary for each kind of row that is left out or moved. A number precedes this text.
 ODD_ROWS = {
@@ -1172,10 +1173,10 @@ class Order:
     index : ndarray of int, shape (m,)
         Numbers of the rows that are kept, sorted by time.
     counts : dict of str to int
-        Number of rows of each kind in :data:`ODD_ROWS`: rows at the end that were never filled, rows
-        without a time, single rows with a time far from all others, rows equal to an earlier row at
-        the same time, rows with other values at the time of an earlier row (all left out), and rows that
-        follow a row with a later time (moved to the place of their time).
+        Number of rows of each kind in :data:`ODD_ROWS`. Five kinds are left out: rows at the end that were
+        never filled, rows without a time, single rows with a time far from all others, rows equal to an
+        earlier row at the same time, and rows with other values at the time of an earlier row. Rows that
+        follow a row with a later time are moved to the place of their time.
     reset_row : int or None
         Row at which the clock was reset, or None. A record with a reset clock cannot be sorted by time.
     """
@@ -1198,8 +1199,8 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     time_s : ndarray, shape (n,)
         Times, s, which may be NaN, repeat, or go back.
     columns : mapping of str to ndarray, each shape (n,)
-        All other columns. They decide whether a row at the time of an earlier row is equal to it or
-        contradicts it.
+        All other columns. These columns decide whether a row at the time of an earlier row is equal to that
+        row or contradicts it.
 
     Notes
     -----
@@ -1213,7 +1214,7 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
         rows = np.column_stack([time_s, *columns.values()])
         is_last = np.isclose(rows, rows[-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
         length = int(np.max(np.flatnonzero(~is_last), initial=-1)) + 1
-        length += length == len(time_s) - 1  # a single row is no unfilled part
+        length += length == len(time_s) - 1  # a single row does not count as an unfilled part
     index = np.flatnonzero(np.isfinite(time_s[:length]))
     wrong = _find_wrong_times(time_s[index])
     index, times = index[~wrong], time_s[index[~wrong]]
@@ -1240,7 +1241,7 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
 def _find_wrong_times(times: Array) -> NDArray[np.bool_]:
     """Return flags of single times, s, far before the first or after the last, between rows in order.
 
-    They are corrupt: a row that arrives late has a time close to those of other rows.
+    Such times are corrupt. A row that only arrives late has a time close to the times of other rows.
     """
     none = np.zeros(len(times), dtype=bool)
     if len(times) < LATE_RUN:
@@ -1254,8 +1255,8 @@ def _find_wrong_times(times: Array) -> NDArray[np.bool_]:
 
 # ---------------------------------------------------------------- draft of a mapping
 
-#: Patterns of the words in the name of a column that show that its unit of time is that of the clock, or that
-#: it is that of an interval between events.
+#: Patterns of words in the name of a column with a unit of time. They show that the column holds clock times
+#: (_OF_CLOCK), or that it holds intervals between events.
 _OF_CLOCK = re.compile(
     r"\b(t|ts|tt|times?|(time)?stamps?|clock|millis|micros|elapsed|epoch|uptime|utc|s|secs?|ms|us|zeit|temps|"
     r"tiempo|tempo|tid|tijd)\b"
@@ -1264,7 +1265,7 @@ _OF_INTERVAL = re.compile(
     r"\b(period|duration|latency|delay|lag|lead|dt|delta|diff|pulse|pwm|width|duty|exposure|shutter|rtt|ping|"
     r"echo|tof|flight|response|reaction|rise|fall|settling|dead|loop|cycle|step|interval|jitter|processing)\b"
 )
-#: Comment on a column that may hold a compass heading, and pattern of the names of such columns.
+#: Comment in a draft on a column that may hold a compass heading, and pattern of the names of such columns.
 OF_COMPASS = "; yaw_rad is counter-clockwise from x: a compass heading has factor: -1, offset: 1.5708"
 COMPASS = re.compile(r"heading|compass|course|bearing|azimuth|direction|(?<![a-z])(cog|hdg)(?![a-z])")
 
@@ -1337,8 +1338,8 @@ def guess_mapping(source: LogLike, *, options: ImportOptions, output: str | Path
 
     Notes
     -----
-    Of the options of ``import``, the draft contains the format, the selection, the frame rate, the unit of
-    length and the minimum likelihood.
+    The draft contains the values of these options of ``import``: format, selection, frame rate, unit of
+    length and minimum likelihood.
 
     Examples
     --------
@@ -1421,7 +1422,7 @@ def _of_names(table: ForeignTable) -> list[str]:
 def _convert_asked(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
     """Convert columns of text in which numbers prevail, in place; return the options that a user must state.
 
-    Each option of the reader has its reason.
+    The result maps each option of the reader to the reason why it is needed.
     """
     asked: dict[str, str] = {}
     for name in [name for name, values in columns.items() if is_text(values)]:
@@ -1456,7 +1457,7 @@ def _line(key: str, value: Any, comment: str = "") -> str:
 def _write_value(key: str, value: Any) -> str:
     """Return the value of a key in a drafted mapping as YAML text.
 
-    Names and units of the file are in quotes, column numbers and keywords are not.
+    Names and units of the file are in quotes. Column numbers and keywords are not.
     """
     if value == ASK or key in ("target", "origin") or (key in ("source", "frame") and str(value).isdecimal()):
         return str(value)
@@ -1516,8 +1517,8 @@ def _target(bare: str, unit: str | None) -> str | None:
 def _guess_time(table: ForeignTable, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
     """Return the value of ``time:`` for a drafted mapping, and a comment.
 
-    The value is known as far as column names and units state it. The name of the column must be that of a
-    clock: a unit of time is also that of a pulse or of a delay.
+    The value contains what column names and units state. The name of the column must be that of a clock,
+    because a pulse or a delay also has a unit of time.
     """
     comment = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
     stated = {name: _unit_of_time(name, table.units.get(name)) for name in columns}
@@ -1565,7 +1566,7 @@ def _is_clock(name: str, unit: str) -> bool:
 
 
 def _unit_of_time(name: str, written: str | None) -> str:
-    """Return the unit of a time column, as its name states it; ``ASK`` if the name states no unit."""
+    """Return the unit that the name of a time column states; ``ASK`` if the name states no unit."""
     units_stated = (name_target(name, written)[1], canonical(name))
     return next((unit for unit in units_stated if unit in UNITS["time"]), ASK)
 

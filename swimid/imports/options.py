@@ -78,7 +78,7 @@ class ImportOptions(Options):
     def file_values(self) -> dict[str, Any]:
         """Values that the user gives for a foreign file, such as its format and unit of length, by option.
 
-        They replace or complete the values of the mapping of the file.
+        These values replace or complete those in the mapping of the file.
         """
         names = {"profile", "select", "rate_hz", "length_unit", "min_likelihood"}
         return self.model_dump(include=names, exclude_none=True)

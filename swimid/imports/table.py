@@ -46,8 +46,8 @@ class ReaderOptions(yamlio.Document):
     header: bool | None = None
     #: Number of lines before the header, or before the samples if there is no header.
     skip_rows: Annotated[int, Field(ge=0)] | None = None
-    #: ``skip`` leaves out all lines with a wrong number of cells. By default a file with more than a few of
-    #: them is refused.
+    #: ``skip`` leaves out all lines with a wrong number of cells. By default a file with more than a few such
+    #: lines is refused.
     bad_lines: Literal["skip"] | None = None
     #: Contents of cells that mark a missing sample, in addition to the empty cell and ``nan``.
     missing: list[float | str] = []
@@ -85,7 +85,7 @@ class ForeignTable:
     keys : dict of str to ndarray, each shape (n,)
         Columns that are no part of the log, by which ``where:`` of a mapping chooses rows.
     names : list of str
-        Names of all columns in the file; empty if they are those of ``columns``.
+        Names of all columns in the file; empty if these are the columns in ``columns``.
     before : int
         Number of rows in the file that precede those of the table.
     after : int
@@ -224,15 +224,14 @@ class Format:
         Function ``open(path, options, select) -> Table``. ``select`` is the track, topic, struct or group to
         read, or None. :func:`open_table` converts the exceptions of a library to an :class:`InputError`.
     recognises : callable, optional
-        Function ``recognises(peek) -> bool``. It returns whether the content of a file is known, so that its
-        columns can be named as in the log format. Without this function the format is recognised by the first
-        bytes or the ending of the file.
+        Function ``recognises(peek) -> bool``. It returns whether a file has this format, judged by its
+        content. Without this function the format is recognised by the first bytes or the file name extension.
     endings : tuple of str
-        File endings of this format, with their dot.
+        File name extensions of this format, with the dot.
     magic : tuple of bytes
-        First bytes of a file of this format. They have precedence over the ending.
+        First bytes of a file of this format. The first bytes have precedence over the file name extension.
     extra : str
-        Extra to install, such as ``"mcap"`` for ``pip install swimid[mcap]``.
+        Extra of swimid to install, such as ``"mcap"`` for ``pip install swimid[mcap]``.
     """
 
     name: str
@@ -251,8 +250,9 @@ def is_text(values: NDArray[Any]) -> bool:
 
 #: Pattern of a number with separated groups of digits, such as 1,234.56.
 GROUPED = r"[-+]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"
-#: Maximum fraction of the cells of a column of numbers that may hold other text. Above it, the user states
-#: which texts mark a missing sample. It is half the fraction of rows that may be left out of a good log.
+#: Maximum fraction of the cells of a column of numbers that may hold other text. Above this fraction, the
+#: user must state which texts mark a missing sample. It is half of the fraction of rows that may be left out
+#: of a usable log.
 MAX_ODD = 0.05
 
 
@@ -294,7 +294,7 @@ def convert_text(table: ForeignTable) -> ForeignTable:
 
 
 def _split_cells(name: str, values: NDArray[Any], units: dict[str, str]) -> dict[str, NDArray[Any]]:
-    """Return a column for each element of the lists in a column of text; the column if it has no lists.
+    """Return a column for each list element in a column of text; the column itself if it has no lists.
 
     If one unit follows each number in the cells, add it to ``units`` and return the numbers.
     """
@@ -353,8 +353,8 @@ def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
 
     frame = pd.DataFrame.from_records(records)
     for name, values in frame.items():
-        # Convert a column without text to floats. It holds integers over 64 bits, or has no value in some
-        # records.
+        # Convert a column without text to floats. Such a column holds integers over 64 bits, or has no value
+        # in some records.
         if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
             frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
     return log.arrays(frame, "records")
@@ -474,7 +474,7 @@ def restore_sign(values: Array, name: str, notes: list[str]) -> Array:
 def from_first(stamps: NDArray[np.datetime64]) -> tuple[Array, dict[str, Any]]:
     """Return the times since the first of some dates, s, and the metadata with the first one, s since 1970.
 
-    Unknown dates (NaT) are taken for the first one. If that is unknown, the metadata are empty.
+    Unknown dates (NaT) are replaced by the first date. If the first date is unknown, the metadata are empty.
     """
     metadata: dict[str, Any] = {}
     if not np.isnat(stamps[0]):

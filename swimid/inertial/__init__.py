@@ -4,8 +4,8 @@
 the motion is estimated. ``faults`` finds and repairs the faults of the recording. ``smoother`` integrates the
 readings to a path, estimates the errors of this path from observations, and computes the motion of the
 reference point of the body. ``estimate`` applies the smoother to the inertial unit alone, or together with
-another log of the same trial after ``alignment`` of the two logs. ``track_imu`` is the command with its
-evidence and with the method of Shang et al. (2012). ``options`` contains its options.
+another log of the same trial after ``alignment`` of the two logs. ``track_imu`` is the command, with the
+checks and figures of its result and with the method of Shang et al. (2012). ``options`` contains its options.
 
 Frames
 ------

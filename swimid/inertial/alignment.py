@@ -17,8 +17,8 @@ from swimid.inertial import record as recording
 from swimid.inertial.record import Array, AttitudeSource, ImuRecord, Poses, integral, resampled, turns_of
 from swimid.kinematics.attitude import angles
 
-#: Minimum period of a motion that counts as drift, s: in integrated turn rates, and in accelerations
-#: integrated twice.
+#: Minimum period of a component that counts as drift, s: SLOW_TURN_S in integrated turn rates, and
+#: SLOW_PATH_S in accelerations integrated twice.
 SLOW_TURN_S, SLOW_PATH_S = 10.0, 2.0
 #: Minimum fraction of the samples of the other log in which a coordinate is measured.
 MIN_MEASURED = 0.1
@@ -45,7 +45,7 @@ def align(
     Raises
     ------
     NoTrustworthyResult
-        When the two logs do not move together.
+        The two logs do not show the same motion.
     """
     if stated_s is not None:
         return [_with_mount(record, poses, Offset(stated_s, 0.0, stated_s, stated_s))]
@@ -118,8 +118,8 @@ def _find_mount(record: ImuRecord, poses: Poses) -> tuple[Rotation, float]:
     body = remove_drift(when, _sum_turns(rotation), SLOW_TURN_S)
     turned = integral(t, record.rate - record.rate.mean(axis=0))
     sensor = remove_drift(when, resampled(when, t, turned), SLOW_TURN_S)
-    # Average the direction of gravity over a window from each pose: in sensor axes from the integral of the
-    # specific force, in body axes from the sum over poses.
+    # Average the direction of gravity over a window that begins at each pose. In sensor axes, the average is
+    # that of the specific force; in body axes, that of the attitudes of the poses.
     last = np.clip(np.searchsorted(when, when + GRAVITY_S), 0, len(when) - 1)
     span, count = when[last] - when, np.maximum(last - np.arange(len(when)), 1)
     long = span > MIN_GRAVITY_S
@@ -161,7 +161,8 @@ def find_world_turn(record: ImuRecord, source: AttitudeSource, poses: Poses, mou
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
-        # Do not rotate if the other log lacks a horizontal coordinate, which is then constant.
+        # Do not rotate the axes if the other log has no horizontal path: a coordinate that it lacks is
+        # constant.
         if len(rows) < MIN_SAMPLES_OFFSET or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
             return Rotation.identity()
         t = poses.time_s[rows]

@@ -3,7 +3,7 @@
 The smoother uses rests and attitudes as observations. With another log, for instance of a camera, it also
 uses the poses in that log (fixes). Afterwards the motion is compared with rests and attitude. A rest implies
 a velocity of 0 and, through the accelerometer, a tilt. An attitude filter also gives the tilt. If the motion
-contradicts one of them by more than the uncertainty, no position or velocity is written.
+contradicts a rest or an attitude by more than its uncertainty, no position or velocity is written.
 """
 
 from __future__ import annotations
@@ -44,14 +44,15 @@ MAX_SINGLE = 2
 MIN_GAIN = 3.0
 #: Standard deviations of velocity (m/s) and turn rate (rad/s) of a robot that rests in drifting water.
 REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
-#: Correlation times of attitude errors, s: minimum for the quaternions of a sensor, and value for an attitude
-#: filter. Attitudes within this time count as one measurement.
+#: Correlation times of attitude errors, s. QUATERNION_MEMORY_S is the minimum for the quaternions of a
+#: sensor, FILTER_MEMORY_S the value for an attitude filter. Attitudes within this time count as one
+#: measurement.
 QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
 #: Maximum normalised residual of a fix (pose measured by the other log), in standard deviations. Fixes with
 #: larger residuals are outliers.
 GATE = 6.0
-#: Time between successive observations for the smoother, s: of zero velocity in a rest, and of attitude and
-#: top speed.
+#: Time between successive observations for the smoother, s: REST_STEP_S for zero velocity in a rest, and
+#: STEP_S for attitude and top speed.
 REST_STEP_S, STEP_S = 0.5, 1.0
 #: Standard deviations before any observation: lever from the sensor to the reference point (m), mounting that
 #: is estimated from rotations (rad), tilt of the world axes of the other log (rad), and offset of its clock
@@ -69,16 +70,18 @@ PLANE_SD = 0.05
 #: rad). The maximum is needed because the first estimate comes from third differences, and those of sparse
 #: fixes contain motion.
 MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
-#: Maximum number of iterations in which the noise of the fixes is estimated: for a candidate clock offset,
-#: and for the chosen one; and convergence tolerance of the logarithm of its standard deviations.
+#: NOISE_STEPS is the maximum number of iterations in which the noise of the fixes is estimated for a
+#: candidate clock offset, FINAL_NOISE_STEPS that for the chosen offset. NOISE_TOL is the convergence
+#: tolerance of the logarithm of the noise standard deviations.
 NOISE_STEPS, FINAL_NOISE_STEPS, NOISE_TOL = 3, 12, 0.1
-#: Minimum fraction of the noise of the fixes that counts as left in their residuals.
+#: Minimum fraction of the noise variance of the fixes that remains in their residuals. It keeps the estimated
+#: noise finite if the path follows every fix.
 MIN_NOISE_LEFT = 0.1
 #: Maximum fraction of outliers among the fixes. With more outliers, a warning is given, and a second path is
 #: estimated for which no fix counts as an outlier.
 MAX_STRAY = 0.05
-#: Maximum fraction of outliers among the fixes for a possible motion. With more outliers, positions and
-#: velocities are left empty.
+#: Maximum fraction of outliers among the fixes for which the motion counts as possible. With more outliers,
+#: positions and velocities are left empty.
 MAX_WRONG = 0.5
 #: Maximum factor by which correlated errors of the fixes widen the 95 % bands. A check fails for a larger
 #: factor. At a factor of 2, four fixes count as one.
@@ -90,7 +93,8 @@ BLOCK_S, MIN_HELD_OUT = 0.5, 20
 #: Minimum angle between the mounting from rotations and the mounting from gravity for a report of wrong axes,
 #: rad.
 MIN_MOUNT_CHANGE = 15 * DEG
-#: Median of the absolute value of a normally distributed variable with mean 0 and standard deviation 1.
+#: Median of the absolute value of a standard normal variable. It converts a median absolute residual to a
+#: standard deviation.
 MEDIAN_SHARE = 0.6745
 #: Clock offset of 0, which is assumed before the offset is estimated.
 NO_OFFSET = Offset(0.0, 0.0, 0.0, 0.0)
@@ -169,7 +173,7 @@ class MotionEstimate:
 
 
 def estimate_motion(setup: ImuSetup, poses: Poses | None = None) -> MotionEstimate:
-    """Estimate the motion of a recording, the error class of the sensor, and the rests that count.
+    """Estimate the motion of a recording, with the error class of the sensor and the accepted rests.
 
     Rests that contradict the motion are excluded. With another log, synchronised clocks are compared with
     every clock offset that the alignment found. The clocks count as synchronised unless an offset clearly
@@ -178,7 +182,7 @@ def estimate_motion(setup: ImuSetup, poses: Poses | None = None) -> MotionEstima
     Raises
     ------
     NoTrustworthyResult
-        The two logs do not move together.
+        The two logs do not show the same motion.
     InputError
         The axes of one log are mirrored.
     """
@@ -188,7 +192,7 @@ def estimate_motion(setup: ImuSetup, poses: Poses | None = None) -> MotionEstima
 
 
 def _with_rests(setup: ImuSetup, attempt: Callable[[ImuSetup], MotionEstimate]) -> MotionEstimate:
-    """Estimate the motion with only those rests that it does not contradict.
+    """Estimate the motion with only those rests that the estimated motion does not contradict.
 
     The result also holds findings, and the contradictions that remain. ``attempt`` estimates the motion from
     a setup.
@@ -226,10 +230,10 @@ def _with_rests(setup: ImuSetup, attempt: Callable[[ImuSetup], MotionEstimate]) 
 def _smooth(
     found: MotionEstimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf
 ) -> MotionEstimate:
-    """Apply the smoother with the noise of the estimate, and return the estimate with the new result.
+    """Apply the smoother with the noise in the estimate, and return the estimate with the smoothed motion.
 
-    The iteration starts from the last result of the smoother, if there is one. By default the error class of
-    the sensor is that of this result.
+    The iteration starts from the last result of the smoother, if there is one. The default error class of the
+    sensor is that of this last result.
     """
     setup, last, fixes = found.setup, found.smoothed, found.fixes
     states = smoother.ALONE if fixes is None else smoother.FUSED
@@ -416,7 +420,7 @@ def _nearest(times: Array, when: Array) -> np.ndarray:
 
 
 def _compare_attitudes(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Array]:
-    """Return measured minus estimated attitude (rad), and its derivative by a small rotation of the body.
+    """Return measured minus estimated attitude (rad), and its derivative for a small rotation of the body.
 
     The difference has shape (k, 3), its derivative shape (k, 3, 3). If all three angles are measured, the
     difference is a small rotation about world axes. A single measured angle is compared as an angle, because
@@ -437,7 +441,7 @@ def _compare_attitudes(measured: Rotation, turns: Flags, body: Rotation) -> tupl
 
 
 def find_contradictions(found: MotionEstimate) -> list[str]:
-    """Return one sentence for each contradiction of the motion with rests, attitude or most of the fixes."""
+    """Return a sentence for each contradiction of the motion with rests, attitude or most of the fixes."""
     setup, smoothed, fixes = found.setup, found.smoothed, found.fixes
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing has no finite result"]
@@ -607,7 +611,7 @@ def _set_clocks(setup: ImuSetup, fixes: Fixes, candidates: list[Offset]) -> Moti
     free = _with_noise(max(attempts, key=lambda found: found.likelihood), FINAL_NOISE_STEPS, noise_known=True)
     # Choose an offset over synchronised clocks only if it increases the log-likelihood by more than half of
     # the penalty of the Bayesian information criterion for one additional parameter (Schwarz 1978,
-    # doi:10.1214/aos/1176344136). Without common fixes the two cannot be compared.
+    # doi:10.1214/aos/1176344136). Without common fixes the two hypotheses cannot be compared.
     price = 0.5 * float(np.log(max(fixes.counted.sum(), 1)))
     if abs(free.smoothed.path.clock_s) <= BAND * CLOCK_SD:
         equal = _at_offset(setup, fixes, 0.0, held=True, after=free)
@@ -663,7 +667,7 @@ def _start(
     """Return the estimate before smoothing: initial state, its standard deviations, and fixes.
 
     The setup is in the world axes of the other log. Without another log, the path starts at the origin of the
-    world. If ``held``, the clock offset is fixed.
+    world. If ``held`` is true, the clock offset is fixed.
     """
     source, place, velocity_sd = setup.source, np.zeros(3), VELOCITY_SD
     place_sd, yaw_sd = ORIGIN_SD, ORIGIN_SD
@@ -752,9 +756,9 @@ def _estimate_noise(smoothed: SmoothedMotion, fixes: Fixes, fix_sd_m: float | No
 
     The fixes that are not outliers give the noise: the sum of their squared residuals, divided by the number
     of degrees of freedom that the motion leaves them (MacKay 1992, doi:10.1162/neco.1992.4.3.415, eq. 2.24).
-    Its fixed point is that of expectation maximisation, which needs many more iterations. The weight of an
-    outlier decreases with the square of its residual (Cauchy). No fix is excluded, so that a path that
-    follows outliers can recover.
+    This iteration converges to the same noise as expectation maximisation, which needs many more iterations.
+    The weight of an outlier decreases with the square of its residual (Cauchy). No fix is excluded, so that a
+    path that follows outliers can recover.
     """
     residual, variance = _residuals(fixes, smoothed)
     place_sd, place = _noise_and_weight(residual[:, :3], variance[:, :3], fixes.noise[:3])
@@ -804,7 +808,7 @@ def _hold_out(found: MotionEstimate) -> dict[str, float] | None:
 
     Return None for too few fixes.
 
-    A block lasts half a second, because a single held-out fix would be determined by its neighbours.
+    A block lasts half a second, because the neighbours of a single held-out fix would determine its pose.
     """
     fixes = found.fixes
     block = np.floor((fixes.time_s - fixes.time_s[0]) / BLOCK_S).astype(int)
@@ -830,7 +834,7 @@ def _hold_out(found: MotionEstimate) -> dict[str, float] | None:
 
 
 def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
-    """Return whether held-out fixes are predicted so well that the two logs record the same motion."""
+    """Return whether held-out fixes are predicted well enough to show the same motion in both logs."""
     if held_out is None or held_out["deviations"] > MAX_HELD_OUT:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]

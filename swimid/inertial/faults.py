@@ -1,7 +1,7 @@
 """Tests for faults of an inertial recording. A test reports or repairs its fault, or refuses the recording.
 
 The tests run in the order of :data:`TESTS`. Faults of single samples come first. Faults of units and axes
-follow; they show as contradictions between gravity, turn rates and quaternions.
+follow. Such faults show as contradictions between gravity, turn rates and quaternions.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from swimid.logs import sampling
 from swimid.logs.log import runs
 
 #: Type of a test for a fault. A test returns the record, repaired if the fault was found, and a finding on
-#: the fault, or None without the fault. It raises an InputError for a fault that cannot be repaired.
+#: the fault (None if the fault was not found). It raises an InputError for a fault that cannot be repaired.
 Test = Callable[[ImuRecord], tuple[ImuRecord, Finding | None]]
 
 
@@ -46,40 +46,42 @@ def repair(record: ImuRecord) -> tuple[ImuRecord, list[Finding]]:
 
 # ---------------------------------------------------------------- samples
 
-#: Maximum fraction of samples without a time stamp, and of missing values in a channel.
+#: Maximum fraction of samples without a time stamp, and maximum fraction of missing values in a channel. With
+#: more, the recording is refused.
 MAX_MISSING_SHARE = 0.5
 #: Maximum magnitude of a sensor reading, in any unit. Larger values are not measurements.
 MAX_READING = 1e5
-#: Maximum distance of a reading from the median of the other readings, divided by the range of the other
-#: readings; and number of samples in the running median.
+#: WILD_RANGES is the maximum distance of a reading from the median of the other readings, divided by their
+#: range. WINDOW is the number of samples in the running median.
 WILD_RANGES, WINDOW = 30.0, 7
-#: Minimum length of a period in which a stuck channel holds one value: in s, and in samples; and maximum
-#: fraction of the other samples that have the same value.
+#: A stuck channel holds one value for at least STUCK_S seconds and STUCK_SAMPLES samples. STUCK_SHARE is the
+#: maximum fraction of the other samples that have the same value.
 STUCK_S, STUCK_SAMPLES, STUCK_SHARE = 0.5, 25, 0.01
-#: Maximum fraction of samples in a channel that belong to stuck periods.
+#: Maximum fraction of samples in a channel that belong to stuck periods. With more, the recording is refused.
 MAX_STUCK = 0.3
 #: Minimum and maximum fraction of samples that repeat the previous one because the logger is faster than the
 #: sensor. A smaller fraction occurs by chance. A larger one means a recording without motion.
 MIN_REPEATED, MAX_REPEATED = 0.005, 0.9
-#: Maximum fraction of clipped samples in a channel.
+#: Maximum fraction of clipped samples in a channel. With more, the recording is refused.
 MAX_CLIPPED = 0.1
-#: Minimum time step that counts as a loss of samples, in median sample times; and maximum time step over
-#: which the motion can be estimated, s.
+#: LONG_STEP is the minimum time step that counts as a loss of samples, in median sample times. MAX_STEP_S is
+#: the maximum time step over which the motion can be estimated, s.
 LONG_STEP, MAX_STEP_S = 1.6, 2.0
 #: Minimum root-mean-square jitter of the time stamps for a warning, in median sample times.
 MIN_JITTER = 0.05
 #: Maximum deviation of the norm of a valid quaternion from 1.
 QUATERNION_TOL = 0.05
-#: Ratio of two deviations from the running median, above which a reading is corrupt: that of the reading, and
-#: that of its surroundings. The latter is exceeded by a fifth of the readings in the same second, and by
-#: neither neighbour. Noise with a Laplace distribution reaches the ratio once in 10^7 readings.
+#: Maximum ratio of the deviation of a reading from the running median to the deviation of its surroundings. A
+#: reading with a larger ratio is corrupt. The deviation of the surroundings is one that a fifth of the
+#: readings in the same second exceed, but neither neighbour. Noise with a Laplace distribution reaches the
+#: ratio once in 10^7 readings.
 GLITCH = 10.0
 #: Deviation of a single turn rate from the running median, divided by the range of the running median, above
-#: which no motion causes it. In a real recording of a hand-held sensor at 1 kHz it is 2.3 at most.
+#: which no motion causes it. In a real recording of a hand-held sensor at 1 kHz this ratio is 2.3 at most.
 MAX_JERK = 3.0
-#: Length of the window around a quaternion in which the median of its difference from the gyroscope is taken:
-#: in s, and the maximum in samples; minimum deviation from the median of a corrupt quaternion, in standard
-#: deviations; and maximum fraction of corrupt quaternions.
+#: The difference between quaternions and gyroscope is compared with its median in a window of JUMP_S seconds,
+#: but at most JUMP_SAMPLES samples. JUMP_SD is the minimum deviation from the median of a corrupt quaternion,
+#: in standard deviations. MAX_JUMPS is the maximum fraction of corrupt quaternions.
 JUMP_S, JUMP_SAMPLES, JUMP_SD, MAX_JUMPS = 2.0, 101, 6.0, 0.1
 
 
@@ -87,7 +89,7 @@ def find_stamps(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find time stamps that repeat or are out of order, and repair them; refuse a clock that was reset.
 
     A clock counts as reset if the time jumps back and continues from there. The repaired record is in order
-    of time. Of samples with the same time stamp it has only the first.
+    of time. Of several samples with the same time stamp, the repaired record has only the first.
     """
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
     row, late = order.reset_row, order.counts["late"]
@@ -146,7 +148,7 @@ def find_samples(
 def interpolate_samples(
     record: ImuRecord, bad: Flags, name: str, text: str
 ) -> tuple[ImuRecord, Finding | None]:
-    """Return a record whose bad samples, flags of shape (n, 6), are interpolated, and a finding on them."""
+    """Return a record in which the samples flagged as bad, shape (n, 6), are interpolated, and a finding."""
     if not bad.any():
         return record, None
     values, count = record.channels, int(bad.any(axis=1).sum())
@@ -229,7 +231,7 @@ def is_clipped(_: ImuRecord, values: Array) -> Flags:
 
 
 def is_glitch(record: ImuRecord, values: Array) -> Flags:
-    """Return flags of single readings that differ from their neighbours far more than others do."""
+    """Return flags of single readings that differ from their neighbours far more than other readings do."""
     off = np.abs(values - median_filter(values, size=WINDOW, mode="nearest"))
     size = max(round(1.0 / record.step_s), 4 * WINDOW)
     blocks = np.array_split(off, max(len(off) // size, 1))
@@ -240,11 +242,11 @@ def is_glitch(record: ImuRecord, values: Array) -> Flags:
 
 
 def find_glitches(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
-    """Find single corrupt readings, and interpolate them if the sensor has some of them in its rests.
+    """Find single corrupt readings, and interpolate them if some of them occur while the sensor rests.
 
-    A moving sensor alone does not prove that a single high reading is corrupt, because it may be a jerk. No
-    jerk turns a robot for one sample much faster than the whole range of its turn rates, so that such turn
-    rates are interpolated in any case.
+    While the sensor moves, a single high reading may be a real jerk and not corrupt. But no jerk turns a
+    robot for one sample much faster than the whole range of its turn rates. Therefore such turn rates are
+    always interpolated.
     """
     name, text = "corrupt readings", "differ from the readings around them"
     bad = np.column_stack([is_glitch(record, values) for values in record.channels.T])
@@ -298,7 +300,7 @@ def find_dead(column: str, fault: str, combine: Callable[[Flags], Any], text: st
 def _align_signs(quaternion: Array) -> Array:
     """Return quaternions with signs for which the interpolation between successive ones is short.
 
-    The quaternions q and -q are the same attitude.
+    The quaternions q and -q describe the same attitude.
     """
     same = np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1, keepdims=True))
     return np.vstack([quaternion[:1], quaternion[1:] * np.cumprod(np.where(same, same, 1.0), axis=0)])
@@ -363,7 +365,8 @@ def find_jitter(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
 #: Maximum relative difference between the specific force at rest and g for a unit that is recognised. Errors
 #: of the sensor's scale are some percent, and gliding adds some percent.
 GRAVITY_RTOL = 0.12
-#: Minimum magnitude of the specific force, in g. A smaller magnitude shows that gravity was subtracted.
+#: Minimum magnitude of the specific force of a valid recording, in g. A smaller magnitude shows that gravity
+#: was subtracted.
 MIN_GRAVITY = 0.5
 #: Units of acceleration that are recognised, in m/s^2. The unit nearest to the measured gravity is chosen; mg
 #: and cm/s2 differ by 2 %.
@@ -374,26 +377,27 @@ WINDOW_S = 0.5
 #: averages of a window show the rotation of gravity, because over about a second rotation of the sensor
 #: changes the average more than acceleration does.
 BLOCK_S, BLOCKS = 0.3, 4
-#: Limits of the comparison between turn rates and the rotation of gravity: minimum and maximum number of
-#: windows, and minimum root-mean-square rotation of gravity in these windows (rad).
+#: Limits of the comparison between turn rates and the rotation of gravity. MIN_WINDOWS and MAX_WINDOWS limit
+#: the number of windows. MIN_TURN is the minimum root-mean-square rotation of gravity in these windows (rad).
 MIN_WINDOWS, MAX_WINDOWS, MIN_TURN = 4, 100, 0.02
 #: Maximum residual of a recognised unit of turn rate, relative to the residual of the other unit (rad/s or
 #: deg/s) and to the residual without any rotation.
 CLEAR_UNIT = 0.75
-#: Maximum residual of a convention of the quaternions that contradicts the stated one, relative to the
-#: residual of the stated convention; and minimum number of compared rotations.
+#: CLEAR_CONVENTION is the maximum residual of another convention of the quaternions, relative to the residual
+#: of the stated convention, for which the stated one is rejected. MIN_ROTATIONS is the minimum number of
+#: compared rotations.
 CLEAR_CONVENTION, MIN_ROTATIONS = 0.5, 16
-#: Criteria for rearranging the axes of the gyroscope: maximum fraction of the rotation of gravity that the
-#: best arrangement leaves unexplained, minimum fraction that the axes as logged leave unexplained, and
-#: maximum ratio of the best to the second-best fraction. A smaller unexplained fraction for the axes as
-#: logged can result from acceleration (in a yawing swimmer the centripetal acceleration ``u r`` looks like
-#: roll).
+#: Criteria for rearranging the axes of the gyroscope. They use the fraction of the rotation of gravity that
+#: an arrangement leaves unexplained. MAX_BEST is the maximum fraction for the best arrangement. MIN_LOGGED is
+#: the minimum fraction for the axes as logged. DECIDED is the maximum ratio of the best to the second-best
+#: fraction. For the axes as logged, a fraction below MIN_LOGGED can result from acceleration (in a yawing
+#: swimmer the centripetal acceleration ``u r`` looks like roll).
 MAX_BEST, MIN_LOGGED, DECIDED = 0.25, 0.5, 0.7
 #: Maximum turn rate (99th percentile) in a unit that the log does not confirm, rad/s. Faster turn rates cause
 #: a warning.
 FAST_RAD_S = 12.0
-#: Arrangements of three axes: the 48 orders and signs. Each is a matrix from the axes as logged to the true
-#: axes. The first is the identity.
+#: Arrangements of three axes: the 48 orders and signs. Each arrangement is a matrix from the axes as logged
+#: to the true axes. The first one is the identity.
 ARRANGEMENTS = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
@@ -459,12 +463,12 @@ def find_rate_unit(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
 
 
 def _gravity_residuals(record: ImuRecord, unit: float = 1.0) -> dict[int, float]:
-    """Return the change of specific force along world axes for each order and sign of the gyroscope axes.
+    """Return the relative change of specific force in world axes, by order and sign of the gyroscope axes.
 
     The keys are indices in :data:`ARRANGEMENTS`. The specific force is averaged over blocks. If unit and axes
     of the turn rates are right, its changes between the blocks of a window are those of the true
-    acceleration. They are divided by the changes along sensor axes. Without windows, or if gravity hardly
-    rotates, the result is empty.
+    acceleration. The returned values are these changes, divided by the changes along sensor axes. If there
+    are no windows, or if gravity hardly rotates, the result is empty.
 
     Parameters
     ----------
@@ -525,9 +529,9 @@ def _quaternion_residuals(record: ImuRecord, unit: float = 1.0) -> dict[tuple[st
 def find_swapped_axes(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find swapped or mirrored axes of the gyroscope, by comparison with the rotation of gravity.
 
-    Out of 48 arrangements of the axes, the gyroscope gets the one that clearly explains the rotation of
-    gravity. Rotations about the vertical carry no information, nor do rotations that are small compared with
-    accelerations.
+    Of the 48 arrangements of the axes, the one that clearly explains the rotation of gravity is applied to
+    the gyroscope. Rotations about the vertical carry no information, nor do rotations that are small compared
+    with accelerations.
     """
     name, residuals = "swapped or flipped axes", _gravity_residuals(record)
     if not residuals:
@@ -559,7 +563,7 @@ def find_swapped_axes(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
 def find_wrong_quaternions(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     """Find quaternions that contradict the gyroscope in the stated convention, and remove them.
 
-    They are removed only if they clearly agree with the gyroscope in another convention.
+    The quaternions are removed only if they clearly agree with the gyroscope in another convention.
     """
     off, stated = _quaternion_residuals(record), ("wxyz", "body-to-world")
     best = min(off, key=lambda convention: off[convention], default=stated)

@@ -25,10 +25,7 @@ class TrackImuOptions(
         None, flag="--map", recorded=False, help="Mapping of foreign columns and units."
     )
     other: Source = option(
-        None,
-        flag="--with",
-        recorded=False,
-        help="Camera log of the same trial to fuse: any log with positions or angles.",
+        None, flag="--with", recorded=False, help="Camera log of the trial: any log of positions or angles."
     )
     method: Literal["smoother", "paper"] = option(
         "smoother", help="Error-state Kalman smoother, or the steps of Shang et al. (2012)."

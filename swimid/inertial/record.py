@@ -48,8 +48,8 @@ GRAVITY_M_S2 = 9.80665
 MIN_RECORD_SAMPLES = 64
 #: Maximum magnitude of a coordinate in the other log, m. Larger values are codes for a missing sample.
 MAX_POSITION_M = 1e4
-#: Minimum number of samples, and maximum sample time (s), of a track that is searched for jumps and repeated
-#: samples.
+#: Minimum number of samples, and maximum sample time (s), of a track in another log that is searched for
+#: jumps and repeated samples.
 MIN_TRACK_SAMPLES, MAX_TRACK_STEP_S = 40, 0.25
 
 
@@ -101,8 +101,8 @@ class Finding:
 
     #: Name of the fault, as in ``docs/imu.md``.
     fault: str
-    #: Treatment of the fault. "handled": the fault is repaired, or suspected with a warning. "noted": it is
-    #: only reported. "refuted": a column is wrong and is not used.
+    #: Treatment of the fault. "handled": the fault is repaired, or suspected with a warning. "noted": the
+    #: fault is only reported. "refuted": a column is wrong and is not used.
     verdict: Literal["handled", "noted", "refuted"]
     #: Sentence on the fault that was found and on its treatment.
     text: str
@@ -142,8 +142,8 @@ class Poses:
     #: Positions along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
     #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.kinematics.attitude.angles`, shape (m, 3);
-    #: NaN where not measured. A log has all three angles, or only yaw, or only pitch, or none. A row has all
-    #: angles of its log or none.
+    #: NaN where not measured. A log has all three angles, or only yaw, or only pitch, or none. At each time,
+    #: either all angles of the log are measured or none.
     angles: Array
 
     @property
@@ -174,7 +174,7 @@ def read_record(
     ----------
     given : path or Log
     rules : Mapping or None
-        Columns and units of a foreign log.
+        Columns and units of a log that is not in the format of swimid.
     named : path
         File named in error messages about columns: the mapping, or the recording itself.
     progress : Progress
@@ -244,7 +244,7 @@ def read_poses(read: Log) -> Poses:
 
 
 def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
-    """Set poses of another log to NaN, in place, if they repeat a picture or jump.
+    """Set poses of another log to NaN, in place, where they repeat a picture of the camera or jump.
 
     In a log with few samples, or with a long sample time, only positions beyond ``MAX_POSITION_M`` are
     removed.
@@ -332,7 +332,7 @@ class Sensor:
 #: +-1.5 %), Bosch BMI160 (+-40 mg, +-3 deg/s), and ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, these
 #: chips have biases as constant as those of better units.
 CHIP = Sensor(30 * MILLI_G, 5.0 * DEG, scale_sd=0.015)
-#: Error classes of sensors, by description. One of them replaces the default errors if it explains a
+#: Error classes of sensors, by description. One class replaces the default errors if the class explains a
 #: recording better. A chip warms up by ten degrees in five minutes, and its biases change by 0.5 mg and 0.16
 #: deg/s per degree (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125 degrees). The values for a warming
 #: chip are the changes in 100 s.
@@ -349,8 +349,8 @@ DRIFT_TIME_S = 100.0
 # ---------------------------------------------------------------- still periods
 
 
-#: Length of the windows in which motion is detected, s, and minimum length of a still period, s. The length
-#: is that of all still windows together, so that a rest of 1.5 s is found.
+#: WINDOW_S is the length of the windows in which motion is detected, s. MIN_REST_S is the minimum length of a
+#: still period, s: that of all its still windows together, so that a rest of 1.5 s is found.
 WINDOW_S, MIN_REST_S = 0.5, 1.4
 #: Fraction of the windows of a recording that are assumed to be still. The largest standard deviation of the
 #: readings in these windows is taken for the noise.
@@ -432,7 +432,7 @@ def mean_accelerations(record: ImuRecord, rests: list[Rest]) -> Array:
 
 
 def mean_rate(record: ImuRecord, rests: list[Rest]) -> Array:
-    """Return the mean turn rate of each still period, and of these the median, rad/s, shape (3,).
+    """Return the median over still periods of the mean turn rate in each period, rad/s, shape (3,).
 
     Without still periods the result is 0.
     """
@@ -523,11 +523,11 @@ def _deviation(values: Array, size: int) -> Array:
 
 #: Name of the source of the attitude if the log itself has quaternions.
 QUATERNIONS = "quaternion columns"
-#: Standard deviation of the attitude, rad: of quaternions in a log (3DM-GX1, Table I of Shang et al. 2012),
-#: and of an attitude filter.
+#: Standard deviation of the attitude, rad: QUATERNION_SD for quaternions in a log (3DM-GX1, Table I of Shang
+#: et al. 2012), and FILTER_SD for an attitude filter.
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
-#: Standard deviation of the mounting of the sensor, rad: of a mounting that follows from gravity, and of one
-#: that the user states.
+#: Standard deviation of the mounting of the sensor, rad: GRAVITY_MOUNT_SD for a mounting that follows from
+#: gravity, and STATED_MOUNT_SD for one that the user states.
 GRAVITY_MOUNT_SD, STATED_MOUNT_SD = 3 * DEG, 0.5 * DEG
 #: Maximum angle between the directions of gravity in two rests of the robot in the same attitude, rad.
 UPRIGHT = 45 * DEG
@@ -568,7 +568,7 @@ class ImuSetup:
 
     record: ImuRecord
     options: TrackImuOptions
-    #: Still periods of the sensor, those among them that count as rests of the robot, and noise of the
+    #: Still periods of the sensor, the still periods that count as rests of the robot, and noise of the
     #: sensor.
     still: list[Rest]
     rests: list[Rest]
@@ -701,6 +701,6 @@ def _attitude(record: ImuRecord, rests: list[Rest]) -> AttitudeSource:
         return AttitudeSource(
             Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer"
         )
-    # Use the world axes of VQF, which are east, north and up, as they are. Yaw is counted from x, which is
-    # east.
+    # Use the world axes of VQF, which are east, north and up, as they are. Yaw is measured from the x axis,
+    # which is east.
     return AttitudeSource(rotation, True, "gyroscope, accelerometer and magnetometer")

@@ -58,8 +58,8 @@ CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias"
 PASSES = 3
 #: Time step of a record above which samples count as lost, in median sample times.
 LONG_STEP = 1.5
-#: Correlation time of the motion that interpolated samples do not show, s, and correlation time of errors due
-#: to nonlinearity (half a stroke), s.
+#: HIDDEN_S is the correlation time of the motion that interpolated samples do not show, s. RHYTHM_S is the
+#: correlation time of errors due to nonlinearity (half a stroke), s.
 HIDDEN_S, RHYTHM_S = 0.1, 0.5
 #: Time between nodes, s, and maximum number of nodes. Nodes are the samples at which errors are estimated.
 #: For long records the time between them is longer.
@@ -103,8 +103,8 @@ class Observation:
     #: Maximum innovation, in standard deviations. An observation with a larger innovation is an outlier and
     #: is not used.
     gate: float = np.inf
-    #: Whether the observation contributes to the log-likelihood. It does not if it is outside of the record
-    #: for another candidate clock offset.
+    #: Whether the observation contributes to the log-likelihood. An observation that is outside of the record
+    #: for another candidate clock offset does not contribute.
     counted: bool = True
 
 
@@ -219,7 +219,8 @@ def smooth_errors(
         scaled = predicted_cov[k + 1] / size / size.T + NODE_RIDGE * np.eye(states)
         gain = (np.linalg.solve(scaled, transition[k] @ covs[k] / size) / size).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
-        # Joseph's form: a difference of nearly equal covariances would be rounding error.
+        # Use Joseph's form, because the difference of nearly equal covariances would consist of rounding
+        # errors.
         left = np.eye(states) - gain @ transition[k]
         covs[k] = left @ covs[k] @ left.T + gain @ (covs[k + 1] + noise[k]) @ gain.T
         gains[k] = gain
@@ -342,8 +343,9 @@ class SmoothedMotion:
     """Result of the smoother: path after correction of its errors, and covariance of the remaining errors."""
 
     path: Nominal
-    #: Path before this correction. The covariance of the errors holds for derivatives at this path only. At
-    #: another path, whose lever differs, errors of the attitude would count as errors of the position.
+    #: Path before the last correction, about which the errors were linearised. Their covariance is valid only
+    #: with derivatives at this path. With another path, whose lever differs, errors of the attitude would
+    #: count as errors of the position.
     about: Nominal
     #: Errors of the path that were estimated in the last iteration of the smoother.
     errors: Errors
@@ -409,7 +411,7 @@ def smooth_motion(
         transition, defect = _transitions(record, path)
         mean = start.minus(now)[:states]
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
-        # Take constant biases for the next linearisation, equal to the means over the record.
+        # For the next linearisation, assume constant biases that are equal to the means over the record.
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[N_MOTION_ERRORS:ALONE] = mean[N_MOTION_ERRORS:ALONE]
         now, about = now.correct(begin), path
@@ -478,7 +480,7 @@ def _transitions(record: ImuRecord, path: Nominal) -> tuple[Array, Array]:
         return steps.reshape(-1, *values.shape[1:])
 
     def turn_by(readings: Array) -> Array:
-        """Return the derivatives of rotated readings by the scale matrix, averaged over each step.
+        """Return derivatives of rotated readings with respect to the scale matrix, averaged over each step.
 
         The derivatives are products of the columns of the rotation matrix and the components of the readings.
         The index of the component varies fastest.
@@ -569,7 +571,7 @@ Motion = dict[str, Array]
 
 
 def _transfer_velocity(smoothed: SmoothedMotion) -> tuple[Array, Array, Array, Array]:
-    """Return the velocity of the reference point, and derivatives of the motion of this point by the errors.
+    """Return velocity of the reference point, and derivatives of its motion with respect to the errors.
 
     The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
     body rotation with respect to the errors at the nodes. Each has the shape (nodes, 3, states).
@@ -652,8 +654,8 @@ def surge_within_stroke(smoothed: SmoothedMotion, cutoff_hz: float) -> Motion:
     Notes
     -----
     The standard deviation is that of :data:`N_DRAWS` random trajectories of the errors, filtered like the
-    velocity. It contains every error above the cut-off frequency: noise, errors of scale and alignment times
-    gravity and motion, and errors of the attitude times gravity.
+    velocity. The standard deviation contains every error above the cut-off frequency: noise, errors of scale
+    and alignment times gravity and motion, and errors of the attitude times gravity.
     """
     path, nodes = smoothed.path, len(smoothed.path.nodes)
     velocity, _, by_speed, by_turn = _transfer_velocity(smoothed)

@@ -61,8 +61,8 @@ def track_imu(
         and ``wx_rad_s`` to ``wz_rad_s`` (turn rate), in the sensor's axes. Optional columns are ``qw`` to
         ``qz`` (quaternion) and ``mx`` to ``mz`` (magnetic field). Logs with other columns need a mapping.
     output : path, optional
-        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` in the same folder.
-        :meth:`~swimid.results.result.Result.save` writes the files later.
+        Log to write, CSV or Parquet by its file name extension, with ``<stem>.evidence.json`` in the same
+        folder. :meth:`~swimid.results.result.Result.save` writes the files later.
     progress : Progress
         Shows the progress of reading and smoothing.
 
@@ -77,7 +77,7 @@ def track_imu(
     InputError, UsageError
         An input cannot be used, a fault cannot be repaired, or the options contradict each other.
     NoTrustworthyResult
-        The two logs do not move together.
+        The two logs do not show the same motion.
 
     Notes
     -----
@@ -146,10 +146,10 @@ def _estimate(
 
 
 #: Maximum half-width of the 95 % band of a position that can be used: in m, and relative to the distance
-#: travelled. The larger limit counts.
+#: travelled. The larger of the two limits applies.
 TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
-#: Minimum frequency of an oscillation that counts as motion within a stroke: relative to the stroke
-#: frequency, and in Hz if the stroke frequency is unknown.
+#: Minimum frequency of an oscillation that counts as motion within a stroke: STROKE_SHARE relative to the
+#: stroke frequency, or LOWEST_HZ in Hz if the stroke frequency is unknown.
 STROKE_SHARE, LOWEST_HZ = 0.5, 0.3
 #: Names of the three angles of an attitude.
 ANGLE_NAMES = ("roll", "pitch", "yaw")
@@ -157,7 +157,7 @@ ANGLE_NAMES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class ImuRun:
-    """Estimated motion of one recording, with its setup and all values for the log and the evidence."""
+    """Estimated motion of one recording, with its setup and all values for log, checks and figures."""
 
     #: Setup of the recording, with the error class of the sensor and the rests that were used.
     setup: ImuSetup
@@ -177,7 +177,7 @@ class ImuRun:
     bias: Array | None = None
     #: Root-mean-square innovation of the velocity at rests, in standard deviations.
     rest_score: float | None = None
-    #: Reasons why positions and velocities are left empty; no reasons if they are not.
+    #: Reasons why positions and velocities are left empty; no reasons if they are written.
     impossible: Sequence[str] = ()
 
     @property
@@ -206,7 +206,7 @@ class ImuRun:
 
     @property
     def contradiction(self) -> str | None:
-        """Message on the contradiction between stroke frequency and metadata; None if the two agree."""
+        """Message on a contradiction between measured and stated stroke frequency; None if the two agree."""
         stroke, stated_hz = self.stroke, self.stated_hz
         if stroke.beat is None or stated_hz is None:
             return None
@@ -238,9 +238,9 @@ COLUMNS = {
 
 
 def _columns(motion: Motion, ending: str) -> dict[str, Array]:
-    """Return the columns of a log with the quantities of a motion, by name.
+    """Return the columns of a log for the quantities of a motion, by column name.
 
-    With the ending ``_sd``, return the columns of their standard deviations.
+    If ``ending`` is ``_sd``, return the columns of the standard deviations of these quantities.
     """
     known = {name: named for name, named in COLUMNS.items() if name + ending in motion}
     columns = {}
@@ -387,7 +387,8 @@ MAX_REST_SCORE = 2.0
 MAX_SCALE = 3.0
 #: Maximum number of samples of a curve in a figure.
 N_DRAWN = 2000
-#: Verdict of the check and code of the warning for a fault of the recording, by the verdict on the fault.
+#: Level of the check and code of the warning that report a fault of the recording, by
+#: :attr:`Finding.verdict`.
 GRADES: dict[str, tuple[Literal["info", "warn", "fail"], str]] = {
     "noted": ("info", ""),
     "handled": ("warn", "SWM080"),
@@ -402,7 +403,7 @@ Test = tuple[str, str, str, str, bool, str]
 
 
 def _result(run: ImuRun, notices: Sequence[Notice], provenance: dict[str, Any]) -> Integrated:
-    """Return the motion log with its evidence. Warn of the checks that do not pass.
+    """Return the motion log with its checks, tables and figures. Warn of the checks that do not pass.
 
     Parameters
     ----------
@@ -564,9 +565,7 @@ def _motion_tests(run: ImuRun) -> Iterator[Test]:
         yield "SWM081", "Path trusted until", value, limit, until is None, reason
     if run.rest_score is not None:
         value, passed = f"{run.rest_score:.2f} sd (rms)", run.rest_score <= MAX_REST_SCORE
-        reason = (
-            f"the integrated motion contradicts the rests by {run.rest_score:.2f} standard deviations (rms)"
-        )
+        reason = f"the integrated motion is {run.rest_score:.2f} standard deviations (rms) off the rests"
         yield "SWM084", "Innovations at rests", value, f"below {MAX_REST_SCORE:g}", passed, reason
     stroke = run.stroke
     if stroke.beat is not None and run.stated_hz is not None:
@@ -578,7 +577,7 @@ def _motion_tests(run: ImuRun) -> Iterator[Test]:
 
 
 def _gyroscope_scale(fused: MotionEstimate) -> tuple[str, float, float]:
-    """Return the gyroscope axis whose scale the other log determines best, its factor, and the factor's sd.
+    """Return the gyroscope axis with the best determined scale, its scale factor and standard deviation.
 
     The factor is the reading of this axis divided by the true turn rate.
     """
@@ -592,7 +591,7 @@ def _gyroscope_scale(fused: MotionEstimate) -> tuple[str, float, float]:
 
 
 def _lever(found: SmoothedMotion) -> tuple[Array, Array]:
-    """Return the place of the sensor from the reference point in body axes, and its standard deviation, m."""
+    """Return the vector from reference point to sensor in body axes, and its standard deviation, m."""
     turn, part = found.path.mount.inv().as_matrix(), smoother.ERROR_SLICES["lever"]
     covariance = turn @ found.errors.covariance[-1][part, part] @ turn.T
     return -turn @ found.path.lever, np.sqrt(np.diag(covariance))
@@ -621,9 +620,7 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
         if size is not None:
             value, reason = f"{size:.2f} sd (rms)", f"the {named} of the camera log disagree with the sensor"
             yield "", f"Innovations of {named}", value, limit, size <= MAX_HELD_OUT, reason
-    reason = (
-        f"{stray} of {count} fixes of the camera log are over {GATE:g} standard deviations off the motion"
-    )
+    reason = f"{stray} of {count} fixes of the camera log are over {GATE:g} standard deviations off"
     most = f"at most {100 * MAX_STRAY:.0f} %"
     yield "SWM087", "Stray fixes", f"{stray}", most, stray <= MAX_STRAY * count, reason
     reason = (

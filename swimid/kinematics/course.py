@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 
 #: Minimum number of pairs of successive time windows in which the course is compared with the heading.
 MIN_COURSE_WINDOWS = 8
-#: Minimum fraction of a window from its first to its last sample. Its mean is then free of a sway with the
-#: period of the window, up to a tenth of the amplitude.
+#: Minimum fraction of a window from its first to its last sample. The mean of such a window has at most a
+#: tenth of the amplitude of a sway with the period of the window.
 MIN_KNOWN_SPAN = 0.9
 #: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
 #: 1995, JASA 90).
@@ -42,8 +42,8 @@ class Course:
     mirrored : bool
         Whether the course follows the negative of the heading, as in a mirrored image.
     opposed : bool
-        Whether the course seems to follow the negative of the heading, but the difference is small. It is
-        less than a hull may slip in a turn, and more than the heading swings in a window.
+            Whether the course seems to follow the negative of the heading, but the difference is small: less
+            than a hull may slip in a turn, and more than the heading swings in a window.
     """
 
     slip_rad: float
@@ -120,8 +120,9 @@ def _windows(
 
     The course is the direction from the mean place of a window to that of the next one. A mean over whole
     strokes is free of the sway, which a line fitted to a single stroke is not. Windows with gaps at their
-    ends are left out, and courses with less advance than sway. The course has the absolute value 1, the
-    heading that of the mean of its unit vectors.
+    strokes is free of the sway, which a line fitted to a single stroke is not. Windows with gaps at their
+    ends are left out, and courses with less advance than sway. The complex course has the absolute value 1.
+    The complex heading is the mean of the unit vectors of a window.
     """
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
     if there.sum() < 3:

@@ -79,8 +79,8 @@ N_CYCLES = 4
 PER_CYCLE = 64
 #: Minimum number of samples in a stroke cycle whose quantities are computed.
 MIN_SAMPLES_CYCLE = 6
-#: Conditions under which the Strouhal number of a swim is computed: minimum speed, body lengths per second,
-#: and maximum change of the heading from beat to beat, rad.
+#: Conditions under which the Strouhal number of a swim is computed: minimum speed, body lengths per second
+#: (MIN_SPEED_BL_S), and maximum change of the heading from beat to beat, rad (MAX_TURN_IN_BEAT).
 MIN_SPEED_BL_S, MAX_TURN_IN_BEAT = 0.05, math.radians(15.0)
 #: Minimum turning rate, rad/s, for which a turning radius is computed if the robot is not commanded to turn.
 MIN_TURNING_RATE = math.radians(2.0)
@@ -168,7 +168,7 @@ def cycle_means(time_s: Array, values: Array, edges_s: Array) -> Array:
     ----------
     time_s : ndarray, shape (n,)
     values : ndarray, shape (n,) or (k, n)
-        Without NaN.
+            One channel or k channels, without NaN.
 
     >>> cycle_means(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 2.0]), np.array([0.0, 1.0, 2.0])).tolist()
     [1.0, 2.0]
@@ -185,7 +185,7 @@ def block_speeds(place: Array, duration_s: float, turn_rad: Array | None = None)
     Parameters
     ----------
     place : ndarray, shape (2, m)
-        Mean positions over blocks of equal duration.
+            Mean positions over m blocks of equal duration.
     duration_s : float
         Duration of a block, s.
     turn_rad : ndarray, shape (m - 1,), optional

@@ -27,9 +27,9 @@ DRIFT_ORDER = 3
 #: Minimum number of cycles for a frequency estimate. With fewer cycles a spectral line cannot be
 #: distinguished from the noise near its frequency.
 MIN_CYCLES = 4.0
-#: Time-bandwidth product and number of tapers of the test for a spectral line (Thomson's F test), and maximum
-#: number of cycles of a record for this test. In longer records the beat frequency varies, and the comparison
-#: of phases between windows is powerful enough.
+#: Test for a spectral line (Thomson's F test): time-bandwidth product (BAND), number of tapers (N_TAPERS),
+#: and maximum number of cycles of a tested record (MAX_LINE_CYCLES). In longer records the beat frequency
+#: varies, and the comparison of phases between windows is powerful enough.
 BAND, N_TAPERS, MAX_LINE_CYCLES = 3.0, 5, 30.0
 #: Fraction of a record at its start, and at its end, that is tapered to zero before the spectrum is computed.
 TAPERED_SHARE = 0.1
@@ -38,14 +38,15 @@ MIN_KNOWN_SHARE = 0.8
 #: Probability of a false detection of a beat in noise of any spectrum.
 FALSE_ALARM_BEAT = 0.01
 #: Minimum fractions of a channel's variance about its drift that beats must explain. At least one beat of a
-#: channel must reach the first fraction. Every beat must reach the second fraction, which is smaller because
-#: a stroke may be weaker than its own harmonic.
+#: channel must reach MIN_SHARE. Every beat must reach MIN_FAINT_SHARE, which is smaller because a stroke may
+#: be weaker than its own harmonic.
 MIN_SHARE, MIN_FAINT_SHARE = 0.1, 0.02
-#: Maximum change of a channel during a rest before or after a swim, divided by its largest usual change; and
-#: maximum fraction of a record in its active part, for a search in this part alone.
+#: Rest of a robot before or after a swim: maximum change of a channel, divided by its largest usual change
+#: (REST_SHARE). The part between the rests is searched alone if it is at most the fraction MAX_ACTIVE_SHARE
+#: of the record.
 REST_SHARE, MAX_ACTIVE_SHARE = 0.5, 0.9
-#: Minimum fraction of a channel's variance about its drift that its strongest line must explain, if the other
-#: frequencies are left out of the search.
+#: Minimum fraction of a channel's variance about its drift that its strongest line must explain. Only then do
+#: frequencies of less power not count in the correction for the number of frequencies.
 MIN_MAIN_SHARE = 0.8
 #: Relative tolerance within which two frequencies count as equal, or one as a multiple of the other.
 SAME_RTOL = 0.03
@@ -58,8 +59,8 @@ MIN_SAMPLES_BEAT = DRIFT_ORDER + 5
 #: phase of a window is ignored if its amplitude, divided by the largest amplitude, is below the square root
 #: of this ridge.
 RIDGE = 1e-9
-#: Maximum order of a harmonic that a stronger and slower motion may cause. A beat of higher order is not
-#: taken for its harmonic.
+#: Maximum order of a harmonic that a stronger and slower motion may cause. A beat at a higher multiple is not
+#: taken for a harmonic of that motion.
 MAX_HARMONIC = 5
 #: Maximum frequency of the search for a beat, divided by a stated stroke frequency.
 MAX_STATED_RATIO = 8.0
@@ -241,7 +242,7 @@ def _test_peaks(
     tested = [result for frequency in peaks if (result := _test(t, x, frequency, duration)) is not None]
     limit = FALSE_ALARM_BEAT / max(duration * (high - low), 1.0)
     sure = [beat for chance, beat in tested if chance < limit]
-    # The strongest line of the spectrum competes with few other frequencies if it holds most of the power.
+    # If the strongest line holds most of the power, it competes with few other frequencies.
     sure += [
         beat
         for chance, beat in tested
@@ -327,7 +328,7 @@ def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
 
 
 def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Array:
-    """Return cosine and sine of each harmonic of a frequency, shape (n, 2 k), at times in s, shape (n,)."""
+    """Return cosine and sine of each of k harmonics of a frequency, shape (n, 2 k), at n times in s."""
     turn = 2 * np.pi * frequency_hz * t
     return np.column_stack([wave(k * turn) for k in harmonics for wave in (np.cos, np.sin)])
 
@@ -335,8 +336,8 @@ def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Arr
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
     """Return the ratio of two beat frequencies if it is a whole number; 0 if it is not.
 
-    The ratio need be a whole number only within the errors of the frequencies. ``resolution_hz`` is a minimum
-    of this tolerance, Hz.
+    The ratio need be a whole number only within the errors of the frequencies. This tolerance is at least
+    ``resolution_hz``, Hz.
     """
     order = round(beat.frequency_hz / of.frequency_hz)
     error = 3.0 * float(np.hypot(beat.stderr_hz, order * of.stderr_hz))
@@ -372,9 +373,10 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> tupl
 
 
 def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float, Beat] | None:
-    """Return the probability that noise passes the test for a beat at a frequency, and the beat found there.
+    """Test for a beat at a frequency, and return the p-value of the test and the beat.
 
-    The result is None if the channel has no beat at this frequency.
+    The p-value is the probability that noise passes the test. The result is None if the channel has no beat
+    at this frequency.
     """
     windows = demodulate(t, x, frequency)
     if windows is None:
@@ -406,13 +408,13 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
     Returns
     -------
     time, amplitude : ndarray, shape (m,)
-        Middle of each window, s, and complex amplitude in the unit of the channel. Windows with a negligible
-        amplitude have no phase and are left out.
+            Middle of each of the m windows, s, and complex amplitude in the unit of the channel. Windows with
+            a negligible amplitude have no phase and are left out.
     share : float
         Fraction of the variance about the polynomial that the sine explains.
     width, hop : float
-        Duration of a window, and time between successive windows, s. The result is None if fewer than three
-        windows are left.
+            Duration of a window, and time between successive windows, s. The function returns None if fewer
+            than three windows are left.
     """
     # At a low sample rate the windows must be longer than two cycles, so that they hold enough samples.
     step = float(np.median(np.diff(t)))
@@ -442,8 +444,8 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> tuple[float, float]:
     """Return the probabilities that noise has at least the observed coherence of amplitudes between windows.
 
-    The first one is for a constant frequency: successive windows have equal phases. The second one is for a
-    wandering frequency: the phase of each window is the mean of those before and after it.
+    The first probability is for a constant frequency: successive windows have equal phases. The second is for
+    a wandering frequency: the phase of each window is the mean of those before and after it.
     """
     after = np.searchsorted(time, time + width - 0.5 * hop)
     pairs = [
@@ -468,8 +470,8 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> tu
 def _slepian_tapers(count: int) -> Array:
     """Return the tapers that concentrate a spectral line within :data:`BAND` cycles per record.
 
-    They are discrete prolate spheroidal sequences, shape (N_TAPERS, count). Do not change the array: the last
-    one is kept, because the channels of a log have the same count.
+    The tapers are discrete prolate spheroidal sequences, shape (N_TAPERS, count). Do not change the array:
+    the last result is cached, because the channels of a log have the same count.
     """
     from scipy.linalg import eigh_tridiagonal
 

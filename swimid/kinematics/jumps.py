@@ -16,20 +16,20 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-#: Window lengths, in steps, of two running medians over a track: that of the expected velocity, and that of
-#: the usual deviation from this velocity.
+#: Number of steps in two running medians over a track: that of the expected velocity (WINDOW), and that of
+#: the usual deviation from this velocity (WIDE).
 WINDOW, WIDE = 11, 41
 #: Minimum deviation of an outlying step of a track (displacement between two samples) from its expected
 #: value, in median deviations. For Gaussian noise in a plane, six median deviations are seven standard
 #: deviations.
 OUTLYING = 6.0
-#: Minimum speed of an outlying step of a track, divided by the speed of the fastest part of the track; and
-#: number of steps in the running median that gives the latter speed. A robot can be fast for several steps,
-#: but a tracking error with return has only two fast steps.
+#: Minimum speed of an outlying step of a track, divided by the speed of the fastest part of the track
+#: (FASTER). ALIKE is the number of steps in the running median that gives the latter speed. A robot can be
+#: fast for several steps, but a tracking error with return has only two fast steps.
 FASTER, ALIKE = 2.0, 5
-#: Minimum number of samples, and minimum fraction of the samples of a track, in a segment that continues the
-#: track at another place after a jump. A shorter segment is taken for a tracking error, after which the track
-#: returns.
+#: Minimum number of samples (FEW), and minimum fraction of the samples of a track (FEW_SHARE), in a segment
+#: that continues the track at another place after a jump. A shorter segment is taken for a tracking error,
+#: after which the track returns.
 FEW, FEW_SHARE = 12, 0.05
 #: Maximum number of successive samples in a spike of a quantity other than a pose. If spikes are so frequent
 #: that they are adjacent by chance, the maximum is the length of runs whose expected number is MIN_RUNS.
@@ -130,7 +130,7 @@ def find_jumps(
     time : ndarray, shape (n,)
         Strictly increasing, s.
     place : ndarray, shape (n, d)
-        Samples without NaN: positions, or any quantity whose differences have a meaning.
+            Samples of d coordinates without NaN: positions, or any quantity whose differences have a meaning.
     until : ndarray, shape (n,), optional
         Time until which each sample was repeated, s. By default no sample is repeated.
     brief : bool
@@ -180,10 +180,10 @@ def find_jumps(
 def _find_outlying_steps(
     time: Array, place: Array, until: Array, brief: bool, least_rate: float
 ) -> tuple[Flags, Array, float, float]:
-    """Return whether each step of a channel is outlying, and what the limits of its steps are.
+    """Return whether each step of a channel is outlying, and three sizes of steps.
 
-    The other results are the deviation of each step relative to its neighbours, the usual maximum of the rate
-    of the channel, and the usual deviation of a step.
+    The sizes are the deviation of each step relative to its neighbours, the usual maximum of the rate of the
+    channel, and the usual deviation of a step.
     """
     from scipy import ndimage
 
@@ -209,15 +209,15 @@ def _find_outlying_steps(
 
 
 def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[np.int64]:
-    """Return those of the excursions of a channel that are spikes: short, and larger than noise explains.
+    """Return those excursions of a channel that are spikes: short, and larger than noise explains.
 
     ``back`` holds the first index and the last index + 1 of each excursion. ``strength`` is the relative size
     of each step of the channel, shape (n - 1,), and ``usual`` that of a large step that is not outlying.
 
     Notes
     -----
-    If the tail of a distribution is that of a Pareto distribution with the index 2, the logarithms of the
-    ratios of ``k`` values above a threshold to this threshold have a sum of Gamma distribution with the shape
+    If the tail of the noise is that of a Pareto distribution with the index 2, the logarithms of the ratios
+    of ``k`` values above a threshold to this threshold have a sum with a Gamma distribution of the shape
     ``k`` and the scale 1/2 (Hill 1975, Ann. Statist. 3, 1163). Noise with a heavier tail has no finite
     variance. The excursions are spikes if the probability of their sum is below :data:`FALSE_ALARM_REPEATS`.
     """
@@ -226,8 +226,9 @@ def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[n
     lengths, n = np.diff(back)[:, 0], len(strength) + 1
     most, share = float(SPIKE), lengths[lengths <= SPIKE].sum() / n
     if share > 0.0:
-        # Accept longer runs as far as spikes of this number are adjacent by chance: the expected number of
-        # runs of L samples is n times the L-th power of the share of spikes.
+        # Adjacent spikes look like one longer excursion. Accept excursions of a length that adjacent spikes
+        # reach by chance: the expected number of runs of L samples is n times the L-th power of the share of
+        # spikes.
         most = max(most, np.ceil(np.log(MIN_RUNS / n) / np.log(share)))
     excess = np.log(np.minimum(strength[back[:, 0] - 1], strength[back[:, 1] - 1]) / usual)
     # Leave out excursions beside longer excursions: together they are one motion, such as an impact.

@@ -72,8 +72,9 @@ def plot(
     Parameters
     ----------
     logs : path, Log or DataFrame, or a sequence of these
-        Logs. Several logs are drawn over each other, each with its own time axis origin. A table has the
-        columns of the log format, shape (n, k), in SI units. The default title lists the names of the logs.
+            Logs. Several logs are drawn over each other, each with its own origin of the time axis. A table
+            has the k columns of a log, shape (n, k), in SI units. The default title lists the names of the
+            logs.
     output : path, optional
         File that ends in ``.svg`` or ``.png``. Without this path nothing is written.
 
@@ -88,7 +89,7 @@ def plot(
     InputError
         A log cannot be read.
     UsageError
-        The output has another ending.
+            The output does not end in ``.svg`` or ``.png``.
 
     Examples
     --------

@@ -27,16 +27,16 @@ STRENGTHS = np.logspace(-4, 6, 11)
 #: Number of folds of the cross-validation that chooses the smoothing weight of a track.
 FOLDS = 5
 #: Length of each of the two segments, at the start and at the end of a track, whose fits give the
-#: displacement: number of cycles of the periodic motion, or, without a periodic motion, fraction of the
-#: duration. A track shorter than the two segments together is fitted as a whole.
+#: displacement: number of cycles of the periodic motion (END_CYCLES), or, without a periodic motion, fraction
+#: of the duration (END_SHARE). A track shorter than the two segments together is fitted as a whole.
 END_CYCLES, END_SHARE = 4.0, 0.125
-#: Polynomial orders in the fits that give the displacement of a track: maximum order for a whole track, and
-#: order for the segments at its start and its end.
+#: Polynomial orders in the fits that give the displacement of a track: maximum order for a whole track
+#: (MAX_ORDER), and order for the segments at its start and its end (END_ORDER).
 MAX_ORDER, END_ORDER = 3, 2
 #: Number of blocks into which a track is divided. The variation of their mean speeds gives the uncertainty of
 #: the mean speed of the track.
 BLOCKS = 12
-#: Maximum correlation of successive residuals, from which the error of their mean is computed.
+#: Maximum correlation of successive residuals that is used for the error of their mean.
 MAX_CORRELATION = 0.8
 
 
@@ -143,7 +143,7 @@ def _net_speed(time_s: Array, place: Array, frequency_hz: float | None, stamp_sd
 def _average_displacement(
     time_s: Array, place: Array, frequency_hz: float | None
 ) -> tuple[Array, Array, int]:
-    """Return the mean displacement of fits to a short track, its variances and the degrees of freedom."""
+    """Return the mean displacement of fits to a short track, its variances and its degrees of freedom."""
     first, last = float(time_s[0]), float(time_s[-1])
     near_hz: list[float | None] = [frequency_hz]
     if frequency_hz is not None:
@@ -169,8 +169,9 @@ def _fit_path(
 ) -> tuple[float, Array, Array, int]:
     """Fit a polynomial and a periodic motion to the positions of a track.
 
-    The result holds the Bayesian information criterion, the polynomial at the times ``at``, shape (m, d), the
-    covariance of these values for each coordinate, shape (m, m, d), and the degrees of freedom.
+    The result holds the Bayesian information criterion, the polynomial at the m times ``at`` for the d
+    coordinates, shape (m, d), the covariance of these values for each coordinate, shape (m, m, d), and the
+    degrees of freedom.
     """
     u = (t - t[0]) / float(np.ptp(t))
     design = np.vander(u, order + 1, increasing=True)
@@ -207,7 +208,7 @@ def measure_speed(
     time_s : ndarray, shape (n,)
         Strictly increasing times of measurement, s.
     place : ndarray, shape (n, d)
-        Positions, in any unit; NaN where missing.
+            Positions with d coordinates, in any unit; NaN where missing.
     frequency_hz : float, optional
         Frequency of the periodic motion, Hz, known to a tenth of a cycle over the record. This motion is
         fitted and left out of the displacement.
@@ -275,7 +276,7 @@ def _segments(time_s: Array, known: NDArray[np.intp], offset_rows: Sequence[int]
 
 
 def _smooth_path(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
-    """Return the coordinates of a track after smoothing, and their time derivatives, each shape (n, d)."""
+    """Return the d coordinates of a track after smoothing, and their time derivatives, each shape (n, d)."""
     from scipy.interpolate import make_smoothing_spline
 
     step = float(np.mean(np.diff(t)))
@@ -290,9 +291,9 @@ def _smooth_path(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
 
 
 def _strength(t: Array, x: Array) -> Array:
-    """Return the smoothing weight of each coordinate of a track with the least held-out squared error.
+    """Return the smoothing weight of each of the d coordinates of a track, shape (d,).
 
-    The result has the shape (d,).
+    The chosen weight has the smallest held-out squared error.
     """
     from scipy.interpolate import make_smoothing_spline
 

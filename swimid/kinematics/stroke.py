@@ -41,8 +41,8 @@ DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
 ALONG = ("surge", "long_axis", "short_axis")
 #: Pattern of the channels that show a sideways motion of the body.
 MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
-#: Patterns of the channels, one for each kind of motion (heading, sway, ...). Several channels of the same
-#: kind of motion count once.
+#: Patterns of the channels that show one kind of motion (heading, sway, ...), one pattern for each kind.
+#: Several channels of the same kind of motion count once.
 _TURNED = (r"yaw_\w+|wz_rad_s", r"roll_rad|wx_rad_s", r"pitch_\w+|wy_rad_s")
 _AHEAD = rf"{PUSHED.pattern}|surge|\w+_axis"
 MOTIONS = tuple(map(re.compile, (DRIVEN.pattern, MOVED.pattern, *_TURNED, _AHEAD)))
@@ -55,9 +55,9 @@ NO_MOTION = re.compile(
 #: counts as a lap. For an ellipse with half axes a and b the ratio is (a - b) / (a + b). Below the maximum
 #: the circular component of the path has more power than the linear component.
 MAX_LAP_RATIO = np.sqrt(2.0) - 1.0
-#: Maximum order of a harmonic that laps of the path cause (a rectangular pool has four corners), and maximum
-#: order of a harmonic that rotation causes in a compass heading. The deviation of a compass has one or two
-#: periods per rotation (semicircular and quadrantal deviation).
+#: Maximum order of a harmonic that laps of the path cause (MAX_LAP_HARMONIC): a rectangular pool has four
+#: corners. Maximum order of a harmonic that rotation causes in a compass heading (MAX_COMPASS_HARMONIC): the
+#: deviation of a compass has one or two periods per rotation (semicircular and quadrantal deviation).
 MAX_LAP_HARMONIC, MAX_COMPASS_HARMONIC = 4, 2
 #: Maximum frequency of a stroke, Hz. Faster motion is taken for vibration. Bainbridge (J. Exp. Biol. 35,
 #: 1958) found 25 Hz for dace of 5 cm and 20 Hz for dace of 8 cm.
@@ -65,9 +65,9 @@ MAX_STROKE_HZ = 20.0
 #: Maximum sample rate in the search for a beat, Hz. Channels with a higher rate are averaged over blocks of
 #: samples.
 MAX_RATE_HZ = 60.0
-#: Minimum fraction of a channel's samples in its longest gap-free segment, and maximum number of samples of a
-#: channel. If the segment has this fraction, only the segment is searched for a beat. Otherwise all samples
-#: are searched, unless there are more than the maximum.
+#: Minimum fraction of a channel's samples in its longest gap-free segment (MIN_STRETCH_SHARE). If the segment
+#: has this fraction, only the segment is searched for a beat. If it has less, all samples are searched,
+#: unless there are more than MAX_SAMPLES.
 MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
 
 
@@ -218,7 +218,7 @@ def find_stroke(
         Lowest and highest frequency of the search, Hz.
     stated_hz : float, optional
         Stated frequency of the drive, Hz. If the search over all frequencies finds nothing, a search near
-        this frequency follows, which needs less evidence.
+            this frequency follows, which accepts weaker beats.
     time_sd_s : float
         Standard deviation of the errors of the first and the last time, s. The standard error of the
         frequency includes it.
@@ -228,8 +228,8 @@ def find_stroke(
     If the drive is logged, the stroke frequency is the frequency of the drive. Otherwise it is the frequency
     found in most kinds of motion (heading, sway, ...). A motion at twice the frequency also counts, because
     surge and drag follow both half strokes. If two frequencies are found in equally many kinds of motion, the
-    one that moves the body to the side is chosen: an oscillating heading moves every point except the pivot,
-    but the vibration of a sensor does not move the body.
+    frequency with a sideways motion of the body is chosen: an oscillating heading moves every point except
+    the pivot, but the vibration of a sensor does not move the body.
 
     The returned frequency is the estimate from the channel with the smallest standard error. Estimates are
     not averaged, because the channels are not independent. Beats that contradict the stroke are stored in
@@ -300,7 +300,7 @@ def _remove_laps(
 
 
 def _remove_multiples(beats: list[Beat], of: Beat, highest: int, resolution_hz: float = 0.0) -> list[Beat]:
-    """Return the beats whose frequencies are no multiples of another one, up to the order ``highest``."""
+    """Return the beats whose frequencies are no multiples of that of ``of``, up to the order ``highest``."""
     return [beat for beat in beats if not 1 <= multiple(beat, of, resolution_hz) <= highest]
 
 
@@ -328,7 +328,7 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
 
 
 def _find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
-    """Find an oscillation with too few cycles for a frequency; return the name of its channel, and its beat.
+    """Find an oscillation with too few cycles for a frequency estimate; return its channel and its beat.
 
     If the drive is logged, only the channels of the drive are searched. Otherwise the track and all channels
     that oscillate sideways are searched. Of several slow oscillations, the one with the highest frequency is

@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-#: Number of blocks into which a track without a stroke is divided, and maximum number of blocks of any track.
-#: In a track with more strokes each block has several strokes.
+#: Number of blocks into which a track without a stroke is divided (N_BLOCKS), and maximum number of blocks of
+#: any track (MAX_BLOCKS). In a track with more strokes than MAX_BLOCKS, each block has several strokes.
 N_BLOCKS, MAX_BLOCKS = 20, 200
 #: Minimum number of measured samples in the window of a track from which speeds are computed.
 MIN_WINDOW_SAMPLES = 12
@@ -36,13 +36,13 @@ MAX_CHANGE = 0.02
 #: Maximum magnitude of the limits of the 95 % interval of the speed change over a period of steady swimming,
 #: divided by the mean speed.
 MAX_CHANGE_REACH = 0.2
-#: Maximum fraction of the cruise blocks of a track that are left out as the start of the motion, and maximum
-#: fraction of the remaining blocks that are left out as its end.
+#: Maximum fraction of the cruise blocks of a track that are left out as the start of the motion (MAX_START),
+#: and maximum fraction of the remaining blocks that are left out as its end (MAX_END).
 MAX_START, MAX_END = 1 / 2, 1 / 3
 #: Number of strokes in each segment of a track to which a sine is fitted, for the amplitude of the stroke.
 N_STROKES = 2.0
-#: Minimum ratio of a significant stroke amplitude to its standard error, and to the systematic error of the
-#: track.
+#: Minimum ratio of a significant stroke amplitude to its standard error. The same minimum applies to its
+#: ratio to the systematic error of the track.
 AMPLITUDE_Z = 3.0
 #: Minimum ratio of the lowest speed of a tracked point to its mean speed. Below this ratio the point nearly
 #: stops, and its course is not defined at all times.
@@ -139,8 +139,8 @@ class Swimming:
 class _Blocks:
     """Speeds in successive blocks of a track, each of one or several strokes.
 
-    The fields are the middle of each block (s), its velocity, shape (2, n), its speed along the arc, and the
-    duration of a block (s).
+    The fields are the middle of each of the n blocks (s), its velocity, shape (2, n), its speed along the
+    arc, and the duration of a block (s).
     """
 
     middle: Array
@@ -170,10 +170,11 @@ def measure_swimming(
     The path is averaged over one stroke, which removes the oscillation of the body. It is then cut into
     blocks of one stroke, each of which is taken for an arc of a circle (:func:`block_speeds`). The steady
     part lies in the longest sequence of blocks that are not slower than :data:`MIN_CRUISE` of the cruise
-    speed. The start and the end of this sequence are cut off by the marginal standard error rule [1]_. This
-    rule cuts off the smallest number of blocks for which the standard error of the mean of the remaining
-    blocks is minimal, within the uncertainty of that error. The steady part must have :data:`MIN_BLOCKS`
-    blocks. The change of its speed must not be significant, or must be at most :data:`MAX_CHANGE`.
+    speed. The start and the end of this sequence are cut off by the marginal standard error rule [1]_. The
+    rule cuts off as many blocks as minimise the standard error of the mean of the remaining blocks. If
+    several numbers are equally good within the uncertainty of that error, the smallest number is cut off. The
+    steady part must have :data:`MIN_BLOCKS` blocks. The change of its speed must not be significant, or must
+    be at most :data:`MAX_CHANGE`.
 
     References
     ----------
@@ -209,7 +210,7 @@ def measure_swimming(
 def _choose_window(
     track: SwimTrack, window_s: tuple[float | None, float | None]
 ) -> tuple[float, float, Literal["given", "steady part", "whole track"]]:
-    """Return start and end of the window of a track that is measured, s, and the kind of the window."""
+    """Return start and end, s, of the window in which a track is measured, and the kind of the window."""
     known = track.time_s[np.isfinite(track.smooth).all(axis=0)]
     begin, end = float(known[0]), float(known[-1])
     low, high = window_s

@@ -19,11 +19,11 @@ from swimid.kinematics.speed import TrackEstimate
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Length of a window in which a sine is fitted to the lateral motion, in cycles; minimum number of windows,
-#: and minimum number of frames in one.
+#: Windows in which a sine is fitted to the lateral motion: length in cycles (CYCLES), minimum number of
+#: windows (MIN_WINDOWS), and minimum number of frames in a window (MIN_FRAMES).
 CYCLES, MIN_WINDOWS, MIN_FRAMES = 2, 3, 12
-#: Minimum number of cycles of a swing, and minimum fraction of the variance of an angle that its sine
-#: explains.
+#: Minimum number of cycles of a swing (MIN_SWING_CYCLES), and minimum fraction of the variance of an angle
+#: that its sine explains (MIN_SINE_SHARE).
 MIN_SWING_CYCLES, MIN_SINE_SHARE = 2.0, 0.5
 
 
@@ -34,7 +34,8 @@ class Wave:
     Attributes
     ----------
     behind : ndarray, shape (k,)
-        Distance of each station behind the front end along the straight body, in the unit of the positions.
+            Distance of each of the k stations behind the front end along the straight body, in the unit of
+            the positions.
     amplitude, phase : list of TrackEstimate, one for each station
         Amplitude of the lateral motion, and phase lag behind the reference station, rad.
     length, speed : TrackEstimate or None
@@ -58,9 +59,9 @@ class Wave:
 
 
 def spine(parent: Sequence[int], moving: Sequence[bool]) -> list[int]:
-    """Return the links from the base to the link that has the most moving joints ahead of it.
+    """Return the links from the base to the link with the most moving joints between it and the base.
 
-    Of several such links it is the last.
+    Of several such links, the last one is chosen.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def spine(parent: Sequence[int], moving: Sequence[bool]) -> list[int]:
 
 
 def stations_of(way: Sequence[int], fronts: Complex, rears: Complex) -> Complex:
-    """Return the front ends of the links of a spine, and the rear end of its last link, shape (n, k).
+    """Return the front ends of the k - 1 links of a spine, and the rear end of the last one, shape (n, k).
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ def measure_wave(
     ----------
     time_s : ndarray, shape (n,)
     stations : ndarray of complex, shape (n, k)
-        Positions x + iy of stations on the midline; NaN where unknown.
+            Positions x + iy of k stations on the midline; NaN where unknown.
     behind : ndarray, shape (k,)
         Distance of each station behind the front end along the straight body.
     heading : ndarray, shape (n,)
@@ -121,16 +122,16 @@ def measure_wave(
     frequency_hz : float
         Stroke frequency.
     like : Wave, optional
-        Wave with the same stations to compare with. Its reference station is used, and the phases are those
-        that are nearest to its phases. By default, the reference is the station that moves most, whose phase
-        is the most accurate.
+            Wave with the same stations to compare with. Its reference station is used. The returned phases
+            differ by whole periods so that they are nearest to its phases. By default, the reference is the
+            station that moves most, whose phase is the most accurate.
 
     Notes
     -----
-    The lateral motion is the component across the mean heading of the window. A sine is fitted to it beside a
-    parabola in time, which describes the path. The wavenumber is the slope of the phase over the distance
-    along the body, weighted by the squared amplitudes. The intervals are Student's, from the variation
-    between windows.
+    The lateral motion is the component across the mean heading of the window. A sine and a parabola in time,
+    which describes the path, are fitted to it together. The wavenumber is the slope of the phase over the
+    distance along the body, weighted by the squared amplitudes. The intervals are Student's, from the
+    variation between windows.
     """
     motion = _fit_lateral_motion(time_s, stations, heading, frequency_hz)
     if len(motion) < MIN_WINDOWS:
@@ -163,7 +164,7 @@ def measure_wave(
 
 
 def _fit_lateral_motion(time_s: Array, stations: Complex, heading: Array, frequency_hz: float) -> Complex:
-    """Return the complex amplitude of the lateral motion of each station in each window, shape (m, k)."""
+    """Return the complex amplitude of the lateral motion of k stations in m windows, shape (m, k)."""
     width = CYCLES / frequency_hz
     known = np.isfinite(stations).all(axis=1) & np.isfinite(heading)
     found = []
@@ -247,7 +248,7 @@ def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None
         rows = cycle == number
         if rows.sum() >= MIN_FRAMES and np.ptp(t[rows]) > 0.8 / frequency_hz:
             own = _sine(t[rows], x[rows], frequency_hz)[0]
-            # Take the component along the sine of all samples.
+            # Take the component of this cycle's sine along the sine of all samples.
             sizes.append(float(own[1:3] @ weights[1:3] / np.hypot(*weights[1:3])))
     size = float(np.hypot(*weights[1:3]))
     stderr = math.nan
@@ -258,7 +259,7 @@ def measure_swing(time_s: Array, angle: Array, frequency_hz: float | None = None
 
 
 def _sine(t: Array, x: Array, frequency_hz: float) -> tuple[NDArray[np.floating[Any]], float]:
-    """Return mean, cosine and sine, those of the double frequency, and the mean squared residual of a fit."""
+    """Return mean, cosine and sine of both frequencies of a fit, and the mean squared residual."""
     design = np.column_stack((np.ones(len(t)), waves(t, frequency_hz, (1, 2))))
     weights = np.linalg.lstsq(design, x, rcond=None)[0]
     return weights, float(np.mean((x - design @ weights) ** 2))

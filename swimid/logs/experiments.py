@@ -1,9 +1,9 @@
 """Base class of experiments, keys that several experiments have, and the list of all experiments.
 
 An experiment is one module of the package ``swimid.experiments``, or a Python file of a user. The module has
-a class derived from :class:`Trials`. The class has the keys of the trials file as fields, and makes a model
-and its trials of a trials file. The name of the module is that of the experiment, with ``_`` in place of
-``-``, so that a trials file is read without an import of the other experiments.
+a class derived from :class:`Trials`. The class has the keys of the trials file as fields, and creates the
+model and the trials from a trials file. The name of the module is that of the experiment, with ``_`` in place
+of ``-``, so that a trials file is read without an import of the other experiments.
 """
 
 from __future__ import annotations
@@ -156,11 +156,13 @@ class Trials(yamlio.Document):
     robot_form : str
         Part of a robot file that the experiment needs: ``"body"``, ``"links"``, or ``""`` for none.
     uses : collection of str, optional
-        Keys that have an effect, as dotted paths. Another key is refused. By default all have an effect.
+        Keys of the trials file that have an effect, as dotted paths. Any other key is an error. By default
+        all keys have an effect.
     """
 
     _in_memory: bool = PrivateAttr(default=False)
-    #: Table of all trials if it is in memory. The key ``table`` is then its name.
+    #: Table of all trials if the table is in memory; None if it is a file. For a table in memory, the key
+    #: ``table`` is its name.
     _held: Any = PrivateAttr(default=None)
     #: Content of the trials file with its line numbers, for error messages.
     _data: Any = PrivateAttr(default=None)
@@ -196,7 +198,7 @@ class Trials(yamlio.Document):
 
     @classmethod
     def names_robot(cls) -> bool:
-        """Return whether the key ``robot`` names a robot file. Otherwise it is a name for reports."""
+        """Return whether the key ``robot`` names a robot file, rather than being a mere name in reports."""
         return cls.model_fields["robot"].is_required()
 
     def read_robot(self, folder: Path) -> Robot:
@@ -233,7 +235,7 @@ class Trials(yamlio.Document):
 
     @classmethod
     def prepare_run(cls, options: Any, params: Params, time_s: Any) -> SimulationRun:
-        """Return a simulation without a recording.
+        """Return the simulation of an experiment for which no recorded trial exists.
 
         Parameters
         ----------
@@ -261,7 +263,7 @@ def list_experiments() -> list[str]:
 
 
 def find_experiment(name: str, own: Sequence[type[Trials]] = ()) -> type[Trials] | None:
-    """Return the experiment of a name; None if there is none.
+    """Return the experiment with a given name; None if no experiment has this name.
 
     Parameters
     ----------
@@ -280,7 +282,7 @@ def find_experiment(name: str, own: Sequence[type[Trials]] = ()) -> type[Trials]
 
 
 def find_experiments(own: Sequence[type[Trials]] = (), command: str = "") -> dict[str, type[Trials]]:
-    """Return all experiments by name, or those that a command fits."""
+    """Return the experiments by name: all of them, or only those that ``command`` can fit."""
     names = dict.fromkeys([*list_experiments(), *(kind.title for kind in own)])
     found = {name: kind for name in names if (kind := find_experiment(name, own)) is not None}
     return {name: kind for name, kind in found.items() if not command or command in kind.commands}
@@ -323,14 +325,14 @@ def read_experiments(*paths: str | Path) -> list[type[Trials]]:
 
 
 def make_schema() -> Any:
-    """Return the type of the trials file of any experiment, from which the JSON Schema is made."""
+    """Return the union of the types of all trials files, from which the JSON Schema is made."""
     kinds = tuple(find_experiments().values())
     return Annotated[Union[kinds], Field(discriminator="experiment")]  # noqa: UP007 - made of a tuple
 
 
 # ---------------------------------------------------------------- check for keys without effect
 
-#: Keys of a trials file, as dotted paths, that every function that computes with trials uses.
+#: Keys of a trials file, as dotted paths, that have an effect in every command and function on trials.
 EVERYWHERE = frozenset(
     {"format", "experiment", "robot", "trials"}
     | {f"trials.{key}" for key in ("id", "log", "role", "start_s", "end_s")}
@@ -351,7 +353,7 @@ def list_given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[st
 
 
 def check_used(trials: Trials, path: Path, uses: Collection[str]) -> None:
-    """Raise an error if a trials file has a key without effect.
+    """Raise an error if a trials file has a key that has no effect on the present computation.
 
     Parameters
     ----------

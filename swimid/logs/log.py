@@ -42,9 +42,10 @@ FREQUENCY_RTOL = 0.05
 ROWS = 100_000
 #: Number of copies of the content of a file that are in memory while a log is read.
 N_COPIES = 4
-#: Minimum mean time step of a log, s: no recorder takes 1e12 samples a second.
+#: Minimum mean time step of a log, s. A smaller one is an error of units: no recorder takes 1e12 samples per
+#: second.
 MIN_STEP_S = 1e-12
-#: Hint of the error that the values of a column are too large or too small.
+#: Hint in the error message for a column whose values are too large or too small.
 RESCALE = "is the unit right? A mapping can state a factor: swimid import --map"
 #: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
@@ -484,7 +485,7 @@ def _line_of(path: Path, header_line: int, row: int) -> int:
 
 def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
     pyarrow = tabular.pyarrow()
-    path.stat()  # raise the error for a missing file here; below, it would count as damaged
+    path.stat()  # raise the error for a missing file before the reader reports a damaged file
     try:
         file = pyarrow.parquet.ParquetFile(path)
         isolated.check_parquet(path, file)
@@ -672,19 +673,20 @@ def _print_samples(samples: NDArray[np.float64]) -> bytes:
 #: Iosilevskii, G., Weihs, D. (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface
 #: 5, 329-338.
 MAX_SPEED_M_S = 15.0
-#: Maximum plausible turn rate of a robot or a fin, rad/s: about ten rotations per second. Neither the fastest
-#: escape of a fish nor a fin that beats through ±50 degrees at 10 Hz reaches it.
+#: Maximum plausible turn rate of a robot or a fin, rad/s: about ten rotations per second. The fastest escape
+#: of a fish and a fin that beats through ±50 degrees at 10 Hz are slower.
 MAX_RATE_RAD_S = 60.0
 #: Maximum range of an angle for which jumps by a full rotation are removed, rad. An angle with a larger
 #: range is already continuous, or is not in radians. The margin over one rotation is for noise.
 MAX_WRAPPED_RAD = 2.1 * np.pi
 #: Maximum plausible extent of a track along one axis, m. Tanks, pools and fields of view are smaller.
 MAX_EXTENT_M = 100.0
-#: Minimum median time step and minimum duration of a record, both read in s. A record that reaches both
-#: limits probably has its times in milliseconds.
+#: Minimum median time step and minimum duration, in s, of a record whose times are probably in milliseconds.
+#: A record must reach both limits.
 MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
-#: Minimum plausible time step and duration of a record of more than 20 samples, s. Load cells and inertial
-#: sensors are sampled at 100 kHz at most, and the fastest stroke of a small fish takes 0.05 s.
+#: Minimum plausible time step, and minimum plausible duration, of a record of more than 20 samples, s. Load
+#: cells and inertial sensors are sampled at 100 kHz at most, and the fastest stroke of a small fish takes
+#: 0.05 s.
 SHORT_S, MIN_DURATION_S = 1e-5, 0.05
 #: Maximum fraction of the samples of a column whose rate of change may exceed its limit without a warning.
 #: Such samples are taken for outliers of the tracking.
@@ -724,7 +726,7 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
 
 
 def _doubt(name: str, time_s: Array, values: Array) -> str | None:
-    """Return a message on unusual values of a column and their probable unit; None if none are unusual."""
+    """Return a message on unusual values of a column and their probable unit; None if all are usual."""
     low, high = _ends(values)
     largest = max(-low, high)
     if name.endswith("_rad"):
@@ -753,7 +755,7 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
 def _usual_rate(time_s: Array, values: Array) -> float:
     """Return the rate of change that only the fastest :data:`OUTLIER_SHARE` of a channel's samples exceed.
 
-    The unit is that of the channel per s. The result is 0 if the record is too short.
+    The unit is that of the channel per s. The returned rate is 0 if the record is too short.
     """
     known = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[known], values[known]
@@ -769,7 +771,7 @@ def _usual_rate(time_s: Array, values: Array) -> float:
 
 
 def _ends(values: Array) -> tuple[float, float]:
-    """Return the minimum and the maximum of an array without its NaN; zeros if it holds no number."""
+    """Return the minimum and the maximum of the numbers in an array; (0, 0) if all elements are NaN."""
     if len(values) == 0:
         return 0.0, 0.0
     low, high = np.nan_to_num([np.fmin.reduce(values), np.fmax.reduce(values)])

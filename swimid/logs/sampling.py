@@ -25,9 +25,9 @@ ON_GRID = 0.15
 UNIFORM_SHARE = 0.8
 #: Root-mean-square jitter of the time steps above which a warning is given, in sampling intervals.
 NOTABLE_JITTER = 0.05
-#: Criteria for uneven sampling: minimum ratio of successive time steps that counts as uneven, minimum ratio
-#: that counts as a burst, and minimum fraction of the time steps with such a ratio. A single missing sample
-#: causes a ratio of 2.
+#: Criteria for uneven sampling. UNEVEN is the minimum ratio of successive time steps that counts as uneven: a
+#: single missing sample causes a ratio of 2. BURST is the minimum ratio that counts as a burst. FEW_CHANGES
+#: is the minimum fraction of the time steps with such a ratio.
 UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
 #: Minimum number of time steps of a record whose sampling is judged. With fewer time steps a missing sample
 #: cannot be distinguished from coarse rounding of the time stamps.
@@ -39,8 +39,8 @@ GRID_TOL = 0.02
 LONGEST_FILL = 1000
 #: Maximum relative difference between two sampling intervals that count as equal.
 SAME_RATE = 0.01
-#: Minimum number of distinct values of a continuous signal, and minimum ratio of this number to the number of
-#: samples. A column with fewer distinct values is taken for commanded levels.
+#: Minimum number of distinct values of a continuous signal (LEVELS), and minimum ratio of this number to the
+#: number of samples (LEVEL_SHARE). A column with fewer distinct values is taken for commanded levels.
 LEVELS, LEVEL_SHARE = 100, 0.05
 #: Maximum number of samples of a record in the search for a periodic motion. Only the middle of a longer
 #: record is searched.
@@ -60,7 +60,7 @@ class Rate:
         Sampling interval, s.
     jitter : float
         Root-mean-square deviation of the time steps from the sampling interval, in sampling intervals. The
-        jitter is 0 if all time stamps are those of a uniform grid, rounded.
+        jitter is 0 if all time stamps are the rounded times of a uniform grid.
     on_grid : float
         Fraction of the time steps that are a whole number of sampling intervals within :data:`ON_GRID`.
     unit_s : float
@@ -132,7 +132,8 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
 def clock_unit(steps_s: np.ndarray) -> float:
     """Return the unit, s, to which time stamps were rounded; 0 if the time steps show none.
 
-    All time steps are multiples of the unit, and their mean is not. ``steps_s`` holds the time steps, s.
+    The time stamps are rounded if all time steps are multiples of a unit and their mean is not. ``steps_s``
+    holds the time steps, s.
 
     >>> round(clock_unit(np.diff(np.round(np.arange(100) / 240, 3))), 6), clock_unit(np.full(9, 0.02))
     (0.001, 0.0)
@@ -269,10 +270,10 @@ def find_grid(
     unit : float, optional
         Rounding unit of the stamps, s. By default it is their last decimal place.
     first_s : float, optional
-        Guess of the first grid point, s. By default it is the first stamp.
+        Guess of the time of the first grid point, s. The default is the first stamp.
     min_share : float, optional
-        Minimum fraction of the time steps that are single. It rejects a grid with many missing samples, such
-        as that of the rounding unit.
+        Minimum fraction of the time steps that are one grid step long. It rejects a grid with many missing
+        samples, such as a grid whose step is the rounding unit.
 
     Returns
     -------
@@ -350,8 +351,8 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
 def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
     """Flag each pair of successive time steps that add up to two sampling intervals.
 
-    Only the time stamp between such steps is off the grid. ``relative`` holds the time steps in sampling
-    intervals.
+    In such a pair only the time stamp between the two steps is off the grid. ``relative`` holds the time
+    steps in sampling intervals.
     """
     pair = relative[:-1] + relative[1:]
     whole = (np.abs(pair - np.round(pair)) <= ON_GRID) & (np.round(pair) == 2)
@@ -410,7 +411,7 @@ def step_of(values: np.ndarray, least: int = 4) -> float | None:
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     count = np.round((values - values[0]) / step)
     if count[-1] > 0:
-        # Compute the step again from the range of all values, which gives a more precise result.
+        # Compute the rounding step again from the range of all values, because this is more precise.
         step = float((values[-1] - values[0]) / count[-1])
     return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
@@ -508,9 +509,9 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
 #: Probability that repeated samples are found in a log that has none.
 FALSE_ALARM_REPEATS = 1e-3
-#: Minimum time for which a signal must keep one value to count as a rest of the robot or a frozen sensor, in
-#: measurement intervals; and maximum step of the signal after a rest, in median steps. The step after a
-#: frozen sensor value is larger.
+#: LONG_HOLD is the minimum time, in measurement intervals, for which a signal at rest or of a frozen sensor
+#: keeps one value. NEAR is the maximum step of the signal after a rest of the robot, in median steps. After a
+#: frozen value the step is larger.
 LONG_HOLD, NEAR = 5.0, 3.0
 #: Pattern of the columns that are commanded or computed, not measured: commands, standard deviations,
 #: likelihoods and counters.
@@ -518,8 +519,8 @@ SET = re.compile(
     r"(cmd|desired|command|thrust|throttle|pwm|duty|set_?point|target|goal|servo|motor|rudder|esc|status|mode|"
     r"frame|count)(?!\w*measured).*|.*_(cmd|command|setpoint|sd(_.*)?)|.*(likelihood|confidence|score|prob\w*)"
 )
-#: Pattern of the columns that show the motion of the body. A long constant value of such a column may be
-#: that of a frozen sensor even if the value recurs. In another column a value that recurs is a rest, such as
+#: Pattern of the columns that show the motion of the body. If such a column stays constant for long, the
+#: sensor may be frozen even if the value recurs. In any other column a recurring value means rest, such as
 #: the force in the dead band of a thruster.
 OF_MOTION = re.compile(r"([xyz]|roll|pitch|yaw|[uvw]|v[xyz]|[aw][xyz]|joint\w*|\w*rate)_\w+|q[wxyz]")
 #: Maximum rounding step of a channel that is searched for a sudden stop, as a fraction of its mean change per
@@ -577,15 +578,15 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
 
     Notes
     -----
-    The size of a step between samples is the largest change of a channel divided by the 95th percentile of
-    the changes of that channel. If the steps of a signal without repeats are independent and normally
-    distributed, a step is less than ``r`` times the next step with probability ``2/pi atan(r)`` in one
-    channel, and with a smaller probability in several channels. A smooth signal has fewer such steps; they
-    occur at its turning points. Rounding to a unit ``q`` adds as many equal samples as a ratio ``r = q / m``,
-    where ``m`` is the mean step. If there are more small steps than a binomial distribution allows, they are
-    repeats. Equal samples at either end of the log are not counted, because the robot may be at rest there.
-    The measurement times of an evenly sampling sensor are a linear function of the number of the measurement,
-    and precede the stamps by at most one time step of the log.
+    The size of a step between samples is the largest change of a channel divided by the 95th
+    percentile of the changes of that channel. If the steps of a signal without repeats are independent and
+    normally distributed, a step is less than ``r`` times the next step with probability ``2/pi atan(r)`` in
+    one channel, and with a smaller probability in several channels. A smooth signal has fewer such steps;
+    they occur at its turning points. Rounding to a unit ``q`` adds as many equal samples as a ratio ``r = q /
+    m``, where ``m`` is the mean step. If there are more small steps than a binomial distribution allows, the
+    small steps are repeats. Equal samples at either end of the log are not counted, because the robot may be
+    at rest there. If the sensor samples evenly, the measurement times are a linear function of the
+    measurement number. They precede the stamps by at most one time step of the log.
 
     Examples
     --------
@@ -638,10 +639,10 @@ def may_freeze(name: str, values: Array) -> bool:
 def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
     """Find frozen channels; return start and end, s, of the longest period in which each holds one value.
 
-    A channel is frozen under two conditions. It holds one value more than :data:`LONG_HOLD` times as long as
-    it usually does. In addition it jumps to or from that value, or stops suddenly while it moves. A robot
-    that comes to rest, or starts from rest, changes gradually. Commands, channels with a few levels, and
-    values that recur do not count as frozen.
+    A channel is frozen under two conditions. First, it holds one value more than :data:`LONG_HOLD` times as
+    long as it usually holds a value. Second, it jumps to or from that value, or stops suddenly while it
+    moves. A robot that comes to rest, or starts from rest, changes gradually. Commands, channels with a few
+    levels, and values that recur do not count as frozen.
 
     Parameters
     ----------
@@ -692,7 +693,7 @@ def _step_sizes(place: Array) -> Array:
 
 
 def _turns(place: Array) -> Flags:
-    """Flag the steps at a turning point of all channels, which are small although no sample is repeated."""
+    """Flag the steps at a turning point of all channels. They are small although no sample is repeated."""
     steps = np.diff(place, axis=0)
     before, after = steps[:-2], steps[2:]
     back = np.abs(before + after) <= TURN * (np.abs(before) + np.abs(after))
@@ -712,8 +713,8 @@ def rounding_ratio(values: Array) -> float:
 def _small(sizes: Array, ratio: float) -> Flags:
     """Flag the steps that are smaller than ``ratio`` times the next step, and all steps of similar size.
 
-    The limit of similar size is the geometric mean of two medians: that of the small steps, and that of the
-    large steps that follow them.
+    A step is of similar size if it is below the geometric mean of two medians: the median of the small steps,
+    and the median of the large steps that follow them.
     """
     if ratio == 0.0:
         return sizes == 0.0
@@ -752,7 +753,8 @@ def _time_repeats(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Hel
     # than one time step.
     line = late_grid(stamps[1:], period, step)
     # Unevenly spaced stamps may agree with an evenly sampling sensor by chance, each with the probability
-    # step / period. Accept an evenly sampling sensor only if this is improbable for all stamps together.
+    # step / period. Accept an evenly sampling sensor only if chance agreement of all stamps together is
+    # improbable.
     if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM_REPEATS):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
     period, measured, slack = line
@@ -789,8 +791,9 @@ def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
 
     Notes
     -----
-    This is the filter of Savitzky and Golay (1964) for any sampling. To leading order the derivative of a
-    sine of frequency f is multiplied by ``1 - (2 pi f h)^4 / 504``, with the half width h.
+    This is the filter of Savitzky and Golay (1964, doi:10.1021/ac60214a047), generalised to
+    uneven sampling. To leading order the derivative of a sine of frequency f is multiplied by ``1 - (2 pi f
+    h)^4 / 504``, with the half width h.
 
     >>> t = np.linspace(0.0, 1.0, 101)
     >>> float(np.round(slope(t, t**3, 0.05)[50], 9))
@@ -823,7 +826,7 @@ MAX_SIMULATED_SAMPLES = 20_000_000
 
 
 def even_times(duration_s: float, rate_hz: float, step_s: float = math.inf) -> Array:
-    """Return sample times from 0 to the last one within the duration of a simulation, s.
+    """Return the sample times of a simulation, s, from 0 to the last sample within its duration.
 
     Raises
     ------

@@ -155,7 +155,7 @@ class TrialSet:
 
 
 def find_own_experiments(source: Any) -> list[type[Trials]]:
-    """Return the experiments of the user: a class, or those of a Python file; none for any other name."""
+    """Return the experiments that a user gives as a class or a Python file; none for any other name."""
     if isinstance(source, type):
         return [source]
     return read_experiments(source) if Path(source).suffix == ".py" else []
@@ -184,8 +184,8 @@ def read(source: str | Path | TrialSet, command: str = "", own: Sequence[type[Tr
     ------
     InputError
         The file is not YAML, has unknown or unused keys, has an experiment that is unknown or that the
-        command does not fit, or has two trials with the same id; or rows of a log are both fitted and held
-        out.
+        command does not fit, or has two trials with the same id; or the same samples of a log are both fitted
+        and held out.
     """
     path = place(source)
     held: Any = None
@@ -230,7 +230,8 @@ def _not_allowed(
 ) -> InputError:
     """Return the error for a trials file whose experiment is missing, or is not in ``names``.
 
-    ``commands`` are the commands that fit the experiment of the file. ``command`` is another command.
+    ``commands`` are the commands that fit the experiment of the file. ``command`` is the requested command,
+    which does not fit it.
     """
     hint, what = None, "is missing"
     if "experiment" in data:
@@ -248,9 +249,10 @@ def _not_allowed(
 
 
 def same_recordings(trials: Sequence[tuple[TrialEntry, Path]]) -> list[list[int]]:
-    """Return the indices of the trials of each log, in a file or in memory, that several trials use.
+    """Return, for each log that several trials use, the indices of these trials.
 
-    ``trials`` has each trial with the path of its log. Logs with the same content are one log.
+    ``trials`` has each trial with the path of its log. Logs with the same content, in files or in memory,
+    count as one log.
     """
     groups: dict[Any, list[int]] = {}
     for index, (trial, path) in enumerate(trials):
@@ -267,9 +269,9 @@ def same_recordings(trials: Sequence[tuple[TrialEntry, Path]]) -> list[list[int]
 
 
 def check_apart(one: TrialEntry, other: TrialEntry, file: Path, line: int | None = None) -> None:
-    """Raise an error if a trial fits rows of a log that another one holds out; warn if both fit them.
+    """Raise an error if one trial fits samples that another one holds out; warn if both fit the same samples.
 
-    Two adjacent trials may have one row in common.
+    Two adjacent trials of a log may have one sample in common.
 
     Parameters
     ----------

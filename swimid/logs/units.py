@@ -47,12 +47,13 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
     "temperature": {"degC": 1},
 }
-#: Quantity that belongs to each ending of a column name, such as ``m_s`` for m/s.
+#: Quantity of each unit, by the suffix for the unit in a column name, such as ``m_s`` for m/s.
 SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()} | {
     "N_m": "torque"
 }
-#: Pattern of a column name without its last unit, if another unit precedes that unit. Together they are a
-#: compound unit, such as ``mm_s`` or ``N_m_rad``, and the last one does not state the quantity.
+#: Pattern for the part of a column name before its last unit, if this part ends in a unit, too. Then the
+#: column has a compound unit, such as ``mm_s`` or ``N_m_rad``, and the last unit alone does not state the
+#: quantity.
 COMPOUND = re.compile(r".+_(m?N|kN|Nm|kg|[mcuk]m|c?deg|m?rad|rev)(_[sm]2?)*")
 #: Names of all known units.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)

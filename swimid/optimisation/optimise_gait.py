@@ -28,15 +28,16 @@ from swimid.results.result import FileResult
 from swimid.simulation.cases import format_quantity
 from swimid.simulation.catalogue import draw_parameters
 
-#: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range; and relative
-#: tolerance within which the limit of a quantity counts as reached.
+#: Two tolerances. The first is the maximum distance from a bound at which a varied parameter counts as at
+#: this bound, as a fraction of its range. The second is the relative distance at which a limit counts as
+#: reached.
 BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
-#: Maximum relative difference between the goals that the searches from two starting points reach, if the
+#: Maximum relative difference between the goal values of the searches from two starting points at which the
 #: searches count as agreeing.
 AGREE_RTOL = 0.005
-#: Radius of the finite differences in the first step and at the end of a search, and maximum number of steps,
-#: for a random sample of the coefficients. Such a search starts from the optimum for the estimated
-#: coefficients.
+#: Settings of the search for a random sample of the coefficients: radius of the finite differences in the
+#: first step, radius at the end, and maximum number of steps. Such a search starts from the optimum for the
+#: estimated coefficients.
 DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
 #: Minimum fraction of the random samples of the coefficients in which the best gait must satisfy its limits.
 MIN_KEPT = 0.9
@@ -58,8 +59,8 @@ class GaitFile(StudyFile):
     kind: ClassVar[str] = "gait file"
     format: Literal["swimid-gait/2"] = "swimid-gait/2"
     vary: dict[str, Varied]
-    #: Name of the goal as in the option ``--goal``, quantity of the simulation that is optimised, and unit of
-    #: the quantity.
+    #: Name of the goal as in the option ``--goal``, name of the optimised quantity of the simulation, and
+    #: unit of this quantity.
     goal: str
     quantity: str
     unit: str
@@ -67,7 +68,7 @@ class GaitFile(StudyFile):
     #: Value of the goal, including penalties, at the end of the search from each starting point. The best
     #: value is first.
     ends: list[float] = []
-    #: Values of the varied parameters at the best gait, and value of the goal there.
+    #: Values of the varied parameters at the best gait, and value of the goal at this gait.
     at: dict[str, float]
     best: float
     #: Varied parameters that lie at an end of their range. A better gait may lie beyond this end.
@@ -75,8 +76,8 @@ class GaitFile(StudyFile):
     #: Names of the limits that the best gait reaches.
     held_by: list[str] = []
     quantities: dict[str, Number] = {}
-    #: Number of random samples of the coefficients within the bounds of the coefficients, and fraction of all
-    #: drawn samples that lay within the bounds.
+    #: Number of random samples of the coefficients that were used, and fraction of all drawn samples that lay
+    #: within the bounds of the coefficients. Only these are used.
     draws: int = 0
     inside: Number = None
     #: 95 % interval of each varied parameter of the best gait over the random samples of the coefficients.
@@ -99,7 +100,7 @@ class BestGait(FileResult[GaitFile]):
     at : dict of str to float
         Values of the varied parameters at the best gait.
     file : GaitFile
-        All results, including the intervals and the ends of the searches. :meth:`save` writes this file.
+        All results, including the intervals and the final goal of each search. :meth:`save` writes this file.
     """
 
     file_type = GaitFile
@@ -135,7 +136,7 @@ def optimise_gait(
     Raises
     ------
     UsageError, InputError
-        For bad options and files.
+        If an option or a file is invalid.
     NoTrustworthyResult
         If every simulation diverges, or if no gait satisfies the limits.
 
@@ -224,7 +225,7 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 
 
 def _choose_starts(problem: GaitProblem, options: OptimiseGaitOptions) -> Array:
-    """Return the best points of a Sobol sequence as starting points of the search, in the unit cube.
+    """Return the best points of a Sobol sequence in the unit cube, as starting points of the search.
 
     Also set the typical scale of the goal in ``problem``, which the penalties need.
     """
@@ -243,7 +244,7 @@ def _choose_starts(problem: GaitProblem, options: OptimiseGaitOptions) -> Array:
 def _find(
     problem: GaitProblem, options: OptimiseGaitOptions, study: OptimisationStudy, progress: Progress
 ) -> GaitFile:
-    """Search for the best gait from several starting points; return it with its simulated quantities."""
+    """Search for the best gait from several starting points; return it and its simulated quantities."""
     starts = _choose_starts(problem, options)
     with progress("search", total=MAX_STEPS) as step:
         found = problem.minimise(starts, advance=step)
@@ -278,7 +279,7 @@ def _find(
 def _set_intervals(
     problem: GaitProblem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
 ) -> None:
-    """Set the 95 % intervals of the varied parameters and of the goal in ``file``, from random samples."""
+    """Set the 95 % intervals of the best gait in ``file``, from random samples of the coefficients."""
     vectors, file.inside = draw_parameters(problem.performance.applied, options.draws, options.seed)
     file.draws = len(vectors)
     nominal = np.tile(problem.place(file.at), (len(vectors), 1))

@@ -43,11 +43,11 @@ CURVE_DEGREE = 2
 #: Radius of the finite differences in the first step and at the end of the final search, as a fraction of the
 #: stiffness range. The final search starts at the best point of a Pareto front.
 SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
-#: Maximum distance of a stiffness from an end of its range for a stiffness at its bound, as a fraction of the
+#: Maximum distance from an end of its range at which a stiffness counts as at its bound, as a fraction of the
 #: range.
 BOUND_TOL = 1e-3
-#: Maximum relative loss of speed, or relative increase of the cost of transport, if the rule is used in place
-#: of the optimal stiffnesses.
+#: Maximum relative loss of speed, or increase of the cost of transport, that is accepted if the rule is used
+#: in place of the optimal stiffnesses.
 MAX_LOSS = 0.02
 
 #: Names of the quantities by which the stiffness rule is compared with the optimal stiffnesses: mean speed,
@@ -73,8 +73,8 @@ class Optimum(yamlio.Document):
     amplitude_deg: float
     stiffness: float
     at_bound: bool = False
-    #: Quantities of a simulation, in SI units, for three stiffnesses: the optimal one, that of the rule, and
-    #: the fixed reference stiffness.
+    #: Quantities of a simulation, in SI units, for three stiffnesses: the optimal stiffness, the stiffness of
+    #: the rule, and the fixed reference stiffness.
     best: dict[str, Number] = {}
     ruled: dict[str, Number] = {}
     reference: dict[str, Number] = {}
@@ -93,15 +93,15 @@ class RuleFile(StudyFile):
     between: tuple[float, float]
     objective: Literal["speed", "cost-of-transport"]
     objectives: tuple[str, str]
-    #: Reference stiffness, with which the rule is compared: the fixed stiffness of the parameter file or
-    #: robot.
+    #: Reference stiffness with which the rule is compared: the fixed stiffness in the parameter file or in
+    #: the robot file.
     reference: float
     #: Ranges of frequency (Hz) and amplitude (deg) in which the rule is valid.
     frequency_hz: tuple[float, float]
     amplitude_deg: tuple[float, float]
     curves: list[Curve]
     optima: list[Optimum]
-    #: Whether the coefficients of the model have standard errors. The rule is computed without them.
+    #: Whether the coefficients of the model have standard errors. The rule does not take them into account.
     uncertain: bool = False
     provenance: yamlio.Provenance = Field(default_factory=dict)
 
@@ -209,7 +209,7 @@ def optimise_stiffness(
     Raises
     ------
     UsageError, InputError
-        For bad options and files.
+        If an option or a file is invalid.
     NoTrustworthyResult
         If every simulation diverges, or if the robot never moves.
 
@@ -371,7 +371,7 @@ def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
 
 
 def _assess(performance: Performance, file: RuleFile) -> None:
-    """Simulate every grid point with optimal, ruled and reference stiffness; set the quantities."""
+    """Simulate each grid point with the optimal, rule and reference stiffness; set quantities in ``file``."""
     gaits = []
     for one in file.optima:
         beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
@@ -392,9 +392,9 @@ def _column(file: RuleFile, way: str, name: str = SPEED) -> Array:
 
 
 def _loss(file: RuleFile) -> Array:
-    """Return the relative loss of speed, or the relative increase of cost, by the rule at each grid point.
+    """Return the relative loss of speed, or increase of the cost of transport, at each grid point.
 
-    The rule is compared with the optimal stiffness of the grid point.
+    The loss is that of the stiffness rule compared with the optimal stiffness of the grid point.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         if file.objective == "speed":
@@ -463,7 +463,7 @@ def _checks(file: RuleFile) -> list[ev.Check]:
 
 
 def answer(file: RuleFile) -> str:
-    """Return a sentence with the range of the optimal stiffnesses and, if it is the goal, the speed."""
+    """Return a sentence with the range of the optimal stiffnesses, and the speed if speed is the goal."""
     stiffness = [one.stiffness for one in file.optima]
     ends = (
         f"{numbers.format_number(min(stiffness), 3)} to {numbers.format_number(max(stiffness), 3, file.unit)}"

@@ -65,7 +65,7 @@ class Mapped(yamlio.Document):
 
     unit: str
     values: Rows
-    #: Standard errors of the values, which follow from the covariance of the coefficients; None if it is
+    #: Standard errors of the values, from the covariance of the coefficients; None if the covariance is
     #: unknown.
     stderr: Rows | None = None
 
@@ -90,7 +90,7 @@ class PerformanceMap(FileResult[MapFile]):
     Attributes
     ----------
     frame : DataFrame
-        One row for each point: its position on the axes, and every quantity in SI units (NaN if unknown).
+        One row for each grid point: the varied parameters, and every quantity in SI units (NaN if unknown).
     file : MapFile
         All results, including standard errors. :meth:`save` writes this file.
     """
@@ -99,7 +99,7 @@ class PerformanceMap(FileResult[MapFile]):
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Table with one row for each grid point: position on the axes, and every quantity in SI units."""
+        """Table with one row for each grid point: the varied parameters, and every quantity in SI units."""
         import pandas as pd
 
         points = points_of({axis.name: axis.values for axis in self.file.axes})
@@ -107,7 +107,7 @@ class PerformanceMap(FileResult[MapFile]):
         return pd.DataFrame({**pd.DataFrame(points), **columns})
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return the map as an ``xarray.Dataset`` over its axes, each quantity with its unit."""
+        """Return the map as an ``xarray.Dataset`` over the axes of the map. Each quantity has its unit."""
         return to_xarray(self.frame, [axis.name for axis in self.file.axes])
 
 
@@ -136,7 +136,7 @@ def performance_map(
     Raises
     ------
     UsageError, InputError
-        For bad options and files.
+        If an option or a file is invalid.
     NoTrustworthyResult
         If every simulation diverges.
 
@@ -178,7 +178,7 @@ def _axes_of(performance: Performance, options: MapOptions) -> dict[str, list[fl
     Raises
     ------
     UsageError
-        If the options describe no map of one or two axes, or one with too many points.
+        If the options describe a map without axes, with more than two axes, or with too many points.
     """
     over = options.over
     if len(over) > 2:
@@ -201,7 +201,7 @@ def _map_file(
     *,
     uncertain: bool,
 ) -> MapFile:
-    """Return the content of a map file. ``table`` has values and standard errors, (points, quantities, 2)."""
+    """Return a map file's content from values and standard errors ``table``, (points, quantities, 2)."""
     values, stderr = table[..., 0], table[..., 1]
     shape = (len(next(iter(axes.values()))), -1)
     quantities, columns = {}, {}
@@ -314,8 +314,8 @@ def answer(file: MapFile) -> str:
 def _best_table(file: MapFile) -> ev.Table:
     """Return a table of the quantities at the best points of a map.
 
-    With one axis the table has every point. With two axes it has the best points for each value of the first
-    axis.
+    With one axis the table has every grid point. With two axes it has the best points for each value of the
+    first axis.
     """
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):

@@ -17,10 +17,10 @@ from swimid.fitting import global_search
 from swimid.fitting.model import Array
 from swimid.optimisation.study import Performance, Point
 
-#: Distance of the points for finite differences from the current point (radius), at the start and at the end
-#: of a gradient search, as a fraction of the range of a parameter; and maximum number of steps of the search.
+#: Settings of a gradient search: radius of the finite differences (distance from the current point, as a
+#: fraction of the range of a parameter) at the start and at the end, and maximum number of steps.
 FIRST_RADIUS, LAST_RADIUS, MAX_STEPS = 0.1, 1e-3, 24
-#: Value of the penalised goal where it cannot be computed. It is worse than any computed value.
+#: Value of the penalised goal at points where the goal cannot be computed. It is worse than any other value.
 FAILED_GOAL = 1e9
 #: Number of points at which the quadratic model of the objective is evaluated in one round of its
 #: minimisation, and number of rounds. Each round has a smaller search region.
@@ -30,9 +30,10 @@ N_MODEL_POINTS, N_ZOOMS = 512, 3
 PENALTY = 10.0
 #: Maximum relative violation at which a limit of a gait still counts as satisfied.
 LIMIT_RTOL = 1e-3
-#: Type of an objective function with limits. Its arguments are points in the unit cube, shape (n, d), and the
-#: index of the search to which each point belongs, shape (n,). It returns the goal and the penalty for each
-#: limit, shape (n, 1 + limits). A penalty is negative if the limit is satisfied.
+#: Type of an objective function with limits. Its arguments are n points in the unit cube of d varied
+#: parameters, shape (n, d), and the index of the search to which each point belongs, shape (n,). It returns
+#: the goal and the penalty for each limit, shape (n, 1 + limits). A penalty is negative if the limit is
+#: satisfied.
 Evaluate = Callable[[Array, NDArray[np.int64]], Array]
 
 
@@ -52,7 +53,7 @@ class Minima(NamedTuple):
 
 
 def merit(parts: Array) -> Array:
-    """Return the penalised goal: the goal plus the penalties of violated limits, shape (n,).
+    """Return the penalised goal of n points: the goal plus the penalties of violated limits, shape (n,).
 
     The columns of ``parts`` are the goal and the penalty of each limit, shape (n, 1 + limits). A negative
     penalty (satisfied limit) counts as 0.
@@ -75,15 +76,17 @@ def descend(
     Parameters
     ----------
     starts : ndarray, shape (k, d)
+        Starting points of k searches in the d-dimensional unit cube.
     first, last : float
         Radius of the finite differences in the first step of a search, and radius below which a search ends.
 
     Notes
     -----
     Central differences give the gradient, and the curvature along each axis, of the goal and of each limit.
-    They define a quadratic model with penalties. The minimum of the model within twice the radius along each
-    axis is compared with the points of the differences. The radius is halved if none of these points is
-    better, or if the step is shorter than the radius. Points outside the cube are moved to its surface.
+    Gradient and curvature define a quadratic model with penalties. The minimum of the model within twice the
+    radius along each axis is compared with the points of the differences. The radius is halved if none of
+    these points is better, or if the step is shorter than the radius. Points outside the cube are moved to
+    its surface.
 
     >>> def bowl(x, owner):
     ...     return np.column_stack([(x[:, 0] - 0.3) ** 2 + 4 * (x[:, 1] - 1.2) ** 2])
@@ -123,7 +126,7 @@ def descend(
 
 
 def _stencil(points: Array, radius: Array) -> Array:
-    """Return the points of central differences about n points of the unit cube, shape (n, 2 d, d)."""
+    """Return the central-difference points about n points of the d-dimensional cube, shape (n, 2 d, d)."""
     width = points.shape[1]
     stencil = np.repeat(points[:, None, :], 2 * width, axis=1)
     for k in range(width):
@@ -196,7 +199,7 @@ class GaitProblem:
         The product of sign and quantity is minimised.
     limits : dict of str to Limit
     fixed : dict of str to float
-        Parameters of the gait that are not varied but differ from the drive of ``performance``.
+        Parameters of the gait that are not varied, but replace those of the drive of ``performance``.
     checkpoint : Checkpoint
         Stores the result of every batch of simulations.
     scale : float
@@ -234,8 +237,8 @@ class GaitProblem:
     def quantity(self, table: Array, name: str) -> Array:
         """Return one quantity of each simulation in a table, shape (n,).
 
-        The quantity may also be ``basin_m``, which is not in the table: the side of the square basin that
-        holds the motion of the robot.
+        The name may also be ``basin_m``, which is no column of the table: the side of the square basin that
+        encloses the motion of the robot.
         """
         units = list(self.performance.units)
         if name == "basin_m":
@@ -291,7 +294,7 @@ class GaitProblem:
     def minimise(self, starts: Array, vectors: Sequence[Array] | None = None, **how: Any) -> Minima:
         """Minimise the first goal from several starting points (see :func:`descend`).
 
-        With ``vectors``, the search from each starting point uses a parameter vector of the model of its own.
+        With ``vectors``, the search from each starting point has its own parameter vector of the model.
         """
 
         def evaluate(x: Array, owner: NDArray[np.int64]) -> Array:

@@ -44,8 +44,8 @@ BATCH_GAITS = 8
 MAX_STEP_HALVINGS = 2
 
 Point = Mapping[str, float]
-#: Codes of two warnings about coefficients: they lie outside their bounds, or their fit did not converge or
-#: could not identify them.
+#: Codes of two warnings about coefficients. The first warns of coefficients outside their bounds. The second
+#: warns that the fit did not converge or could not identify a coefficient.
 DOUBTFUL_CODES = ("SWM053", "SWM062")
 #: Default values of drive parameters that a gait does not state.
 NEUTRAL_DRIVE = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
@@ -72,8 +72,8 @@ class Performance:
     applied : Applied
         Model and coefficients of a robot with links.
     drive : mapping of str to float
-        Values of the parameters in :data:`BEAT`, or in :data:`STROKE` for a stroke. Gaits must vary the
-        parameters that are missing here.
+        Values of the parameters in :data:`BEAT`, or in :data:`STROKE` for a stroke. Each gait must state the
+        parameters that this mapping lacks.
     options : GaitOptions
         Waveform or stroke, ramp, and duration of each simulation. Simulations start from rest.
     """
@@ -89,7 +89,7 @@ class Performance:
         Raises
         ------
         UsageError, InputError
-            For missing options, and for bad files.
+            If an option is missing, or if a file is invalid.
         """
         file = None
         if options.params is not None:
@@ -109,7 +109,7 @@ class Performance:
 
     @property
     def turn(self) -> str:
-        """Name of the rotation in the plane of the robot: ``yaw`` or ``pitch``."""
+        """Name of the rotation in the plane in which the robot swims: ``yaw`` or ``pitch``."""
         return self.model.pose[2].removesuffix("_rad")
 
     @cached_property
@@ -131,7 +131,7 @@ class Performance:
 
     @property
     def trial_ranges(self) -> dict[str, tuple[float, float]]:
-        """Range of each drive parameter in the trials of the fit, by name; empty if it is unknown."""
+        """Range of each drive parameter in the trials of the fit, by name; empty if no range is known."""
         file = self.applied.file
         if file is None or file.fit is None:
             return {}
@@ -186,7 +186,7 @@ class Performance:
         return swim_input(self.model, self.options, {**self.drive, **varied})
 
     def run(self, point: Point) -> SwimRun:
-        """Return the request for the simulation of a gait from rest."""
+        """Return the simulation of a gait from rest, ready to be computed."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
         return SwimRun.simulate_drive(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
@@ -220,7 +220,7 @@ class Performance:
         return found
 
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """Simulate gaits in several threads, and return their quantities as :meth:`table` does."""
+        """Simulate gaits in several threads, and return their quantities in the form of :meth:`table`."""
         given = [self.values] * len(points) if values is None else values
         parts = [slice(k, k + BATCH_GAITS) for k in range(0, len(points), BATCH_GAITS)]
         tables = in_parallel(
@@ -288,14 +288,14 @@ Made = TypeVar("Made", bound=FileResult[Any])
 
 @dataclass(frozen=True)
 class OptimisationStudy:
-    """Output, checkpoint, provenance and first file keys of the computation of a map, rule or best gait.
+    """Output path, checkpoint, provenance and first file keys for computing a map, rule or best gait.
 
     Attributes
     ----------
     origin : dict
         Provenance with the time and the command.
     head : dict
-        First keys of the file. The provenance in the file has no time, so that equal inputs give equal files.
+        First keys of the result file. Their provenance has no time, so that equal inputs give equal files.
     """
 
     output: Path | None
@@ -304,7 +304,7 @@ class OptimisationStudy:
     head: dict[str, Any]
 
     def save(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
-        """Write file content and evidence to the output, if there is one; return them as a result."""
+        """Write file content and evidence to the output, if one is given; return both as a result."""
         file.verdict = evidence.verdict.level
         result = made.of(file, evidence).write_output(self.output)
         self.checkpoint.finish()
@@ -312,7 +312,7 @@ class OptimisationStudy:
 
 
 def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> OptimisationStudy:
-    """Return output, checkpoint, provenance and first file keys for the options of a command.
+    """Return output path, checkpoint, provenance and first file keys for the options of a command.
 
     Raises
     ------
@@ -381,9 +381,9 @@ def make_evidence(
     origin: dict[str, Any],
     **shown: Any,
 ) -> ev.Evidence:
-    """Return the evidence of a map, rule or best gait, with facts and a check that all of them have.
+    """Return the evidence of a map, rule or best gait, with facts and a check that all three have.
 
-    The check warns if the coefficients are not those of a sound fit.
+    This check warns if the fit of the coefficients did not converge or could not identify them.
     """
     doubts = "; ".join(n.text for n in notices if n.code in DOUBTFUL_CODES)
     if doubts:
@@ -406,7 +406,8 @@ def make_evidence(
 def count_check(name: str, passed: int, count: int, text: str, noun: str, fault: str) -> ev.Check:
     """Return a check that passes if all of ``count`` runs, gaits or points pass.
 
-    ``text`` is shown if some do not. The reason says how many of them, named by ``noun``, have the ``fault``.
+    ``text`` is shown if some do not pass. The reason of the check states the number of items (``noun``) that
+    have the ``fault``.
     """
     which = f"{count - passed} of {count} {noun}s"
     if count == 1:
@@ -425,7 +426,7 @@ def draws_check(inside: float) -> ev.Check:
 
 
 def make_undefined_check(name: str) -> ev.Check:
-    """Return an entry of the evidence which states that the uncertainty named ``name`` is not known."""
+    """Return a check, for information only, which states that the uncertainty ``name`` is unknown."""
     return ev.make_check(name, "not known", None, text="give a parameter file with standard errors: --params")
 
 
@@ -460,7 +461,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
     found = []
     for name, (low, high) in region.items():
         slack = 1e-9 * (1.0 + max(abs(low), abs(high)))
-        # A stroke for which no frequency is stated has a frequency of its own, which is not compared.
+        # Skip a parameter that the gait does not state, such as the frequency of a predefined stroke.
         value = at.get(name, NEUTRAL_DRIVE.get(name))
         if value is not None and not low - slack <= value <= high + slack:
             found.append(name)
@@ -468,7 +469,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
 
 
 def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
-    """Check that the robot swims nose first, because its speed along the path does not show the direction.
+    """Check that the robot swims nose first. Its speed along the path does not show this direction.
 
     Parameters
     ----------

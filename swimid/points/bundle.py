@@ -39,20 +39,22 @@ class FilmFit:
     exponent : float
         The noise is proportional to the likelihood to the power of minus this exponent.
     place_sd_m : float
-        Estimated standard deviation of the errors of the stated places, m; 0 if they are not estimated.
+        Estimated standard deviation of the errors of the stated places of points, m; 0 if the places are not
+        estimated.
     undetermined : ndarray, shape (2 * points, k)
         Orthonormal directions in the space of the places (x of all points, then y) that the film does not
         determine.
     faults : list of Fault
     level : float
-        Probability of a chance removal for a single point in a single frame.
+        Probability that a correct point in a single frame is removed by chance.
     order : ndarray of int, shape (n, points)
-        Index of the label that shows each point. It differs from the index of the point where two labels were
-        exchanged back.
+        Index of the label with which each point was tracked. It differs from the index of the point where an
+        exchange of two labels was undone.
     ambiguous : ndarray of bool, shape (n, 2 + links)
-        Whether another state fits the points of a frame as well and has another value of a component.
+        Whether a component of the state is ambiguous: another state, with another value of the component,
+        fits the points of the frame as well.
     mirrored : bool
-        Whether the mirrored picture fits the places of the points better.
+        Whether the stated places of the points fit the mirrored picture better.
     """
 
     linkage: Linkage
@@ -81,9 +83,9 @@ def fit_film(film: Film, linkage: Linkage) -> FilmFit:
 
     Notes
     -----
-    The noise of each point is estimated from its residuals by restricted maximum likelihood: the sum of their
-    squares is divided by the sum of their redundancies, and not by their number (Foerstner 1979). The first
-    estimates are robust: medians of normalised residuals.
+    The noise of each point is estimated from its residuals by restricted maximum likelihood: the
+    sum of the squared residuals is divided by the sum of their redundancies, and not by their number
+    (Foerstner 1979). The first estimates are robust: medians of normalised residuals.
     """
     estimate = FilmEstimate.of(film, linkage)
     estimate.begin()

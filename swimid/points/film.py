@@ -11,23 +11,28 @@ from scipy import special
 from swimid.points import linkage as links
 from swimid.points.linkage import Array, Complex, Flags, Linkage, Residuals, State
 
-#: Probability that at least one point is left out of a film that has no faults.
+#: Significance level of the outlier test: probability that, in a film without faults, at least one tracked
+#: point is wrongly left out as an outlier.
 FALSE_ALARM_POINTS = 0.01
-#: Median of the absolute value of a standard normal variable.
+#: Median of the absolute value of a standard normal variable. It converts a median absolute residual to a
+#: standard deviation.
 HALF_NORMAL = float(special.ndtri(0.75))
-#: Maximum number of robust iterations, and of iterations of the final fit; relative change of a noise
-#: standard deviation, and step of a global quantity in standard errors, at which they have converged.
+#: MAX_ROBUST is the maximum number of robust iterations, MAX_ITERATIONS that of the final fit. Iterations
+#: have converged if the relative change of each noise standard deviation is below NOISE_RTOL, and the step of
+#: each global quantity below STEP_SE standard errors.
 MAX_ROBUST, MAX_ITERATIONS, NOISE_RTOL, STEP_SE = 12, 25, 0.005, 0.05
-#: Number of values that the prior of the noise of a point is worth. Its mean is that of all points. It acts
-#: only where the residuals do not determine the noise of single points.
+#: Weight of the prior of the noise of a point, as a number of residuals. The mean of the prior is the noise
+#: of all points. The prior matters only if the residuals do not determine the noise of single points.
 PRIOR_VALUES = 4.0
-#: Minimum noise of a point, relative to the length of the linkage.
+#: Minimum noise standard deviation of a point, relative to the length of the linkage. It keeps the weights
+#: finite.
 MIN_NOISE = 1e-5
-#: Maximum exponent with which the noise may fall with the likelihood.
+#: Maximum exponent p of the noise model, in which the noise is proportional to likelihood^(-p).
 MAX_EXPONENT = 5.0
 #: Start value of the standard deviation of the places of points that are estimated from the film, m.
 PLACE_SD_M = 0.005
-#: Number of frames, spread evenly over a film, in which a hypothesis on the whole film is tested.
+#: Number of frames, spread evenly over a film, in which a hypothesis on the whole film (such as a mirrored
+#: picture) is tested.
 N_SAMPLE_FRAMES = 200
 
 
@@ -52,7 +57,7 @@ class Film:
     likelihood: Array
 
     def part(self, rows: Flags | NDArray[np.intp]) -> Film:
-        """Return a film of the chosen frames."""
+        """Return a film that has only the chosen frames."""
         return Film(self.time_s[rows], self.seen[rows], self.there[rows], self.likelihood[rows])
 
     def put(self, rows: NDArray[np.intp], other: Film) -> None:
@@ -60,12 +65,12 @@ class Film:
         self.seen[rows], self.there[rows], self.likelihood[rows] = other.seen, other.there, other.likelihood
 
     def reorder(self, points: list[int]) -> Film:
-        """Return a film whose labels are those of other points, by index."""
+        """Return a film in which each point is replaced by the one with the given index."""
         return Film(self.time_s, self.seen[:, points], self.there[:, points], self.likelihood[:, points])
 
 
 class FilmEstimate:
-    """Estimate of a film while it is improved: states, points that are used, noise and global quantities."""
+    """Intermediate estimate of a film: states, points that are used, noise and global quantities."""
 
     def __init__(self, film: Film, linkage: Linkage, state: State) -> None:
         self.film, self.linkage, self.state = film, linkage, state
@@ -103,11 +108,11 @@ class FilmEstimate:
         return rows
 
     def residuals(self) -> Residuals:
-        """Return residuals and covariances at the present estimate."""
+        """Return the residuals of the tracked points, with their covariances, at the present estimate."""
         return links.residuals(self.linkage, self.film.seen, self.weight, self.variance, self.state)
 
     def is_far(self, found: Residuals) -> Flags:
-        """Return whether each residual exceeds its quantile of the chi-square distribution."""
+        """Return whether the residual of each point exceeds the chi-square quantile of the outlier test."""
         limits = np.array([np.inf, *special.chdtri(np.array([1.0, 2.0]), self.level)])
         return np.asarray(found.squares > limits[found.freedom])
 
@@ -165,7 +170,7 @@ class FilmEstimate:
 
     @property
     def prior(self) -> Array:
-        """Step to the stated places and its precision for each global quantity, shape (m, 2)."""
+        """Step from each global quantity to its prior mean, and precision of the prior, shape (m, 2)."""
         prior = np.zeros((len(self.linkage.quantities), 2))
         if "places" in self.linkage.free:
             off = self.stated - self.linkage.place
@@ -174,7 +179,7 @@ class FilmEstimate:
         return prior
 
     def _adjust(self, rows: Flags) -> float:
-        """Improve the global quantities; return the largest step in standard errors."""
+        """Improve the global quantities by one step; return its largest component, in standard errors."""
         if not self.linkage.free:
             return 0.0
         weight, prior = np.where(rows[:, None], self.weight, 0.0), self.prior

@@ -8,30 +8,32 @@ from swimid.points import linkage as links
 from swimid.points.film import FilmEstimate
 from swimid.points.linkage import Array
 
-#: Seed of the simulated noise by which the bias of the global quantities is estimated, and number of pairs of
-#: simulated films.
+#: Constants of the estimate of the bias of the global quantities: SEED of the simulated noise, number PAIRS
+#: of pairs of simulated films, and STEP of the differences of the scores in standard errors.
 SEED, PAIRS, STEP = 20261127, 2, 0.003
-#: Minimum fraction of the variance of the stated places that must remain unknown, so that a place counts as
-#: not determined by the film.
+#: Fraction of the prior variance of the stated places of points. If the film leaves at least this fraction in
+#: a direction, it does not determine that direction.
 UNDETERMINED = 0.25
 
 
 def remove_bias(estimate: FilmEstimate) -> Array:
     """Remove the bias that noise gives the global quantities, and compute their covariance.
 
-    Return the information that the film without noise has on these quantities, shape (m, m).
+    Return the Fisher information that the film without noise would have on these m quantities, shape (m, m).
 
     Notes
     -----
-    Each frame has angles of its own. Noise lengthens the distance of a point from its joint, and with it the
-    scale, however many frames there are (Neyman and Scott 1948, doi:10.2307/1914288). The bias of the scores
-    is their mean over pairs of simulated films of this motion. The noise of one film is minus that of the
-    other, so that all errors that are linear in the noise cancel.
+    Each frame has angles of its own. Noise lengthens the estimated distance of a point from its
+    joint, and thus changes the scale, however many frames there are (Neyman and Scott 1948,
+    doi:10.2307/1914288). The bias of the scores is their mean over pairs of simulated films of this motion.
+    In each pair, the noise of one film is minus that of the other, so that all errors that are linear in the
+    noise cancel.
 
     The curvature of the sum of squares is computed by differences of the scores, with the states solved
-    again. The normal matrix would overstate what noisy angles determine. The simulated films also give the
-    information without noise. Noise adds to the normal matrix, and doubled noise adds it twice (simulation
-    extrapolation, Cook and Stefanski 1994, doi:10.1080/01621459.1994.10476871).
+    again. The normal matrix would overstate the information in noisy angles. The simulated films also give
+    the information without noise: noise adds a term to the normal matrix, and twice the noise variance adds
+    twice this term, so that the term can be subtracted (simulation extrapolation, Cook and Stefanski 1994,
+    doi:10.1080/01621459.1994.10476871).
     """
     if not estimate.linkage.free:
         return np.zeros((0, 0))
@@ -48,7 +50,8 @@ def remove_bias(estimate: FilmEstimate) -> Array:
             bias += simulated.value.sum(axis=0) / (2 * PAIRS)
             noisy += simulated.normal / (2 * PAIRS)
     information = 2.0 * made.normal - noisy
-    # Differences along the axes of the covariance, by one standard error to either side.
+    # Compute differences of the scores along the principal axes of the covariance. Each axis is one standard
+    # error long.
     values, vectors = np.linalg.eigh(links.invert_normal_matrix(made.normal + np.diag(prior[:, 1])))
     kept = values > 0
     axes = vectors[:, kept] * np.sqrt(values[kept])
@@ -65,7 +68,7 @@ def remove_bias(estimate: FilmEstimate) -> Array:
     values, vectors = np.linalg.eigh(0.5 * (of_data + of_data.T))
     bent = (vectors * np.maximum(values, 0.0)) @ vectors.T + of_prior
     inverse = np.linalg.pinv(bent, hermitian=True)
-    # In few frames the scores may vary less than their curvature implies.
+    # In a film of few frames the scores may vary less than the curvature of the sum of squares implies.
     spread, least = made.score_covariance(axes), np.maximum(np.diag(of_data), 0.0)
     wider = np.sqrt(np.maximum(least / np.maximum(np.diag(spread), 1e-300), 1.0))
     spread = spread * wider[:, None] * wider
@@ -80,10 +83,10 @@ def remove_bias(estimate: FilmEstimate) -> Array:
 def find_undetermined(estimate: FilmEstimate, information: Array) -> Array:
     """Return the directions in the space of the places that the film does not determine.
 
-    A direction counts as determined if the film leaves less than :data:`UNDETERMINED` of the variance of
-    the stated places. The errors of the stated places are taken from the directions that the film
-    determines better. Rotations of all points of a link about its only joint are left out: no film shows
-    the zero of such a joint angle.
+    A direction counts as determined if the film leaves less than the fraction :data:`UNDETERMINED` of the
+    variance of the stated places. This variance is estimated from the directions that the film determines
+    better. Rotations of all points of a link about its only joint are left out: no film shows the zero of
+    such a joint angle.
     """
     count = 2 * len(estimate.linkage.names)
     if "places" not in estimate.linkage.free:

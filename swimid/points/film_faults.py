@@ -1,7 +1,7 @@
 """Faults of a film of tracked points.
 
-A fault is a point that does not belong where it was tracked: labels that were exchanged, two labels on one
-place, or a stray label. A point is left out of a frame if its residual exceeds a quantile of the chi-square
+A fault is a point that was tracked at a wrong place: labels that were exchanged, two labels on one place, or
+a stray label. A point is left out of a frame if its residual exceeds a quantile of the chi-square
 distribution. The quantile belongs to the probability :data:`swimid.points.film.FALSE_ALARM_POINTS` that any
 point of a film without faults is left out (Bonferroni's bound; data snooping, Baarda 1968).
 """
@@ -18,23 +18,23 @@ from swimid.points import linkage as links
 from swimid.points.film import PLACE_SD_M, Film, FilmEstimate
 from swimid.points.linkage import Array, Flags, Linkage, Residuals, State
 
-#: Maximum number of times that the faults are searched again with the new noise.
+#: Maximum number of fault searches. Each search uses the noise that was estimated after the search before.
 MAX_SEARCHES = 5
 #: Limits for the exchange of two labels in the whole film. Exchanges are tried if the ratio of the largest to
 #: the smallest noise of a point is at least SUSPICIOUS. The SUSPECTS points with the largest noise exchange
 #: their labels. An exchange is kept if it divides the noise by MIN_GAIN or more.
 SUSPICIOUS, SUSPECTS, MIN_GAIN = 5.0, 4, 1.25
-#: Maximum redundancy of a frame in which a third point may be left out in place of two exchanged labels. An
-#: exchange contradicts the linkage along four axes, and a point that is left out explains two of them.
+#: Maximum redundancy of a frame in which a third point may be left out in place of two exchanged labels. Two
+#: exchanged labels give four wrong coordinates, and a point that is left out removes two coordinates.
 FEW = 4
 #: Thresholds of the Geman-McClure weights in the search for the state of a frame with faults, in noise
 #: standard deviations (graduated non-convexity, Yang et al. 2020, doi:10.1109/LRA.2020.2965893). STEPS is the
-#: number of steps with each threshold. If neighbouring frames give the start values, only the last NEAR
-#: thresholds are used.
+#: number of solver steps with each threshold. If neighbouring frames give the start values, only the last
+#: NEAR thresholds are used.
 THRESHOLDS, STEPS, NEAR = (200.0, 80.0, 40.0, 20.0, 10.0, 6.0), 3, 2
-#: Difference of the weighted sums of squares of two solutions for a frame, up to which the solution nearer to
-#: neighbouring frames is taken: the quantile of the chi-square distribution with one degree of freedom at
-#: 0.1 %.
+#: Maximum difference between the weighted sums of squares of two solutions for a frame that counts as
+#: insignificant. Up to this limit the solution nearer to the neighbouring frames is taken. The limit is the
+#: quantile of the chi-square distribution with one degree of freedom at 0.1 %.
 MUCH_WORSE = 10.83
 
 
@@ -45,8 +45,9 @@ class Fault:
     Attributes
     ----------
     kind : str
-        ``exchanged`` (and exchanged back), ``merged``, ``stray``, or ``lost`` if more than half of the points
-        of a frame disagree.
+        ``exchanged`` (two labels, since corrected), ``merged`` (two labels at one place), ``stray`` (one
+        label at a wrong place), or ``lost`` (half of the points of a frame or more disagree with the
+        linkage).
     names : tuple of str
         Names of the points: one for a stray, two for the others.
     frames : ndarray of int
@@ -59,7 +60,7 @@ class Fault:
 
 
 def find_faults(estimate: FilmEstimate) -> None:
-    """Search faults and refine the estimate in turn until the faults do not change."""
+    """Alternate between the search for faults and the estimate, until the faults do not change."""
     for _ in range(MAX_SEARCHES):
         before = estimate.used.copy()
         _leave_out_outliers(estimate)
@@ -71,11 +72,12 @@ def find_faults(estimate: FilmEstimate) -> None:
 def exchange_labels(estimate: FilmEstimate, linkage: Linkage) -> bool:
     """Repeat the fit with two labels exchanged in the whole film, and keep it if it reduces the noise.
 
-    Return whether this was done.
+    Return whether the exchange was kept.
 
-    If labels are wrong in most frames, their noise contains the errors, and no frame stands out. With the
-    labels exchanged, the frames in which they were right stand out instead. The search that follows uses
-    the labels as they were tracked. A chain has no stated distances that tell which labels are right.
+    If two labels are wrong in most frames, the errors enlarge the estimated noise of their points, and no
+    frame is an outlier. After the exchange, the frames with right labels are outliers instead. The search for
+    faults that follows uses the labels as they were tracked. A chain has no stated distances that show which
+    labels are right.
 
     Parameters
     ----------
@@ -105,7 +107,7 @@ def exchange_labels(estimate: FilmEstimate, linkage: Linkage) -> bool:
 
 
 def is_mirrored(estimate: FilmEstimate) -> bool:
-    """Return whether some frames fit the stated places better if the picture is mirrored."""
+    """Return whether the stated places of the points fit the film better if the picture is mirrored."""
     if "lengths" in estimate.linkage.free or len(estimate.noise) < 3:
         return False
     free, unknown = estimate.linkage.free - {"places"}, np.zeros((0, 0))
@@ -130,11 +132,11 @@ def _find_least_noise(films: list[Film], linkage: Linkage) -> tuple[int, FilmEst
 
 
 def exchange_back(estimate: FilmEstimate) -> bool:
-    """Exchange two labels back in frames that then agree with the linkage; return whether any was.
+    """Undo exchanges of two labels in frames that then agree with the linkage; return whether any was undone.
 
-    In such a frame points were left out, and all that can be used agree once two labels are exchanged.
-    Their residuals must have two degrees of freedom or more, so that a stray label rarely agrees by
-    chance. The frame stays as it is if several exchanges agree.
+    A frame qualifies if points were left out of it and all its usable points agree with the linkage once two
+    labels are exchanged. The residuals of the two points must have two degrees of freedom or more, so that a
+    stray label rarely agrees by chance. A frame is not changed if several exchanges agree.
     """
     rows = np.flatnonzero((estimate.film.there & ~estimate.used).any(axis=1))
     if "lengths" in estimate.linkage.free or not len(rows):
@@ -213,7 +215,7 @@ def _find_inliers(estimate: FilmEstimate, starts: list[State]) -> None:
 
 
 def _anneal(estimate: FilmEstimate, state: State, thresholds: tuple[float, ...]) -> tuple[State, Array]:
-    """Return the states that agree with most points, and their costs, shape (n,)."""
+    """Return the state of each frame that agrees with most points, and its weighted cost, shape (n,)."""
     there, variance = estimate.film.there, estimate.variance
     for threshold in thresholds:
         for _ in range(STEPS):
@@ -225,7 +227,7 @@ def _anneal(estimate: FilmEstimate, state: State, thresholds: tuple[float, ...])
 
 
 def _remove_worst(estimate: FilmEstimate) -> None:
-    """Leave out the worst point of each frame until no residual is too large."""
+    """Leave out the point with the largest residual of each frame, until no residual is an outlier."""
     for _ in range(estimate.used.shape[1]):
         estimate.solve()
         found = estimate.residuals()
@@ -238,7 +240,7 @@ def _remove_worst(estimate: FilmEstimate) -> None:
 
 
 def list_faults(estimate: FilmEstimate, found: Residuals) -> list[Fault]:
-    """Return the points that were left out, by reason and names, with their frames."""
+    """Return the faults: points that were left out or exchanged, with reason and frames."""
     film, names, out = estimate.film, estimate.linkage.names, estimate.film.there & ~estimate.used
     places, variance = links.predict_points(estimate.linkage, estimate.state), estimate.variance
     doubt = np.abs(found.share - 1.0).max(axis=2) * variance

@@ -1,4 +1,4 @@
-"""States of a linkage that fit the points of a frame alike."""
+"""Ambiguous states of a linkage: two states that fit the points of a frame equally well."""
 
 from __future__ import annotations
 
@@ -9,34 +9,37 @@ from swimid.points.film import FilmEstimate
 from swimid.points.film_faults import MUCH_WORSE
 from swimid.points.linkage import Array, Flags, State
 
-#: Number of frames whose shapes, and their mirror images, are start values in the search for other states
-#: that fit a frame; and maximum gap that is bridged between two such states, frames.
+#: N_SHAPES is the number of frames whose shapes, and their mirror images, are start values in the search for
+#: other states that fit a frame. MAX_GAP is the maximum gap between frames with all points over which states
+#: are interpolated, frames.
 N_SHAPES, MAX_GAP = 8, 12
-#: Minimum distance of a component of the state from its neighbours that counts as a spike, in 95 %
-#: quantiles of the film: 7.8 standard deviations of normal noise, and four times the maximum of a sine.
+#: Minimum difference between a component of the state and its value in the neighbouring frames that counts as
+#: a spike, in 95 % quantiles of this difference over the film. The limit is 7.8 standard deviations of normal
+#: noise, or four times the maximum of a sine.
 MAX_SPIKE = 4.0
 
 
 def choose_states(estimate: FilmEstimate) -> Flags:
-    """Choose between the states that fit the points of a frame alike, in frames that lack points.
+    """Choose between states that fit the points of a frame equally well, in frames that lack points.
 
-    Without the points of two successive links these may be bent to either side. The states are searched
-    from shapes that the linkage has in other frames, and from their mirror images. The state nearest to
-    the one interpolated between frames with all points is taken.
+    If the points of two successive links are missing, the joint between the links may be bent to either side.
+    The states are searched from shapes that the linkage has in other frames, and from their mirror images.
+    The state nearest to the one interpolated between frames with all points is taken.
 
     Returns
     -------
     ndarray of bool, shape (n, 2 + links)
-        Components that differ in another state with a sum of squares that is not significantly larger,
-        where neighbouring frames do not exclude that state. They exclude a state that is farther from the
-        interpolated one than any frame with all points is from its neighbours over the same gap.
-        Components of the state that is taken are flagged if they are that far away.
+        Flags of ambiguous components. A component is ambiguous if it differs in another state that
+        neighbouring frames do not exclude, and whose sum of squares is not significantly larger. A state is
+        excluded if it is farther from the interpolated state than any frame with all points is from an
+        interpolation over a gap of the same length. Components of the chosen state are also flagged if they
+        are that far away.
     """
     ambiguous = np.zeros((len(estimate.used), 2 + len(estimate.linkage.parent)), dtype=bool)
     seen: Flags = np.asarray(estimate.used.any(axis=1))
     whole: Flags = np.asarray(estimate.used.all(axis=1))
-    # A point that is astray on the circle about its joint agrees with the others. It shows as a bend of
-    # the joint in a single frame.
+    # A stray point on the circle about its joint agrees with the other points. Such a point shows as a bend
+    # of the joint in a single frame.
     at, values = np.flatnonzero(whole), estimate.state.components[whole]
     if len(at) > MAX_GAP:
         first, last = (links.differences(one, values[1:-1]) for one in (values[:-2], values[2:]))
@@ -56,7 +59,7 @@ def choose_states(estimate: FilmEstimate) -> Flags:
 
 
 def _choose(estimate: FilmEstimate, rows: Flags, whole: Flags) -> tuple[Flags, State]:
-    """Return ambiguous components of the states of some frames, and the states that are taken."""
+    """Return flags of the ambiguous components in frames ``rows``, and the chosen states of these frames."""
     weight, seen = estimate.weight[rows], estimate.film.seen[rows]
     shapes = estimate.state.angles[np.linspace(0, len(estimate.used) - 1, N_SHAPES).astype(int), 1:]
     starts = [estimate.state[rows]]
@@ -88,10 +91,10 @@ def _choose(estimate: FilmEstimate, rows: Flags, whole: Flags) -> tuple[Flags, S
 
 
 def _reach(estimate: FilmEstimate, rows: Flags, whole: Flags) -> Array:
-    """Return twice the usual distance of a whole frame from the state interpolated over a like gap.
+    """Return twice the usual distance between a frame with all points and an interpolation over a like gap.
 
-    The usual distance is its 95 % quantile. The result is infinite for gaps of more than :data:`MAX_GAP`
-    frames, and before the first and after the last whole frame.
+    The usual distance is the 95 % quantile over such frames. The result is infinite for gaps of more than
+    :data:`MAX_GAP` frames, and before the first and after the last frame with all points.
     """
     at, frames = np.flatnonzero(whole), np.flatnonzero(rows)
     values = estimate.state.components

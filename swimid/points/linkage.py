@@ -25,12 +25,12 @@ Flags = NDArray[np.bool_]
 #: Number of frames that are solved in one block, which limits the memory.
 BLOCK = 2000
 #: Maximum number of steps of the solver. A frame has converged if a further step decreases the weighted sum
-#: of squares by less than DECREASE. A decrease of 1 is that of one standard deviation.
+#: of squares by less than DECREASE. A deviation of one standard deviation changes the sum by 1.
 MAX_STEPS, DECREASE = 40, 1e-7
 #: Eigenvalues of a scaled normal matrix below this fraction of its largest eigenvalue count as zero.
 SINGULAR = 1e-10
 #: Variance of a direction of the state that the points do not determine, relative to the square of the size
-#: of the linkage. It stands for an infinite variance.
+#: of the linkage. This large variance is used in place of an infinite one.
 UNKNOWN = 1e4
 
 
@@ -83,7 +83,7 @@ class Linkage:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def part(self, names: Sequence[str]) -> Linkage:
-        """Return a linkage that has only the given points, in their order."""
+        """Return a linkage that has only the named points, in the order of ``names``."""
         rows = [self.names.index(name) for name in names]
         return replace(self, names=tuple(names), link=self.link[rows], place=self.place[rows])
 
@@ -103,7 +103,7 @@ class Linkage:
 
     @property
     def carries(self) -> Flags:
-        """Whether each link is that of each point, or lies ahead of it, shape (links, points)."""
+        """Whether each link carries each point, itself or by links behind it, shape (links, points)."""
         found = np.zeros((len(self.parent), len(self.link)), dtype=bool)
         for point, link in enumerate(self.link):
             while link >= 0:
@@ -136,7 +136,7 @@ class Linkage:
         return axes, origins, origins[:, self.link] + axes[:, self.link] * self.place
 
     def turns(self) -> Array:
-        """Return the rotations of the points of each link that has one joint about this joint.
+        """Return the derivatives of points for a rotation of each link that has only one joint about it.
 
         Returns
         -------
@@ -178,7 +178,7 @@ class Linkage:
         return np.concatenate(parts)
 
     def sensitivity(self, axes: Complex, points: Complex) -> Complex:
-        """Return the derivatives of points by the global quantities, shape (n, points, m).
+        """Return the derivatives of points with respect to the m global quantities, shape (n, points, m).
 
         The scale is represented by its logarithm.
         """
@@ -218,7 +218,8 @@ class Linkage:
 def chain(names: tuple[str, ...], lengths: Array) -> Linkage:
     """Return the linkage of a chain of points from front to rear, with a link between successive points.
 
-    The reference point is the first point. A joint at each inner point is numbered from the front.
+    The reference point is the first point. There is a joint at each inner point. The joints are numbered from
+    the front.
     """
     rear = -np.asarray(lengths, dtype=complex)
     count = len(rear)
@@ -264,7 +265,7 @@ def predict_points(linkage: Linkage, state: State) -> Complex:
 
 
 def _derivatives(linkage: Linkage, state: State) -> tuple[Complex, Complex, Complex]:
-    """Return the points, their derivatives by the state, and those by the global quantities."""
+    """Return the points, and their derivatives with respect to the state and to the global quantities."""
     axes, origins, points = linkage.shape(state.angles)
     n, p = points.shape
     slopes = np.ones((n, p, 2 + len(linkage.parent)), dtype=complex)
@@ -278,7 +279,7 @@ def _derivatives(linkage: Linkage, state: State) -> tuple[Complex, Complex, Comp
 
 
 def _inner(a: Complex, weight: Array, b: Complex) -> Array:
-    """Return the weighted inner products of two sets of derivatives over the points, for each frame."""
+    """Return, for each frame, the weighted sum over its points of the products of two sets of derivatives."""
     return np.asarray((np.swapaxes(a.conj() * weight[..., None], 1, 2) @ b).real)
 
 
@@ -294,7 +295,7 @@ def solve_linkage(
     weight : ndarray, shape (n, points)
         Reciprocal variance of each coordinate of each point; 0 for points that are not used.
     state : State
-        Start values. Directions that the points do not determine keep them.
+        Start values. In directions that the points do not determine, the state keeps its start value.
     """
     found = State(state.position.copy(), state.angles.copy())
     for rows in blocks(len(seen)):
@@ -347,15 +348,15 @@ class Residuals:
         Fractions of the variance of a point that remain in its residual (redundancy), along two
         perpendicular axes, for points that are used.
     normalised : ndarray, shape (n, points, 2)
-        Residuals along these axes, divided by their standard deviations. For a point that is not used, the
-        standard deviation is that of its prediction and its noise. 0 along an axis without redundancy.
+        Residuals along these axes, divided by their standard deviations; 0 along an axis without redundancy.
+        For a point that is not used, the standard deviation is that of its prediction and its noise together.
     freedom : ndarray of int, shape (n, points)
         Number of axes with redundancy: degrees of freedom of the sum of squares of ``normalised``.
     covariance : ndarray, shape (n, d, d)
-        Covariance of the state of each frame, with that of the global quantities; 0 in directions that the
-        points do not determine.
+        Covariance of the d components of the state of each frame, including the uncertainty of the m global
+        quantities; 0 in directions that the points do not determine.
     alone : ndarray, shape (n, d)
-        Variances of the state if the global quantities were known.
+        Variances of the state if the global quantities were known exactly.
     cross : ndarray, shape (n, d, m)
         Covariance of the state and the global quantities.
     known : ndarray of bool, shape (n, d)
@@ -377,7 +378,8 @@ class Residuals:
         return np.asarray(np.sum(self.normalised**2, axis=2))
 
 
-#: Minimum redundancy along an axis from which a residual is used.
+#: Minimum redundancy (fraction of the variance of a point that remains in its residual) along an axis.
+#: Residuals with less redundancy are not used.
 MIN_SHARE = 0.01
 
 
@@ -398,7 +400,7 @@ def residuals(linkage: Linkage, seen: Complex, weight: Array, variance: Array, s
 
 
 def _inverses(linkage: Linkage, normal: Array) -> tuple[Array, Array, Flags]:
-    """Return pseudo-inverses of normal matrices, projectors on null spaces, and flags of known states."""
+    """Return pseudo-inverses of normal matrices, projectors on null spaces, flags of known components."""
     scale = np.ones(normal.shape[1])
     scale[2:] = 1.0 / (linkage.scale * linkage.size)
     values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
@@ -455,13 +457,14 @@ class Scores:
     Attributes
     ----------
     value : ndarray, shape (n, m)
-        Negative derivative of each frame.
+        Negative derivatives with respect to the m global quantities, for each frame.
     normal : ndarray, shape (m, m)
         Normal matrix of the global quantities, in the approximation of Gauss and Newton.
     gain : ndarray, shape (n, d, m)
-        Negative change of the state of each frame with the global quantities.
+        Negative derivative of the d components of the state of each frame with respect to the global
+        quantities.
     rest : ndarray, shape (n, d)
-        Change of the state of each frame at unchanged global quantities.
+        Step of the state of each frame if the global quantities do not change.
     """
 
     value: Array
@@ -472,8 +475,8 @@ class Scores:
     def score_covariance(self, axes: Array) -> Array:
         """Return the covariance of the sum of the scores along axes, shape (k, k).
 
-        Its variances are enlarged if the sums over successive blocks of frames vary more than those of
-        independent frames, because errors of a tracker are correlated in time (Liang and Zeger 1986,
+        The variances are enlarged if the sums of the scores over blocks of successive frames vary more than
+        for independent frames, because errors of a tracker are correlated in time (Liang and Zeger 1986,
         doi:10.1093/biomet/73.1.13).
 
         Parameters
@@ -510,13 +513,13 @@ def scores(linkage: Linkage, seen: Complex, weight: Array, state: State) -> Scor
 
 
 def invert_normal_matrix(normal: Array) -> Array:
-    """Return the pseudo-inverse of a normal matrix of global quantities, whose units differ."""
+    """Return the pseudo-inverse of a normal matrix of the global quantities, which have different units."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     sizes = np.outer(size, size)
     return np.asarray(np.linalg.pinv(normal / sizes, rcond=SINGULAR, hermitian=True)) / sizes
 
 
-#: Minimum number of blocks of frames from which the variance of their scores is estimated.
+#: Minimum number of blocks of frames for an estimate of the variance of the scores between blocks.
 MIN_GROUPS = 10
 
 
@@ -583,7 +586,7 @@ def differences(a: Array, b: Array) -> Array:
 
 
 def _interpolate_unknown(time_s: Array, values: Array, known: Flags, turns: bool = False) -> Array:
-    """Return values with those that are not known interpolated in time; 0 if none is known."""
+    """Return values with the unknown ones interpolated in time between known ones; 0 if no value is known."""
     if not known.any():
         return np.zeros(len(values))
     good = values[known]

@@ -1,6 +1,6 @@
 """Map from the picture of a camera to a plane of the world: lens, scale or homography, and heights.
 
-Films (``swimid.tracking``) and points that another program tracked (``points``) use it.
+The module is used for films (``swimid.tracking``) and for points that another program tracked (``points``).
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Plane:
         return ("right", "left")[int(self._jacobian(*self.middle[:, None])[0, 0, 0] < 0)]
 
     def _jacobian(self, x: Array, y: Array) -> Array:
-        """Return the derivatives of world coordinates by column and row of the picture, shape (2, 2, n)."""
+        """Return derivatives of world coordinates with respect to picture coordinates, shape (2, 2, n)."""
         here = self.to_world(x, y)
         return np.stack([self.to_world(x + 1, y) - here, self.to_world(x, y + 1) - here], axis=1)
 
@@ -147,8 +147,8 @@ def plane_of(
 ) -> Plane:
     """Return the map from pixels to the world for a setup and a picture size.
 
-    ``pixel_aspect`` is the width of a pixel relative to its height. A length in pixels is that of pixels down
-    the picture. ``file`` names the setup in messages.
+    ``pixel_aspect`` is the width of a pixel relative to its height. Lengths in pixels are in units of the
+    height of a pixel. ``file`` names the setup in messages.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def plane_of(
 
 
 def _metres_per_pixel(scale: Scale, points: Array, pixel_aspect: float) -> float:
-    """Return the scale that a distance between two calibration points or the setup states; 1 without one."""
+    """Return the scale, m/px, as stated or from two calibration points; 1 if the setup has neither."""
     if scale.metres_per_pixel is not None:
         return scale.metres_per_pixel
     if scale.distance_m is not None:
@@ -218,7 +218,8 @@ def camera_matrix(
 ) -> Array:
     """Return the camera matrix for pictures of the given width and height, px.
 
-    The matrix in the setup is for pictures of the same proportions, or for such with square pixels.
+    The matrix in the setup is for pictures of the same proportions, or for the same pictures with square
+    pixels.
 
     Raises
     ------

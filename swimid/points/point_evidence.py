@@ -1,4 +1,4 @@
-"""Evidence of a pose from tracked points: facts, checks, tables and figures."""
+"""Facts, checks, tables and figures with which a pose from tracked points is reported."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def facts(posed: Posed) -> dict[str, str]:
 
 
 def checks(posed: Posed) -> Iterator[Check]:
-    """Yield the checks for faults, undetermined samples, distances and places."""
+    """Yield the checks for faults, undetermined samples, and wrong distances and places of points."""
     rows, kinds = len(posed.fit.used), dict.fromkeys(("exchanged", "merged", "stray", "lost"), 0)
     for kind, _, count, _ in posed.faults:
         kinds[kind] += count
@@ -192,7 +192,7 @@ def _fold(id: str, title: str, rows: list[dict[str, Any]], caption: str = "") ->
 
 
 def wave_of(posed: Posed | None, frequency_hz: float | None) -> wave.Wave | None:
-    """Return the body wave at the stroke frequency; None without one, or if the film is too short.
+    """Return the body wave at the stroke frequency; None if there is no wave or the film is too short.
 
     The stations are the front ends of the links from the base to the rear, and the rear end of the last.
     """
@@ -216,7 +216,7 @@ def wave_of(posed: Posed | None, frequency_hz: float | None) -> wave.Wave | None
 
 
 def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:
-    """Return a body wave as plain data."""
+    """Return a body wave as plain data: a dict by quantity."""
     found: dict[str, Any] = {"frequency_hz": beat.frequency_hz, "windows": beat.windows}
     for name, one, of in (("wavelength", beat.length, unit), ("wave_speed", beat.speed, f"{unit}_s")):
         found |= {f"{name}_{of}": None, f"{name}_ci95": None}
@@ -263,7 +263,7 @@ def _wave_table(beat: wave.Wave, unit: str) -> Table:
 
 
 def figures(posed: Posed, beat: wave.Wave | None) -> list[Figure]:
-    """Return the figure of the body wave; no figure without one."""
+    """Return the figure of the body wave; no figure if there is no wave."""
     if beat is None:
         return []
     label, panels = f"distance behind the front end ({posed.unit})", []

@@ -37,7 +37,8 @@ class PointScale(Scale):
 
     #: Two tracked points at the distance ``distance_m``.
     between: tuple[str, str] | None = None
-    #: Length in the water for a length that appears to the camera, because the surface refracts the light.
+    #: Ratio of a length in the water to the apparent length that the camera sees through the refracting
+    #: surface.
     refraction: Positive = 1.0
 
     @model_validator(mode="after")
@@ -62,13 +63,14 @@ class PointsFile(yamlio.Document):
     points: dict[str, planar.TrackedPoint] = {}
     #: Points from front to rear of a body without a robot file.
     chain: list[str] = []
-    #: Scale; by default that of the lengths of the links.
+    #: Scale from pixels to metres; by default it is estimated from the lengths of the links.
     scale: PointScale | None = None
     camera: Camera | None = None
     #: Direction in the picture in which a robot in the vertical plane faces. x of the log increases in this
     #: direction.
     facing: Literal["right", "left"] = "right"
-    #: Zero of the joint angles: that of the stated places, or the mean of each angle in the film.
+    #: Zero of the joint angles: given by the stated places of the points, or the mean of each angle in the
+    #: film.
     zero: Literal["stated", "mean"] = "stated"
 
     @property
@@ -121,7 +123,7 @@ class View:
 def linkage_of(body: planar.MultilinkRobot, points: Mapping[str, planar.TrackedPoint], where: str) -> Linkage:
     """Return the linkage of a robot in a plane with tracked points.
 
-    Links on rigid joints become a part of their parent. The coefficients have the values of the file.
+    Links on rigid joints become a part of their parent. Coefficients have the values in the robot file.
 
     Raises
     ------
@@ -134,7 +136,8 @@ def linkage_of(body: planar.MultilinkRobot, points: Mapping[str, planar.TrackedP
     columns = {joint.name: f"joint{k}_rad" for k, joint in enumerate(moving, 1)}
     values = {name: coefficient.value for name, coefficient in body.coefficients.items()}
 
-    #: Index of the moving link of each link, its direction and its front end in the axes of that link.
+    #: By the name of each link: index of the moving link to which it belongs, and its direction and front end
+    #: in the axes of that moving link.
     frames: dict[str, tuple[int, complex, complex]] = {body.links[0].name: (0, 1 + 0j, 0j)}
     parent, joints, mounts, names, order = [-1], [0j], [0.0], [""], [body.links[0].name]
     for joint in _order_joints(body, where):
@@ -275,7 +278,7 @@ def find_tracked_points(columns: Mapping[str, Array]) -> dict[str, tuple[str, st
 
 
 def in_plane(columns: Mapping[str, Array], plane: str) -> Mapping[str, Array]:
-    """Return columns without the y of points in space, if the plane of motion is vertical."""
+    """Return the columns; leave out y of points that have x, y and z if the plane of motion is vertical."""
     if plane == "horizontal":
         return columns
     aside = [name for name in columns if name.endswith("_y_m") and f"{name[:-3]}z_m" in columns]
@@ -296,7 +299,7 @@ def keep_markers(columns: dict[str, Array]) -> None:
             columns[name] = -columns[name]
 
 
-#: Pattern of the rest of the name of a marker's column after the name of the marker.
+#: Pattern of the part of a column name that follows the name of the marker.
 _OF_MARKER = r"[xyz]_(px|m)|confidence"
 
 
@@ -305,12 +308,12 @@ def select_points(
 ) -> tuple[list[str], str]:
     """Return the points that are tracked, in the order of ``names``, and their unit.
 
-    ``where`` has the file that names the points, and the key there.
+    ``where`` has the file that names the points, and the key in this file.
 
     Raises
     ------
     InputError
-        A point is not tracked and not optional, fewer than two are, or their units differ.
+        A point is neither tracked nor optional, fewer than two points are tracked, or their units differ.
     """
     tracked = find_tracked_points(columns)
     if not tracked:
@@ -342,7 +345,7 @@ def point_coordinates(columns: Mapping[str, Array], name: str) -> Complex:
 
 
 def likelihood(columns: Mapping[str, Array], name: str) -> Array:
-    """Return the likelihood, score or confidence of a tracked point, shape (n,); 1 where there is none."""
+    """Return the likelihood, score or confidence of a tracked point, shape (n,); 1 if the log has none."""
     for word in ("likelihood", "score", "confidence"):
         values = columns.get(f"{safe(name)}_{word}")
         if values is not None:
@@ -353,9 +356,10 @@ def likelihood(columns: Mapping[str, Array], name: str) -> Array:
 def in_metres(
     seen: Complex, columns: Mapping[str, Array], view: View, where: str, path: Path
 ) -> tuple[Complex, tuple[float, float] | None]:
-    """Return points in metres for points in pixels with a stated scale.
+    """Return points in metres, converted from pixels with the stated scale.
 
-    The second result is the scale in metres per pixel with its standard error, if two tracked points give it.
+    The second result is the scale in metres per pixel with its standard error, if the scale follows from two
+    tracked points.
     """
     scale = view.scale
     if scale.between is None:
@@ -389,7 +393,7 @@ def in_metres(
 
 
 def start_scale(linkage: Linkage, seen: Complex, there: Flags) -> float:
-    """Return a start value of the scale: the unit of the tracked points for a metre.
+    """Return a start value of the scale: length of a metre in the unit of the tracked points.
 
     Pairs of points of one link have their stated distance. Without such pairs the largest distances of other
     pairs are compared with those of the straight robot.

@@ -40,14 +40,14 @@ MAX_ANGLE_SD = 0.25
 #: Maximum standard deviation of a value that is written to the log, relative to the median of its column.
 #: Other commands weigh all samples alike, and a value with a larger error would act as an outlier.
 MAX_SD_RATIO = OUTLYING
-#: Maximum bias of a distance or a place, in standard deviations of its scatter. With a larger bias a 95 %
-#: interval covers less than 92 %.
+#: Maximum bias of a distance or a place of a point, in standard deviations of its noise. With a larger bias,
+#: a 95 % interval contains the true value with a probability of less than 92 %.
 MAX_BIAS = 0.5
-#: Probability that a film with right distances is reported to have a wrong one.
+#: Probability of a false alarm: a film whose stated distances are all right is reported to have a wrong one.
 WRONG_DISTANCE = 0.01
 #: Maximum relative standard error of a scale that is estimated from the links of a robot.
 MAX_SCALE_SE = 0.05
-#: Hint of an error about a scale that the points do not determine.
+#: Hint in the error message for a scale that the points do not determine.
 SCALE_HINT = "state a scale in the points file: scale: {metres_per_pixel: 0.0005}"
 #: Maximum number of frames that a message lists.
 MAX_LISTED = 5
@@ -57,8 +57,8 @@ MAX_LISTED = 5
 class Distance:
     """Distance of two points of one link: stated in a file, and measured in the film, in the unit of the log.
 
-    For a chain ``stated`` is that of the first half of the film, and ``measured`` that of the second.
-    ``wrong`` is whether the difference is significant and larger than :data:`MAX_BIAS` allows.
+    For a chain, ``stated`` is the distance in the first half of the film, and ``measured`` that in the second
+    half. ``wrong`` is whether the difference is significant and larger than :data:`MAX_BIAS` allows.
     """
 
     names: tuple[str, str]
@@ -71,12 +71,13 @@ class Distance:
 
 @dataclass
 class Posed:
-    """Pose and joint angles of a film, with all findings.
+    """Pose and joint angles from a film of tracked points, with the results of all checks.
 
     Attributes
     ----------
     fit : FilmFit
-        Its linkage is in the unit of the log, and ``fit.linkage.scale`` is 1 if the scale is stated.
+        Estimate of the film. The linkage is in the unit of the log, and ``fit.linkage.scale`` is 1 if the
+        scale is stated.
     stated : Linkage
         Linkage as the files state it.
     columns : dict of str to ndarray, each shape (n,)
@@ -103,7 +104,7 @@ class Posed:
     zero : str
         Zero of the joint angles: ``stated`` or ``mean``.
     swings : dict of str to Swing
-        Mean and amplitude of each joint angle that swings periodically, before the mean is taken off.
+        Mean and amplitude of each joint angle that swings periodically, before the mean is subtracted.
     """
 
     fit: FilmFit
@@ -123,7 +124,7 @@ class Posed:
     swings: dict[str, Swing] = field(default_factory=dict)
 
     def centre(self, columns: dict[str, Array], frequency_hz: float | None) -> None:
-        """Measure the swing of each joint angle, and take off its mean in place if ``zero`` is ``mean``.
+        """Measure the swing of each joint angle; if ``zero`` is ``mean``, subtract its mean in place.
 
         Parameters
         ----------
@@ -166,7 +167,7 @@ class Posed:
 
     @property
     def data(self) -> dict[str, Any]:
-        """Findings as plain data."""
+        """Results of the checks as plain data."""
         linkage, fit = self.fit.linkage, self.fit
         errors, scale = np.sqrt(np.maximum(np.diag(linkage.covariance), 0.0)), None
         if self.scale is not None:
@@ -200,7 +201,8 @@ class Posed:
     def free_coordinates(self) -> dict[str, str]:
         """Coordinates of the places that the film does not determine, such as ``x`` or ``x, y``, by point.
 
-        They have at least half of the largest component of the directions that are not determined.
+        A coordinate is listed if its component of the undetermined directions is at least half of the largest
+        component.
         """
         names, axes = self.fit.linkage.names, self.fit.undetermined
         shares = np.sum(axes**2, axis=1).reshape(2, -1)
@@ -348,7 +350,7 @@ def _invert_scale(linkage: Linkage, where: str) -> tuple[float, float]:
 
 
 def _remove_faults(columns: dict[str, Array], tracked: list[tuple[str, str, str]], fit: FilmFit) -> None:
-    """Put exchanged labels right in the columns of a log, and set points that were left out to NaN."""
+    """Correct exchanged labels in the columns of a log, and set points that were left out to NaN."""
     for axis in range(2):
         pair = [names[axis] for names in tracked]
         values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
@@ -389,7 +391,7 @@ def _linkage(
 def _columns(
     fit: FilmFit, unit: str, plane: str, stated: tuple[float, float] | None, *, relative: bool
 ) -> tuple[dict[str, Array], dict[str, int]]:
-    """Return the columns of pose and joint angles, and the number of frames without each of them.
+    """Return the columns of pose and joint angles, and the number of empty frames in each column.
 
     If the joint angles are ``relative`` to their means, unknown places of points add no error to them.
     """
@@ -488,10 +490,10 @@ def _examine_points(
 def _perspective(seen: Complex, used: Flags, pairs: list[tuple[int, int]]) -> float:
     """Return the relative change of distances on rigid links along the path; 0 if it is not significant.
 
-    A linear function of the place in the picture is fitted to the relative distances, and also of the
-    direction if this turns by more than 60 degrees, because of pixels that are not square. It is significant
-    if it predicts the distances of blocks of frames to which it was not fitted: the decrease of the sum of
-    squares is then three standard errors above zero.
+    A linear function of the position in the picture is fitted to the relative distances. If the direction of
+    the links turns by more than 60 degrees, the function also depends on this direction, because pixels may
+    not be square. The function is significant if it reduces the sum of squares in held-out blocks of frames
+    by at least three standard errors.
     """
     parts = []
     for i, j in pairs:
@@ -520,8 +522,8 @@ def _perspective(seen: Complex, used: Flags, pairs: list[tuple[int, int]]) -> fl
     return float(np.ptp(design @ slope * table[:, 6]))
 
 
-#: Number of blocks of frames in the test for perspective, and maximum relative change of distances along the
-#: path, which is that of markers in a film.
+#: BLOCKS is the number of blocks of frames in the test for perspective. MAX_PERSPECTIVE is the maximum
+#: relative change of distances along the path; films with markers have the same limit.
 BLOCKS, MAX_PERSPECTIVE = 12, 0.02
 #: Minimum number of frames from which a distance or a mean residual is judged.
 MIN_FRAMES = 24

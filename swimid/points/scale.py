@@ -30,7 +30,8 @@ class Heights(Document):
 class Scale(Document):
     """Scale from pixels to metres.
 
-    It is a factor, two points and their distance, or at least four points with their coordinates in metres.
+    The scale is stated as a factor, as two points and their distance, or as at least four points with their
+    coordinates in metres.
     """
 
     metres_per_pixel: Positive | None = None

@@ -1,6 +1,7 @@
 """Drafts of the files of a project, made of groups of recordings that were made in the same way.
 
-A draft states what the recordings state. Everything else is ``ASK``, which every command refuses.
+A draft contains the values that the recordings state. Every other value is ``ASK``; every command refuses a
+file with ``ASK``.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ from swimid.tracking.track_setup import SetupDraft, track_setup
 NAMED = {"as": "log"}
 #: Folder of the run of the plan, in the project.
 RUN = "run"
-#: Maximum number of films in which one marker is found that are searched for a second one.
+#: Maximum number of films of a group that are searched for a second marker, if only one marker is found in
+#: them.
 MAX_SETUPS = 4
 #: Maximum difference between the rows of a tracker's table and the frames of its film. Some containers state
 #: one or two frames more than they contain (:class:`swimid.tracking.frames.Video`).
@@ -66,7 +68,8 @@ class RecordingGroup:
     rates_hz : dict of Path to float
         Frame rates of the films of which the recordings are tables.
     companions : list of Group
-        Groups of tables of the same trials: each recording has the name of one of this group, and more.
+        Groups of tables of the same trials. The name of each table begins with the name of a recording of
+        this group.
     fitting : list of str
         Experiments that the trials file may state.
     experiment, robot : str
@@ -106,7 +109,8 @@ class Project:
     experiment_file : Path or None
         Python file with experiments of the user.
     missing : list of str
-        What must be done before the files can be used, besides the answers: sentences with a command.
+        Further steps before the files can be used, besides answers to the questions: sentences with a
+        command.
     inertial : list of (Path, Path, str)
         Inertial logs, each with the recording of the same trial and its mapping.
     optional : list of str
@@ -114,7 +118,7 @@ class Project:
     robot_text : str
         Robot file with links that is drafted from a file in MJCF or URDF; empty without one.
     robot_asks : list of str
-        Questions of this robot file.
+        Questions that the drafted robot file asks the user.
     """
 
     folder: Path
@@ -138,7 +142,7 @@ class Project:
     def fitting(self, group: RecordingGroup) -> list[str]:
         """Return the experiments whose columns the logs of a group have; all if the columns are unknown.
 
-        Those that need most columns come first.
+        The experiments that need most columns come first.
         """
         alone = self.kinds.get(group.first.kind)
         if alone is not None:
@@ -164,7 +168,7 @@ class Project:
 def groups_of(recordings: Iterable[SurveyedFile]) -> list[RecordingGroup]:
     """Return the groups of recordings that were made in the same way, films last.
 
-    A film of which a tracker's table is there is not tracked again.
+    A film is not tracked again if the folder has a table of its points from another tracker.
     """
     order = ("", "log", "points", "table", "choice", "film")
     usable = [one for one in recordings if one.is_alone or one.kind in order]
@@ -184,7 +188,7 @@ def groups_of(recordings: Iterable[SurveyedFile]) -> list[RecordingGroup]:
 
 
 def _match_films(recordings: list[SurveyedFile]) -> tuple[set[Path], dict[Path, float]]:
-    """Return the films of which a tracker's table is there, and the frame rate of each of these tables."""
+    """Return the films of which the folder has a table of tracked points, and frame rates of the tables."""
     tracked: set[Path] = set()
     rates: dict[Path, float] = {}
     films = [one for one in recordings if one.kind == "film"]
@@ -199,7 +203,7 @@ def _match_films(recordings: list[SurveyedFile]) -> tuple[set[Path], dict[Path, 
 
 
 def _namesake(table: SurveyedFile, others: Iterable[SurveyedFile]) -> SurveyedFile | None:
-    """Return the recording whose name begins the name of a table; if several, that in the same folder."""
+    """Return the recording with whose name the name of a table begins; if several, the one in its folder."""
     name, found = table.path.stem, []
     for other in others:
         stem = other.path.stem
@@ -209,9 +213,10 @@ def _namesake(table: SurveyedFile, others: Iterable[SurveyedFile]) -> SurveyedFi
 
 
 def pair_groups(groups: list[RecordingGroup]) -> list[RecordingGroup]:
-    """Return the groups that get a trials file, and add groups of tables of the same trials to them.
+    """Return the groups that get a trials file; add groups of tables of the same trials as companions.
 
-    ``swim1_servo.csv`` belongs to ``swim1.mp4`` if each table like it has its film, log or points.
+    For example, ``swim1_servo.csv`` belongs to ``swim1.mp4``. Every table of a group must have such a film,
+    log or table of points.
     """
     bases = [group for group in groups if group.first.kind in ("film", "points", "log")]
     kept: list[RecordingGroup] = []
@@ -225,7 +230,7 @@ def pair_groups(groups: list[RecordingGroup]) -> list[RecordingGroup]:
 
 
 def _find_base(group: RecordingGroup, bases: list[RecordingGroup]) -> RecordingGroup | None:
-    """Return the group of the same trials, to which the tables of a group belong; None if there is none."""
+    """Return the group of recordings of the same trials as the tables of a group; None if there is none."""
     others = [one for base in bases if base is not group for one in base.recordings]
     names = [_namesake(one, others) for one in group.recordings]
     pairs = zip(group.recordings, names, strict=True)
@@ -346,7 +351,7 @@ def _of_points(project: Project, group: RecordingGroup, progress: Progress) -> N
 
 
 def _of_table(project: Project, group: RecordingGroup, progress: Progress) -> None:
-    """Add a mapping of a table."""
+    """Add the drafted mapping of the tables of a group."""
     name = f"{group.name}.map.yaml"
     group.steps = [{"import": {"map": name}}]
     text = guess_mapping(group.first.path).document
@@ -378,7 +383,7 @@ def _of_log(project: Project, group: RecordingGroup, progress: Progress) -> None
     group.columns = group.first.columns
 
 
-#: Function that adds the files for a group, by the kind of its recordings.
+#: Functions that add the files for a group to a project, by the kind of the recordings in the group.
 DRAFTS = {
     "film": _of_film,
     "points": _of_points,
@@ -391,7 +396,7 @@ def _add_companions(project: Project, group: RecordingGroup, progress: Progress)
     """Add the mapping that joins the tables of the same trials to the logs of a group, by their names.
 
     The clock of each table is aligned by a commanded joint angle and the heading. An inertial log is not
-    joined, because ``track imu`` fuses it with the log.
+    joined, because ``track imu`` estimates the motion from it together with the log.
     """
     joined: list[str] = []
     for companion in group.companions:
@@ -480,7 +485,7 @@ def _logs_of(project: Project) -> dict[Path, str]:
 
 
 def _add_trials(project: Project, group: RecordingGroup, logs: list[str], notes: list[SurveyedFile]) -> None:
-    """Add the trials file of a group, whose recordings have these logs."""
+    """Add the trials file of a group. ``logs`` has the path of the log of each recording."""
     fitting, kinds = project.fitting(group), project.kinds
     group.experiment = experiment = _choose_experiment(project, group, fitting, notes)
     kind = kinds.get(experiment)
@@ -534,7 +539,8 @@ def _choose_experiment(
 ) -> str:
     """Return the experiment of a group among those that its columns fit; ``ASK`` if it is not known.
 
-    The logs or the user state it, or they state the keys that only one experiment asks for.
+    The experiment is known if the logs or the user state it, or if they state keys that only one experiment
+    needs.
     """
     stated = {str(one.metadata["experiment"]) for one in group.recordings if one.metadata.get("experiment")}
     given = [*stated] * (len(stated) == 1) + [str(project.experiment)]
@@ -561,7 +567,7 @@ def _idents(group: RecordingGroup) -> list[str]:
 
 
 def _keys(kind: type[Trials] | None) -> set[str]:
-    """Return the keys of a trial that a table of recordings may state; those of the drive are among them."""
+    """Return the keys of a trial that a table of recordings may state, including the keys of the drive."""
     entry = kind and kind.entry
     if entry is None:
         return {"role"}
@@ -570,7 +576,7 @@ def _keys(kind: type[Trials] | None) -> set[str]:
 
 
 def _key_of(header: str, keys: Iterable[str]) -> tuple[str, float] | None:
-    """Return the key that the header of a column names, and the factor from its unit to that of the key.
+    """Return the key that a column header names, and the factor from its unit to the unit of the key.
 
     >>> _key_of("Frequency [Hz]", ["frequency_hz"]), _key_of("pulling mass (g)", ["pulling_mass_kg"])
     (('frequency_hz', 1.0), ('pulling_mass_kg', 0.001))

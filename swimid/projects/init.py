@@ -23,14 +23,15 @@ from swimid.results.evidence import Table
 from swimid.results.result import Result, table_text
 from swimid.robots import file as robot_format
 
-#: Maximum number of questions and of files that the terminal shows. The README of the project has all.
+#: Maximum number of questions and of files that the terminal shows. The README of the project lists all of
+#: them.
 MAX_LISTED_ENTRIES = 12
 #: Maximum number of questions of one file that the terminal shows one by one.
 MAX_LINES = 4
 
 
 class Drafted(Result):
-    """Result of ``init``: what was found, the questions, and the commands.
+    """Result of ``init``: recordings that were found, questions to the user, and next commands.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ def init(
     force: bool = False,
     progress: Progress = silent,
 ) -> Drafted:
-    """Look at a folder of recordings, and draft the files to work with them.
+    """Examine a folder of recordings, and draft the files that are needed to work with them.
 
     Parameters
     ----------
@@ -94,7 +95,8 @@ def init(
     written: list[Path] = []
     with atomic.write_together():
         if output is not None:
-            # Paths of the plan are looked up from the folder, which is removed again after an error.
+            # Make the folder first, because the paths in the plan are relative to it. It is removed again
+            # after an error.
             atomic.make_folder(target)
         data = _draft_files(project, source, recordings, progress)
         if output is not None:
@@ -136,7 +138,7 @@ def _add_robot(project: Project, source: Path) -> None:
 def _draft_files(
     project: Project, source: Path, recordings: list[SurveyedFile], progress: Progress
 ) -> dict[str, Any]:
-    """Add all files to a project, and return what was found, the questions and the commands as plain data."""
+    """Add all files to a project; return recordings, questions and commands as plain data."""
     notes = [one for one in recordings if one.kind == "notes"]
     drafts.draft(project, drafts.groups_of(recordings), notes, progress)
     shown = project.all_groups()
@@ -196,7 +198,7 @@ def _commands(project: Project) -> list[str]:
 
 
 def _describe_project(project: Project, data: dict[str, Any]) -> str:
-    """Return the text that the command prints: groups, other files, and what is to be answered."""
+    """Return the text that the command prints: groups, other files, and open questions."""
     rows = [
         [group.name, str(len(group.recordings)), group.first.path.name, group.first.about]
         for group in project.all_groups()

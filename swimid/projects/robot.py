@@ -1,7 +1,7 @@
 """Command ``swimid robot``: draft of a robot file from a file in MJCF or URDF.
 
-The draft has links, joints, masses, inertias, springs, actuators and markers of the file. Without water both
-models are simulated with the same commands, and the difference is stated.
+The draft has links, joints, masses, inertias, springs, actuators and markers of the file. The drafted robot
+and the model in MuJoCo are simulated without water with the same commands, and the difference is stated.
 """
 
 from __future__ import annotations
@@ -29,17 +29,21 @@ from swimid.swimmer.planar.model import MultilinkModel
 ROOT = re.compile(r"<(mujoco|robot)[\s>]")
 #: Part of a robot file that is drafted.
 DRAFTED_PARTS = frozenset({"multilink"})
-#: Duration (s) and step (s) of the comparison without water, and frequency of its commands, Hz.
+#: Simulations without water that compare a draft with MuJoCo: duration (s), time step (s), and frequency of
+#: the commands (Hz).
 COMPARED_S, STEP_S, COMPARED_HZ = 2.0, 5e-4, 1.0
-#: Command of an actuator without a range, and angle from which a robot without actuators is released, rad.
+#: Motions in these simulations: amplitude of the command of an actuator without a range (COMMAND), and joint
+#: angle from which a robot without actuators is released, rad (RELEASED_RAD).
 COMMAND, RELEASED_RAD = 0.2, 0.3
-#: Initial velocity (m/s, m/s, rad/s) of a robot without joints.
+#: Initial velocity (m/s, m/s, rad/s) of a robot without joints in these simulations.
 DRIFT = np.array([0.2, 0.1, 0.5])
-#: Largest difference from MuJoCo without water, over the range of a coordinate, of a draft that moves alike.
+#: Maximum difference of a coordinate between a draft and MuJoCo without water, relative to the range of the
+#: coordinate. A draft within this limit counts as equal.
 MAX_RELATIVE_DIFFERENCE = 1e-3
-#: Range of a coordinate up to which it counts as still, m or rad.
+#: Maximum range of a coordinate that counts as constant, m or rad.
 STILL_RANGE = 1e-6
-#: Maximum cosine between an axis and the normal of the plane of motion by which both are parallel.
+#: Tolerance for parallel axes: maximum norm of the cross product of two unit vectors, and maximum deviation
+#: of the magnitude of their scalar product from 1.
 PARALLEL = 1e-6
 #: Start values and bounds of the coefficients of the drafted forces of the water.
 WATER = {
@@ -156,7 +160,7 @@ def find_robot(folder: Path) -> tuple[Path, str, list[str]] | None:
 
 
 def _draft_robot(path: Path, options: RobotOptions) -> tuple[_Draft, str, dict[str, float]]:
-    """Return the draft of a file, its text, and its differences from MuJoCo without water."""
+    """Return the draft from a file, its text, and its differences from MuJoCo in motion without water."""
     draft = _Draft(path, options)
     document = draft.document()
     try:
@@ -247,7 +251,8 @@ class _Draft:
         geoms = np.flatnonzero(self.compiled.geom_bodyid == body)
         corners = [self.data.xpos[body]]
         if not len(geoms):
-            # a body without geometry reaches as far beyond its centre of mass as its origin lies before it
+            # A body without geometry is taken to extend as far beyond its centre of mass as its origin lies
+            # before it.
             corners.append(2.0 * self.data.xipos[body] - self.data.xpos[body])
         for geom in geoms:
             centre, half = np.split(self.compiled.geom_aabb[geom], 2)
@@ -301,7 +306,7 @@ class _Draft:
         bodies = self.bodies
         links = [self._link(body) for body in bodies]
         if fixed:
-            # the first link of a robot file holds the base
+            # The first link of a robot file is the base.
             links.insert(0, {"name": "base", "length_m": 0.1, "mass_kg": 1.0, "com_m": 0.05,
                              "inertia_kg_m2": 0.001, "inertia_about": "com"})  # fmt: skip
         inputs, torques, gains = self._actuators()
@@ -351,7 +356,7 @@ class _Draft:
         }  # fmt: skip
 
     def sign(self, joint: int) -> float:
-        """Return the sign of a joint angle of the file against that of the draft."""
+        """Return 1 if a joint angle has the same sign in the file and in the draft, and -1 if not."""
         return float(np.sign(self.data.xaxis[joint] @ self.normal))
 
     def _joint(self, body: _Body, torques: Mapping[int, Any], gains: Mapping[int, Array]) -> dict[str, Any]:
@@ -391,7 +396,8 @@ class _Draft:
     def _actuators(self) -> tuple[dict[str, Any], dict[int, Any], dict[int, Array]]:
         """Return the inputs, and the torque and the additional spring and damper of each driven joint.
 
-        A servo ``k (u - q) - d q'`` is a torque ``k u`` beside a spring k and a damper d.
+        A servo with the torque ``k (u - q) - d q'`` (command u, joint angle q) becomes a torque ``k u``, a
+        spring k and a damper d.
         """
         compiled, module = self.compiled, mujoco()
         inputs: dict[str, Any] = {}
@@ -436,7 +442,7 @@ class _Draft:
         return [(int(compiled.wrap_objid[w]), gear * float(compiled.wrap_prm[w])) for w in wraps]
 
     def _markers(self) -> dict[str, Any]:
-        """Return the entry ``points`` of the draft: link and place of each site."""
+        """Return the entry ``points`` of the draft: link and position on the link, for each site."""
         points = {}
         for site in range(self.compiled.nsite):
             body = next((b for b in self.bodies if b.number == self.compiled.site_bodyid[site]), None)
@@ -459,7 +465,7 @@ class _Draft:
 def _draft_forces(draft: _Draft, density: float) -> tuple[list[Any], dict[str, Any]]:
     """Return the forces of the water on each link, and their coefficients.
 
-    Each link is an ellipsoid of equal extent for its added mass, and a plate for its drag.
+    For its added mass, each link is taken as an ellipsoid of the same extent; for its drag, as a plate.
     """
     elements: list[Any] = []
     if draft.plane == "vertical" and np.any(draft.compiled.opt.gravity):
@@ -524,7 +530,7 @@ def _compute_added_mass(a: float, b: float, c: float, density: float) -> tuple[f
 def _compare(draft: _Draft, made: Robot) -> dict[str, float]:
     """Return the differences of the drafted robot from MuJoCo without water.
 
-    Each is divided by the range of its coordinate. Both have the same commands.
+    Each difference is divided by the range of its coordinate. Both models get the same commands.
     """
     times = np.arange(0.0, COMPARED_S + 0.5 * STEP_S, STEP_S)
     commands = _commands(draft, times)
@@ -588,7 +594,7 @@ def _simulate_mujoco(
 ) -> dict[str, Array]:  # fmt: skip
     """Return pose and joint angles in MuJoCo without water, contacts and limits.
 
-    MuJoCo holds a command over a step, so it gets that of the middle of the step.
+    MuJoCo holds a command over a step, so that it gets the command at the middle of the step.
     """
     module, compiled, base = mujoco(), draft.compiled, draft.bodies[0]
     for name, value in (("density", 0.0), ("viscosity", 0.0), ("timestep", STEP_S)):
@@ -624,7 +630,7 @@ def _in_body(draft: _Draft, base: _Body) -> Array:
 
 
 def _describe_draft(draft: _Draft, differences: Mapping[str, float]) -> str:
-    """Return the draft in words."""
+    """Return a description of the draft, as the command prints it."""
     lines = [f"Robot of {draft.path.name}: {len(draft.bodies)} links in the {draft.plane} plane"]
     lines += [f"  ASK {one}" for one in draft.asks]
     lines += [f"  not expressed: {one}" for one in draft.left_out]

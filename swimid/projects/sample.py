@@ -23,7 +23,7 @@ SAMPLE_FOLDERS = (Path(__file__).parents[1] / "sample_logs", Path(__file__).pare
 
 
 class Sample(Result):
-    """Result of ``sample``. Its ``data`` has the folder and the command for the sample, or all samples."""
+    """Result of ``sample``. Its ``data`` has folder and next command of a sample, or a list of samples."""
 
     def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the command for the copied sample, or the command that copies the first sample."""

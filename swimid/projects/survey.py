@@ -19,11 +19,11 @@ from swimid.points.point_files import find_tracked_points
 from swimid.tracking.frames import PICTURE_EXTENSIONS as PICTURES
 from swimid.tracking.frames import Video
 
-#: Endings of films. FFmpeg decodes all of them.
+#: File name extensions of films. FFmpeg decodes all of these formats.
 FILMS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts", ".mjpeg", ".mj2")
-#: Endings of tables, in addition to those of the formats that can be read.
+#: File name extensions of tables, in addition to those of the formats that can be read.
 TABLES = (".tsv", ".tdms", ".c3d", ".lvm", ".nc", ".json", ".trc", ".mot", ".sto", ".kva", ".bin", "")
-#: Endings of files that swimid or an editor leaves beside others, and that are passed over.
+#: Pattern of the names of files that swimid or an editor writes beside other files. These files are ignored.
 SIDE_FILES = re.compile(r".*(\.evidence\.json|\.partial|\.lock|\.markers\.png|~)|\..*|__pycache__")
 #: Minimum number of pictures with numbers in their names that count as a film.
 MIN_PICTURES = 10
@@ -44,7 +44,7 @@ class SurveyedFile:
     about : str
         Content in words, or the reason why it cannot be read.
     alike : tuple
-        Recordings with equal values were made in the same way.
+        Values that describe how a recording was made. Recordings with equal values form a group.
     columns : tuple of str
         Names of the columns of a table.
     rate_hz : float
@@ -88,7 +88,7 @@ def survey(
     kinds : mapping of str to class
         Experiments by name, of which some have one table instead of logs.
     left_out : Path, optional
-        Folder that is passed over: that of the project.
+        Folder that is ignored, which is the folder of the project.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def recognise(path: Path, kinds: Mapping[str, type[Trials]]) -> SurveyedFile:
     except InputError as error:
         if several(error):
             return SurveyedFile(path, "choice", f"{error.reason}. {error.hint}")
-        # A text without rows of numbers, such as a licence, is no damaged recording.
+        # A text without rows of numbers, such as a licence, does not count as a damaged recording.
         kind = "other" if ending in (".txt", "") else "damaged"
         return SurveyedFile(path, kind, error.reason)
     return SurveyedFile(path, "other", "no recording")
@@ -190,9 +190,9 @@ def _table(path: Path, kinds: Mapping[str, type[Trials]]) -> SurveyedFile:
 
 
 def _with_role(one: SurveyedFile, names: set[str]) -> SurveyedFile:
-    """Return a table as ``notes`` if all cells of one of its columns name recordings of the folder.
+    """Return a table with the kind ``notes`` if all cells of one of its columns name recordings.
 
-    Another table with few rows is no recording.
+    Any other table with few rows does not count as a recording.
     """
     for name, cells in one.cells.items():
         if cells and all(cell in names for cell in cells):

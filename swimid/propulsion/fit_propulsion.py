@@ -29,9 +29,9 @@ from swimid.results import numbers
 from swimid.results.parameters import Estimate, Fitted, ParameterFile
 
 #: Limits for a beat frequency whose runs depart from the recoil law. A frequency is left out of the fit if
-#: the mean speed deviates by more than the first limit (relative) and by more than the second (in standard
-#: errors). At least ``MIN_LEVELS`` frequencies stay in the fit, and at most a third of the frequencies is
-#: left out.
+#: the relative deviation of the mean speed exceeds DEPARTURE_RTOL, and the deviation in standard errors
+#: exceeds DEPARTURE_Z. At least MIN_LEVELS frequencies stay in the fit, and at most a third of the
+#: frequencies is left out.
 DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
 #: Exponents of beat frequency and amplitude in the propulsive power according to the recoil law.
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
@@ -52,8 +52,8 @@ COLUMNS = {
     "Strouhal, axle": ("strouhal_axle", 1.0),
     "efficiency (%)": ("efficiency", 100.0),
 }
-#: Type of the result of a propulsion fit: parameter file, checks, and further fields of the evidence (title,
-#: tables, figures, methods) by name.
+#: Type of the result of a propulsion fit: parameter file, checks, and further fields of the evidence file
+#: (title, tables, figures, methods) by name.
 Made = tuple[ParameterFile, list[ev.Check], dict[str, Any]]
 #: Exponent of the beat amplitude in the power law of thrust in straight swimming.
 AMPLITUDE_EXPONENT = 2.0
@@ -298,7 +298,7 @@ def _predict_fins(
 ) -> ev.Check:
     """Return a check of the speeds of each fin, predicted by a fit to the other fins.
 
-    Only a fin with a known inertia can be predicted. The check does not pass with fewer than two of them.
+    Only a fin with a known inertia can be predicted. The check does not pass with fewer than two such fins.
     """
     errors, known = [], [trial for trial in trials if model.fins[trial.id] is not None]
     if len(known) > 1:
@@ -561,7 +561,7 @@ def _speed_figure(
 ) -> ev.Figure:
     """Return the figure of the average speed of cruise runs over beat frequency and over beat amplitude.
 
-    It shows the measured runs as points and the fitted recoil law as lines.
+    The figure shows the measured runs as points and the fitted recoil law as lines.
     """
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])

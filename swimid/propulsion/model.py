@@ -1,4 +1,8 @@
-"""Models of propulsion by a caudal fin: the energy recoil law, and a model of beat-averaged surge."""
+"""Models of propulsion by a caudal fin: the energy recoil law, and a model of beat-averaged surge.
+
+Equation numbers are those of W. L. Chan et al., "Experimental Parameter Identification and Performance
+Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,7 @@ MAX_ITERATIONS = 60
 
 
 def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
-    """Return the hydrodynamic moment of inertia of a rectangular fin, kg m2 (boxfish paper, Eq 6).
+    """Return the hydrodynamic moment of inertia of a rectangular fin, kg m2 (Chan et al., boxfish, Eq 6).
 
     >>> round(1e7 * plate_inertia(height_m=0.0875, length_m=0.0437, axle_gap_m=0.007, density_kg_m3=997), 1)
     1272.8
@@ -39,12 +43,12 @@ def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_k
 
 
 def velocity_ratio(b1: Array | float, distance_m: Array | float) -> Array:
-    """Return the average speed of a run from rest divided by the terminal speed (boxfish paper, Eq 25).
+    """Return the average speed of a run from rest divided by the terminal speed (Chan et al., Eq 25).
 
     Parameters
     ----------
     b1 : float, 1/m
-        Coefficient ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
+        Coefficient ``rho C_d A / (2 (m_f + m_a))`` of Eq 23, with the mass m_f and the added mass m_a.
     distance_m : float, m
         Displacement from the point of rest, over which the speed is averaged.
 
@@ -60,7 +64,7 @@ def compute_cruise_speed(power: Array, c: Mapping[str, float]) -> Array:
     """Return the steady speed at which drag consumes a given propulsive power, m/s.
 
     The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``. It is zero if the power
-    is not positive. For quadratic drag alone it is ``(power / quadratic)^(1/3)`` (Eq 26).
+    is not positive. For quadratic drag alone it is ``(power / quadratic)^(1/3)`` (Chan et al., Eq 26).
 
     Parameters
     ----------
@@ -106,7 +110,8 @@ def compute_mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, f
 
     Notes
     -----
-    The equation of motion is ``mass v' = quadratic (v1 - v) (v + v2)`` with ``v2 = v1 + linear / quadratic``.
+    With the terminal speed v1, the equation of motion is ``mass v' = quadratic (v1 - v) (v + v2)``, where v2
+    is ``v1 + linear / quadratic``.
     Define ``y = -log(1 - v / v1)``, ``rho = v2 / v1`` and ``scale = mass / (quadratic (1 + rho))``. Then the
     distance is ``scale (y - rho log(1 + (1 - exp(-y)) / rho))``, and the time is ``scale (y + log(1 + (1 -
     exp(-y)) / rho)) / v1``. Without linear drag the result is Eq 25.
@@ -128,7 +133,7 @@ def compute_mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, f
 
 
 def strouhal(frequency_hz: float, amplitude_rad: float, lever_m: float, terminal_speed_m_s: float) -> float:
-    """Return the Strouhal number of a flapping fin from its wake width (boxfish paper, Eq 28).
+    """Return the Strouhal number of a flapping fin from its wake width (Chan et al., boxfish, Eq 28).
 
     The number is ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)``. In the nomenclature of
     the paper the lever is the length of the fin. The values that the paper prints agree better with the
@@ -163,10 +168,12 @@ class SurgeScales(Scales):
 
 
 class RecoilModel(Model):
-    """Model of the average speed of cruise runs by the energy recoil law (boxfish paper, Eqs 5, 25-27).
+    """Model of the average speed of cruise runs by the energy recoil law (Chan et al., Eqs 5, 25-27).
 
-    The recoil law is ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)`` with p = 3
-    and q = 2. Both exponents can be freed to test the law.
+    The recoil law is ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)`` for the
+    average speed v. R_v is the velocity ratio, eta the efficiency, I the inertia of the fin, f the beat
+    frequency, theta the amplitude, theta_off its offset, and ``rho C_d A / 2`` the drag factor. The exponents
+    p = 3 and q = 2 can be freed to test the law.
 
     A trial has all runs of one fin. Its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` of
     each run. :attr:`Trial.cruise` has the known quantities of the fin. For a fin of unknown inertia the model
@@ -233,7 +240,7 @@ class RecoilModel(Model):
         # efficiency are nearly independent.
         f_mid, a_mid = known.middle
         f, a = stroke.frequency_hz / f_mid, np.maximum(stroke.amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
-        # Compute the propulsive power of each run, W (boxfish paper, Eqs 5, 27).
+        # Compute the propulsive power of each run, W (Chan et al., Eqs 5, 27).
         factor = 8 * efficiency * np.pi**2 * stroke.inertia_kg_m2
         power = stroke.thrust * (factor * f_mid**3 * f**p * a_mid**2 * a**q)
         c = hooks.change_values(self.resistance(), "coefficients")
@@ -253,9 +260,10 @@ class RecoilModel(Model):
 class SurgeModel(Model):
     """Model of the beat-averaged surge in straight swimming, with a power law of thrust and quadratic drag.
 
-    The equation of motion is ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|``, with an initial speed for
-    each trial. The exponent n is 2 unless it is freed. The exponent m is estimated if the trials have several
-    frequencies. :attr:`Trial.surge` has the known quantities of a trial.
+    The equation of motion is ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` for the surge u, with the
+    beat amplitude A and frequency f, and an initial speed for each trial. The exponent n is 2 unless it is
+    freed. The exponent m is estimated if the trials have several frequencies. :attr:`Trial.surge` has the
+    known quantities of a trial.
     """
 
     name = "surge-propulsion"

@@ -36,7 +36,7 @@ RIGS = ("falling-weight", "towed", "free-decay")
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
     """Return the hydrodynamic inertia of each fin, kg m2; None if it is unknown.
 
-    An inertia that the robot file does not state is computed for a rectangular fin (boxfish paper, Eq 6).
+    An inertia that the robot file does not state is that of a rectangular fin (Chan et al., boxfish, Eq 6).
     """
     inertias: dict[str, float | None] = {}
     for fin in dict.fromkeys(fins):
@@ -149,8 +149,8 @@ Row = tuple[int | None, dict[str, str]]
 class CruiseTable:
     """Table of timed runs in which a robot swims a known distance from rest (cruise table).
 
-    The mean speed of a run without a measurement is NaN. ``source`` is the entry of the table in the
-    provenance.
+    The mean speed of a run without a measurement is NaN. ``source`` is the file path or the table, as the
+    provenance records it.
     """
 
     path: Path
@@ -263,7 +263,7 @@ def _numbers(rows: list[Row], name: str, path: Path) -> Array:
 
 
 def table_columns(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
-    """Return the columns of a table of cruises, without the speed, from the inputs of a trial."""
+    """Return the columns of a table of cruises, without the speed, by name, from the inputs of a trial."""
     return {
         "fin": [fin] * len(inputs["frequency_hz"]),
         "frequency_hz": inputs["frequency_hz"],

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 #: Width of a panel of a figure (one journal column) and its default height, inches.
 WIDTH, HEIGHT = 3.5, 2.3
-#: Total height of a figure of three or more panels, and minimum height of one panel, inches.
+#: Maximum total height of a figure of three or more panels, and minimum height of one of its panels, inches.
 TALLEST, LOW = 5.1, 1.2
 #: Space that labels and title need around the axes of a panel, in width and in height, inches.
 AXES_MARGIN_INCH = 0.6
@@ -223,7 +223,7 @@ def _points(
 
 
 def _scales(axes: Axes, panel: Panel) -> None:
-    """Set scales, ticks and categories of the axes of a panel."""
+    """Set the scales, ticks and category names of the axes of a panel."""
     _scale_axis(axes, panel, "x")
     _scale_axis(axes, panel, "y")
     for names, axis in ((panel.x_categories, axes.xaxis), (panel.y_categories, axes.yaxis)):
@@ -339,7 +339,7 @@ def _heat(axes: Axes, heat: Heat) -> None:
 
 
 def _height(panel: Panel, panels: int = 1) -> float:
-    """Return the height of a panel, inches. It depends on its content and on the number of panels."""
+    """Return the height of a panel, inches, from its content and from the number of panels of its figure."""
     if panel.heat is not None:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
@@ -350,7 +350,7 @@ def _height(panel: Panel, panels: int = 1) -> float:
 
 
 def is_to_scale(panel: Panel) -> bool:
-    """Return whether a panel is drawn with equal scales on both axes. A flat path is not."""
+    """Return whether a panel is drawn with equal scales on both axes. A flat path has different scales."""
     return panel.equal_aspect and _shape(panel) > MIN_SHAPE
 
 
@@ -374,8 +374,8 @@ def canvas(
 ) -> Canvas:
     """Draw all panels of several figures below each other in one matplotlib figure, and return it.
 
-    It is as wide as a journal column. A panel has no legend if the panel above shows all its labels. Panels
-    with the same horizontal range share the horizontal axis.
+    The matplotlib figure is as wide as a journal column. A panel has no legend if the panel above shows all
+    its labels. Panels with the same horizontal range share the horizontal axis.
 
     Parameters
     ----------
@@ -464,9 +464,9 @@ def write(
 
 
 def _number_clips(text: str, prefix: str) -> str:
-    """Derive the ids of the clip paths in the text of an SVG file from a prefix and their order.
+    """Replace the ids of the clip paths in the text of an SVG file by a prefix and a serial number.
 
-    matplotlib derives them from addresses in memory, which differ between runs.
+    matplotlib derives the ids from addresses in memory, which differ between runs.
     """
     names = dict.fromkeys(re.findall(r'<clipPath id="(p[0-9a-f]{10})"', text))
     ids = [f"p{hashlib.sha256(f'{prefix}{k}'.encode()).hexdigest()[:10]}" for k in range(len(names))]

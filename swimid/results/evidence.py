@@ -1,7 +1,7 @@
 """Evidence of a result (``swimid-evidence/1``): its verdict, checks, tables and figures as data in a file.
 
-A command writes the evidence file next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show
-the evidence of all commands with the same code. Numbers keep all digits, and NaN is written as null.
+A command writes the evidence file next to its result file: ``drag.evidence.json`` belongs to ``drag.yaml``.
+Reports show the evidence of all commands with the same code. Numbers keep all digits. NaN is written as null.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from swimid.options import describe_problem
 from swimid.results import numbers
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
-#: Name of the check that does not pass if values are impossible for a swimmer, which suggests a wrong unit.
+#: Name of the check that fails if logged values are impossible for a swimmer, probably due to a wrong unit.
 POSSIBLE = "Values a swimmer reaches"
 #: Maximum number of points of a trace in a figure. A longer trace is drawn as its envelope.
 MAX_TRACE_POINTS = 2000
@@ -43,8 +43,8 @@ class Trace(_Part):
     group: int | None = None
     #: Half-widths of vertical error bars, with one number for each point of the trace.
     y_error: yamlio.Numbers | None = None
-    #: Lower and upper limits of a shaded band in the colour of the trace, with one number each for each
-    #: point.
+    #: Lower and upper limits of a shaded band in the colour of the trace, each with one number for each point
+    #: of the trace.
     lower: yamlio.Numbers | None = None
     upper: yamlio.Numbers | None = None
 
@@ -77,7 +77,7 @@ class Span(_Part):
 class Heat(_Part):
     """Heat map of a panel: a table of numbers in cells that are shaded by value.
 
-    A panel has a heat map in place of traces. Every cell shows its number. With the scale ``log``, cells with
+    A panel shows either a heat map or traces. Every cell shows its number. With the scale ``log``, cells with
     a number above ``neutral`` are shaded by the logarithm of the number. With the scale ``linear``, the shade
     increases from the smallest to the largest number.
     """
@@ -179,7 +179,7 @@ class Verdict(_Part):
     word: str = ""
 
     def lower_to(self, level: str, text: str) -> Verdict:
-        """Return a copy of the verdict with another text, and with the given level if that is worse."""
+        """Return a copy of the verdict with a new text, and with the given level if it is the worse one."""
         worst = max(level, self.level, key=("good", "caution", "bad").index)
         return self.model_copy(update={"level": worst, "text": text})
 
@@ -195,8 +195,8 @@ class Evidence(_Part):
     """
 
     format: Literal["swimid-evidence/1"] = FORMAT
-    #: Name of the result file to which the evidence belongs, and SHA-256 of the content of this file. Both
-    #: are empty for a result in memory.
+    #: Name of the result file to which the evidence belongs, and SHA-256 of the content of this result file.
+    #: Both are empty for a result in memory.
     result: str = Field(default="", pattern=r"^[^/\\\x00]*$")
     sha256: str = ""
     command: str
@@ -247,7 +247,7 @@ def make_check(
     otherwise: Literal["warn", "fail"] = "warn",
     reason: str = "",
 ) -> Check:
-    """Return a check of a value against a limit, as an entry of the evidence of a result.
+    """Return a check of a value against a limit, for the evidence (checks, tables, figures) of a result.
 
     Parameters
     ----------
@@ -265,9 +265,9 @@ def make_check(
 
 
 def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict on a result: its answer, then how many checks fail or warn, and why.
+    """Return the verdict on a result. Its text is the answer, the number of failed checks and the reasons.
 
-    The level is bad if a check has the verdict ``fail``, caution if one has ``warn``, and good otherwise.
+    The level is bad if a check has the verdict ``fail``, else caution if one has ``warn``, and else good.
     """
     failed = [check for check in checks if check.verdict == "fail"]
     warned = [check for check in checks if check.verdict == "warn"]
@@ -284,7 +284,7 @@ def make_verdict(answer: str, checks: Sequence[Check]) -> Verdict:
 
 
 def count_checks(checks: Sequence[Check]) -> str:
-    """Return a sentence with the number of checks if all pass; empty otherwise, and without checks.
+    """Return a sentence with the number of checks if all pass; empty if one fails or if there are none.
 
     The text of the verdict states the number of checks that fail (:func:`make_verdict`).
     """
@@ -325,7 +325,7 @@ def sidecar(result: str | Path) -> Path:
 
 
 def write(path: str | Path, evidence: Evidence) -> None:
-    """Write the evidence of a result to a JSON file, completely or not at all.
+    """Write the evidence (verdict, checks, figures) of a result to a JSON file, completely or not at all.
 
     Numbers that are not finite are written as null.
     """
@@ -333,10 +333,10 @@ def write(path: str | Path, evidence: Evidence) -> None:
 
 
 def check_beside(result: Path) -> None:
-    """Check that writing a result does not replace the evidence of another file.
+    """Check that writing a result does not replace the evidence file of another result.
 
-    The evidence files of two results have the same name if the names of the results differ only in the
-    ending.
+    The evidence files of two results have the same name if the names of the two result files differ only in
+    the extension.
 
     Raises
     ------
@@ -352,13 +352,13 @@ def check_beside(result: Path) -> None:
 
 
 def remove_outdated(result: Path) -> None:
-    """Remove the evidence file of an older result, if a result without evidence replaces the result file."""
+    """Remove the evidence file of a result file that is replaced by a result without evidence."""
     if result.exists() and _owner(sidecar(result)) == result.name:
         atomic.remove(sidecar(result))
 
 
 def _owner(path: Path) -> str:
-    """Return the name of the result file that an evidence file states; empty if it states none."""
+    """Return the name of the result file to which an evidence file states that it belongs; empty if none."""
     try:
         data = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):
@@ -419,14 +419,14 @@ def thin_curve(x: Any, y: Any, points: int = MAX_TRACE_POINTS) -> tuple[np.ndarr
 
 #: Maximum number of points that one trial has in a figure of several trials.
 MAX_TRIAL_POINTS = 400
-#: Number of measured points that are drawn over a length of one panel width along a curve.
+#: Number of measured points drawn along a curve, per length of one panel width.
 MAX_MARKS = 50
 #: Maximum number of trials in a figure of residuals, and largest residual that it shows, in standard
-#: deviations of the noise. Each trial is a row of the figure. Larger residuals are drawn at the edge of the
-#: row.
+#: deviations of the noise. Each trial has a horizontal strip (row) of the figure. Larger residuals are drawn
+#: at the edge of the row.
 MAX_RESIDUAL_ROWS, ROW_SD = 12, 4.0
-#: Distance from the middle of a row of a figure of residuals at which a residual of ROW_SD standard
-#: deviations is drawn, as a fraction of the distance between two rows.
+#: Distance between the middle of a row (:data:`MAX_RESIDUAL_ROWS`) and a drawn residual of ROW_SD standard
+#: deviations, as a fraction of the distance between two rows.
 HALF_ROW = 0.45
 
 Cell = str | float | int | bool | None
@@ -510,7 +510,8 @@ def pair(x: Sequence[Any], y: Sequence[Any], **measured: Any) -> list[Trace]:
 
     Parameters
     ----------
-    x, y : sequence of (measured, simulated)
+    x, y : sequence
+        Two arrays of coordinates: measured, then simulated.
     **measured
         Further fields of the trace of the measured values.
     """
@@ -561,7 +562,7 @@ def select_marks(x: Any, y: Any) -> Any:
     """Return the indices of samples that are evenly spaced along a curve in a panel of a figure.
 
     The distance along the curve is 1 / MAX_MARKS of the width of the panel, which is twice as wide as high. A
-    curve that rises and falls has more samples than a straight line, at most :data:`MAX_TRIAL_POINTS`.
+    curve that rises and falls gets more samples than a straight line, up to :data:`MAX_TRIAL_POINTS`.
     """
     known = np.flatnonzero(np.isfinite(y))
     if not len(known):
@@ -576,9 +577,9 @@ def select_marks(x: Any, y: Any) -> Any:
 
 
 def extremes(shown: Sequence[Series], error: Callable[[Series], float]) -> dict[str, Series]:
-    """Select the fitted trials with the largest and the smallest error, and the worst held-out trial.
+    """Return the fitted trials with the largest and the smallest error, and the worst held-out trial.
 
-    The keys are titles of panels.
+    The key of each trial is the title of its panel.
     """
     ranked = sorted(shown, key=error)
     fitted = [s for s in ranked if s.role == "fit"]

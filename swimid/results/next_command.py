@@ -1,4 +1,4 @@
-"""Command that a user may run next on a result, with the names of its files as they are typed."""
+"""Functions that suggest the next command on a result, with the names of the files of the result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def quote_name(name: str | Path) -> str:
-    """Return a file name as it is typed in a command: quoted for the shell, and never taken for an option.
+    """Return a file name as it is typed in a command: quoted for the shell, and not mistaken for an option.
 
     >>> quote_name("my $(run).yaml"), quote_name("-x.yaml")
     ("'my $(run).yaml'", './-x.yaml')
@@ -29,7 +29,7 @@ def quote_name(name: str | Path) -> str:
 
 
 class _Free(dict[str, str]):
-    """Names of outputs. A name that a file in the folder already has is numbered: ``gap-2.yaml``."""
+    """Mapping of default output names to unused names: ``gap.yaml`` to ``gap-2.yaml`` if the first exists."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
@@ -43,13 +43,13 @@ class _Free(dict[str, str]):
 
     @property
     def repair_option(self) -> str:
-        """Option for the second output of ``diagnose``; empty if its usual name is free."""
+        """Option that renames the second output of ``diagnose``; empty if no file has its default name."""
         name = self["repaired.yaml"]
         return "" if name == "repaired.yaml" else f" --repaired {name}"
 
 
 def format_command(result: Result, file: str | Path, folder: Path) -> str:
-    """Return the command of :attr:`Result.next_step` with its names; empty if a file is missing.
+    """Return the command of :attr:`Result.next_step` with file names; empty if an input file is missing.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def format_command(result: Result, file: str | Path, folder: Path) -> str:
             return ""
         code = [place for place in inputs.values() if place.endswith(".py")]
         trials = next(place for place in inputs.values() if place not in code)
-        # The trials file names the code of a simulator.
+        # The trials file names the Python file of a user's simulator, so the command need not name it.
         own = [] if getattr(result.document, "model", None) == "python" else code
         words |= {"trials": quote_name(trials), "params": "".join(map(quote_name, params[:1]))}
         words["own"] = "".join(f" --experiment {quote_name(place)}" for place in own)
@@ -78,10 +78,10 @@ def format_command(result: Result, file: str | Path, folder: Path) -> str:
 
 
 def find_inputs(result: Result, folder: Path = Path()) -> dict[str, str]:
-    """Return the paths of YAML and Python files among the inputs of a result from a folder, by name.
+    """Return the paths from ``folder`` of the YAML and Python files among the inputs of a result, by name.
 
-    The names of inputs are relative to the folder of the result. The folder is searched for that has these
-    files with their content. The mapping is empty if there is none.
+    The names of inputs are relative to the folder of the result. This function searches for the folder that
+    has files with these names and unchanged content. The mapping is empty if there is no such folder.
     """
     known = getattr(result.evidence, "provenance", {}).get("inputs", {})
     paths = getattr(known, "paths", {})
@@ -94,7 +94,7 @@ def find_inputs(result: Result, folder: Path = Path()) -> dict[str, str]:
         files = {name: base / paths.get(name, name) for name in digests}
         if all(file.is_file() and sha256(file) == digests[name] for name, file in files.items()):
             places = {name: os.path.relpath(file, folder) for name, file in files.items()}
-            # A page does not state a path through the home folder of its author.
+            # Accept only short paths: a page must not state the home folder of its author.
             if all(Path(name_of(file, folder)) == Path(places[name]) for name, file in files.items()):
                 return places
     return {}

@@ -26,8 +26,8 @@ Z95 = 1.959963984540054
 MISSING_TEXT = "–"
 
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
-#: Limits of the decimal exponent n of a number without a power of ten in its text. If n is at least
-#: ``_LARGE``, or below ``_SMALL``, the number is written with the factor ``× 10ⁿ``.
+#: Limits of the decimal exponent n of a number that is written in full. If n is at least ``_LARGE``, or below
+#: ``_SMALL``, the number is written with the factor ``× 10ⁿ``.
 _LARGE, _SMALL = 6, -3
 #: Maximum number of significant digits of a number as text, which is the number of exact digits of a float64.
 _MOST_DIGITS = 15
@@ -36,7 +36,7 @@ _UNIT_NAMES = (
     "kg m^2/s^2, N s^2/m^2, N m/rad, rad/s^2, deg/s^2, kg/m^3, kg m^2, N s/m, m/s^2, rad/s, deg/s, BL/s, "
     "kg m, N m, J/m, m/s, m^2, m^3, rad, deg, BL, Hz, kg, px, N, W, J, V, A, m, s"
 )
-#: Unit for each ending that the name of a column or key may have: ``m_s2`` stands for m/s^2.
+#: Unit for each suffix that the name of a column or key may have: ``m_s2`` stands for m/s^2.
 _SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNIT_NAMES)} | {"hz": "Hz"}
 #: Name in words for each column that has a velocity component along a body axis.
 BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
@@ -97,7 +97,7 @@ def _trim_zeros(text: str) -> str:
 
 
 def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
-    """Return the power of ten and the decimal places with which a value and its standard error are written.
+    """Return the power of ten and the number of decimal places of a value and its standard error as text.
 
     The standard error has ``digits`` significant digits.
     """
@@ -145,8 +145,8 @@ def format_estimate(value: float | None, stderr: float | None, unit: str = "", d
 def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
     """Return an interval as text with its unit, such as ``15 … 35``.
 
-    The ends are rounded to two significant digits of a standard error. Without one they have four significant
-    digits, and two ends with the same text are written as one number.
+    The ends are rounded to two significant digits of the standard error. Without a standard error the ends
+    have four significant digits, and two ends with the same text are written as one number.
 
     >>> interval(27.0, 27.0, None, "deg"), interval(15.0, 35.0)
     ('27°', '15 … 35')
@@ -237,7 +237,7 @@ def in_degrees(unit: str) -> tuple[float, str]:
 def split_unit(name: str) -> tuple[str, str]:
     """Split the name of a column or key into its bare name and its unit.
 
-    ``yaw_rate_rad_s`` is yaw_rate in rad/s. A name without a known ending has the unit ``""``.
+    ``yaw_rate_rad_s`` is yaw_rate in rad/s. A name without a known suffix has the unit ``""``.
     """
     for suffix in sorted(_SUFFIXES, key=len, reverse=True):
         if name.endswith("_" + suffix):

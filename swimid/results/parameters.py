@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
-#: Maximum difference between the two entries of a pair in a correlation matrix, and maximum rounding error
-#: of an entry in files with two decimals. An eigenvalue of a rounded matrix of n rows is wrong by at most n
-#: times that error, because the norm of a matrix is at most n times its largest entry.
+#: Tolerance of the symmetry and of the range of correlations in a file, and maximum rounding error of an
+#: entry with two decimals. Rounding changes an eigenvalue of a matrix with n rows by at most n times the
+#: rounding error of an entry, because the norm of a matrix is at most n times its largest entry.
 CORRELATION_TOLERANCE, MAX_ROUNDING = 1e-6, 0.005
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
 #: Text that tables show for the status of an estimate, if it differs from the name of the status.
@@ -53,7 +53,8 @@ class Estimate(yamlio.Document):
 def parameter_text(name: str, meaning: str) -> str:
     """Return the text that names a parameter in a sentence.
 
-    It is the name in words if the meaning contains these words, and otherwise the meaning with the name.
+    If the meaning contains the words of the name, the text is these words. For other parameters the text is
+    the meaning, followed by the name in brackets.
 
     >>> parameter_text("c_ma", "added mass over mass"), parameter_text("added_mass", "added mass")
     ('added mass over mass (c_ma)', 'added mass')
@@ -67,10 +68,10 @@ def parameter_text(name: str, meaning: str) -> str:
 
 
 class Correlation(yamlio.Document):
-    """Correlation matrix of the estimated parameters of a fit, with the names of its rows."""
+    """Correlation matrix of the estimated parameters of a fit, with the parameter name of each row."""
 
     names: list[str]
-    #: Correlations, with room for rounding (:data:`CORRELATION_TOLERANCE`).
+    #: Correlation coefficients, from -1 to 1 within :data:`CORRELATION_TOLERANCE`.
     matrix: list[list[Annotated[float, Field(ge=-1 - CORRELATION_TOLERANCE, le=1 + CORRELATION_TOLERANCE)]]]
 
     @model_validator(mode="after")
@@ -123,17 +124,18 @@ class Fit(yamlio.Document):
     channels: dict[str, Errors] = {}
     validation: HeldOut = {}
     converged: bool
-    #: Noise of each channel, or the entries of the noise of a discrete-time model.
+    #: Noise of each channel; for a discrete-time model, the entries of its single noise model.
     noise: dict[str, Noise | float | str | bool | None] = {}
-    #: SHA-256 of the samples of each trial, by id. A trial with these samples has the values of this id.
+    #: SHA-256 of the samples of each fitted trial, by trial id. A later trial with the same samples uses the
+    #: per-trial parameters of this id.
     samples_sha256: dict[str, str] = {}
 
 
 class ParameterFile(yamlio.ResultFile):
     """Content of a parameter file: the estimates of a fit, with its settings, errors and provenance.
 
-    Every fit writes one. Use the value of a parameter that is not identifiable only to simulate the whole
-    model. A name such as ``start_offset[w10]`` is a parameter of one trial.
+    Use the value of a parameter that is not identifiable only together with all other parameters, in a
+    simulation. A name such as ``start_offset[w10]`` is a parameter of one trial.
 
     Example::
 
@@ -173,22 +175,20 @@ class ParameterFile(yamlio.ResultFile):
     stable: bool | None = None
     fit: Fit | None = None
     provenance: yamlio.Provenance = Field(default_factory=dict)
-    #: Drag parameters that a fit of the recoil law used; None for other fits. They are not written to the
-    #: file.
+    #: Drag parameters that a fit of the recoil law (``fit-propulsion``) used; None for other fits. These
+    #: parameters are not written to the file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     @field_validator("correlation")
     @classmethod
     def _names_agree(cls, found: Correlation | None, info: ValidationInfo) -> Correlation | None:
-        """Check that every name of the correlation is that of a parameter or of a shared value."""
+        """Check that the correlation names only parameters, or values that several parameters share."""
         known, shared = set(info.data.get("parameters", {})), info.data.get("settings", {}).get("shared")
         if isinstance(shared, dict):
             known |= set(shared)
         for name in () if found is None or not known else found.names:
             if name not in known:
-                raise ValueError(
-                    f"the correlation names '{name}', which is no parameter; {suggestion(name, [*known])}"
-                )
+                raise ValueError(f"the correlation names no parameter '{name}'; {suggestion(name, [*known])}")
         return found
 
     def write(self, path: str | Path) -> None:
@@ -226,7 +226,7 @@ def source_path(source: Source) -> Path:
 
 
 def _file(source: Source) -> ParameterFile:
-    """Return the content of the parameter file for a path, a content in memory or the result of a fit."""
+    """Return the content of a parameter file, given its path, its content or the result of a fit."""
     if isinstance(source, str | Path):
         return ParameterFile.read(source)
     if isinstance(source, ParameterFile):
@@ -239,9 +239,9 @@ def _file(source: Source) -> ParameterFile:
 
 
 def origin(source: Source) -> Path | InputInMemory:
-    """Return the entry of a source of parameters in the provenance of a result.
+    """Return the entry with which a source of parameters is recorded in the provenance of a result.
 
-    It is the path of a file, or the name and SHA-256 of parameters in memory.
+    The entry is the path of a file, or the name and SHA-256 of parameters in memory.
     """
     if isinstance(source, str | Path):
         return Path(source)
@@ -293,7 +293,7 @@ def robot_of(file: ParameterFile, path: Path, robot: str | None = None) -> tuple
 
 
 def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path) -> list[float]:
-    """Return the values of the named parameters of a file. Each must be present and identifiable.
+    """Return the values of the named parameters of a file, in the order of ``names``.
 
     Raises
     ------
@@ -346,7 +346,7 @@ class Fitted(FileResult[ParameterFile]):
 
     @property
     def next_step(self) -> str:  # type: ignore[override]
-        """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
+        """Command that usually follows: a comparison if the fit has a trials file, and else a report."""
         if not find_inputs(self):
             return FileResult.next_step
         own = "{own}" * (not self.file.effects)
@@ -410,9 +410,9 @@ class Fitted(FileResult[ParameterFile]):
         return [table for table in tables if table.rows]
 
     def bare(self) -> Evidence:
-        """Return evidence without checks and figures for a parameter file whose evidence file is missing.
+        """Return a verdict and tables, without checks and figures, for a fit whose evidence file is missing.
 
-        Its verdict follows from the convergence of the fit and from the status of the parameters.
+        The verdict follows from the convergence of the fit and from the status of the parameters.
         """
         parameters = self.file.parameters.items()
         weak = [parameter_text(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]

@@ -39,8 +39,8 @@ CHECK_SYMBOLS = {
     "fail": ("✕", "fail", "bad"),
     "info": ("i", "info", "muted"),
 }
-#: Maximum number of panels of figures, and maximum number of tables, that a report shows unfolded for a
-#: result. The first figure is always shown. The remaining figures and tables are folded.
+#: Maximum number of panels of figures, and maximum number of tables, that a report shows unfolded for one
+#: result. The first figure is always unfolded. The remaining figures and tables are folded.
 MAIN_PANELS, MAIN_TABLES = 3, 1
 #: Maximum number of parameters in the figure that compares several fits of one model.
 MAX_COMPARED = 6
@@ -116,7 +116,7 @@ def report(
 
 
 def _sources(given: str | Path | Result) -> list[Path | Result]:
-    """Return the results that an input of a report names: itself, or all results of a folder."""
+    """Return the results that an input of a report stands for: one result, or all those of a folder."""
     if isinstance(given, Result):
         return [given]
     path = Path(given)
@@ -135,7 +135,7 @@ def _sources(given: str | Path | Result) -> list[Path | Result]:
 
 
 def _read(path: Path | Result) -> Result:
-    """Read a result file with its evidence, and add the warnings of the reading to the evidence.
+    """Read a result file with its evidence file, and add warnings of this reading to the evidence.
 
     A result in memory is returned as it is.
 
@@ -152,9 +152,7 @@ def _read(path: Path | Result) -> Result:
         if shown is None:
             shown = result.bare()
             place = ev.sidecar(path).name
-            warn(
-                "SWM050", f"the evidence file {place} is missing, so the checks of {path.name} are not shown"
-            )
+            warn("SWM050", f"the evidence file {place} is missing: checks of {path.name} are not shown")
     notices = [*shown.notices, *(notice for notice in raised if notice not in shown.notices)]
     return replace(result, evidence=shown.model_copy(update={"notices": notices}))
 
@@ -165,8 +163,8 @@ def _read(path: Path | Result) -> Result:
 def _make_titles(results: Sequence[Result]) -> list[ev.Evidence]:
     """Return the content of each result, with a title that no other result of the page has.
 
-    On a page of several results a title also names the parameter file that the result is about. If titles
-    are still equal, they name the result file.
+    On a page of several results, each title also names the parameter file of its result. Titles that are
+    still equal also name the result file.
     """
     contents = [result.content() for result in results]
     titles = [content.title for content in contents]
@@ -182,9 +180,9 @@ def _make_titles(results: Sequence[Result]) -> list[ev.Evidence]:
 def overall(results: Sequence[Result], contents: Sequence[ev.Evidence]) -> ev.Verdict:
     """Return the verdict on all results of a report together.
 
-    It begins with the verdict of a diagnosis. Results that have no other inputs than a diagnosis with a good
-    verdict describe the model before the repair: they are named, but do not count. The level is the worst of
-    the other results.
+    The text begins with the verdict of a diagnosis, if there is one. The level is the worst level among the
+    results. Results that are based only on the inputs of a diagnosis with a good verdict describe the model
+    before its repair. The text names them, but the level does not depend on them.
     """
     leading = [content for result, content in zip(results, contents, strict=True) if result.leads_page]
     doubts, counted = _sort_by_level(results, contents, leading)
@@ -202,7 +200,7 @@ def overall(results: Sequence[Result], contents: Sequence[ev.Evidence]) -> ev.Ve
 def _sort_by_level(
     results: Sequence[Result], contents: Sequence[ev.Evidence], leading: Sequence[ev.Evidence]
 ) -> tuple[dict[str, list[str]], list[ev.Evidence]]:
-    """Return the names of results that are not good, by level, and the evidence that sets the verdict."""
+    """Return the names of results that are not good, by level, and the evidence that sets the level."""
     solved = [_digests(content) for content in leading if content.verdict.level == "good"]
     names: dict[str, list[str]] = {"bad": [], "caution": [], "before the repair": [], "good": []}
     counted = []
@@ -223,7 +221,7 @@ def _digests(content: ev.Evidence) -> set[str]:
 
 
 def _worst(contents: Sequence[ev.Evidence]) -> ev.Verdict:
-    """Return the worst level among results, and a sentence that says how many results have this level."""
+    """Return a verdict with the worst level among results, and with the number of results of this level."""
     levels = [shown.verdict.level for shown in contents]
     worst = max(levels, key=list(LEVEL_SYMBOLS).index)
     count = levels.count(worst)
@@ -280,7 +278,7 @@ class ReportPage:
         return overall(self.results, self.contents)
 
     def verdict_lines(self) -> str:
-        """Return the verdict on all results, and the verdict on each in a line of its own."""
+        """Return lines of text: the verdict on all results, then the verdict on each result."""
         lines = [f"{self.verdict.level}: {self.verdict.text}"]
         for result, content in zip(self.results, self.contents, strict=True):
             lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
@@ -295,7 +293,7 @@ class ReportPage:
         return {"title": self.title, "verdict": self.verdict.model_dump(), "results": verdicts}
 
     def render(self, progress: Progress = silent) -> str:
-        """Return the text of the page, with progress over the figures."""
+        """Return the text of the page, and report the progress over its figures."""
         templates = environment(
             "swimid.results",
             autoescape=self.template.endswith("html"),
@@ -318,7 +316,7 @@ class ReportPage:
         )
 
     def _sections(self, progress: Progress) -> list[dict[str, Any]]:
-        """Return the variables of the template for each section: fits side by side, then all results."""
+        """Return the template variables of each section: comparisons of fits, then single results."""
         groups = compare_fits(self.results)
         folded = [fit for fits, _ in groups for fit in fits]
         shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]
@@ -336,7 +334,7 @@ class ReportPage:
         return sections
 
     def _draw(self, content: ev.Evidence, number: int, step: Step) -> list[tuple[ev.Figure, list[str]]]:
-        """Return each figure with the drawings of its panels; without drawings on a page in Markdown."""
+        """Return each figure with the SVG drawings of its panels; without drawings for Markdown."""
         pictures = []
         for n, figure in enumerate(content.figures):
             panels: list[str] = []
@@ -356,7 +354,8 @@ def _next_command(
 ) -> str:
     """Return the command that a user may run next in the folder of the page; empty if there is none.
 
-    There is none for a result in memory, none that makes a page, and none whose result is on the page.
+    There is no command for a result in memory. Commands that make a page, and commands whose result is
+    already on the page, are not suggested.
     """
     if not result.path.exists() or "{trials}" not in result.next_step:
         return ""
@@ -391,7 +390,7 @@ def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> 
 
 
 def _explain_figure(figure: ev.Figure) -> ev.Figure:
-    """Add remarks to the caption of a figure on how it is drawn: scales of a path, envelopes of traces."""
+    """Return a figure whose caption also explains the drawing: scales of a path, envelopes of traces."""
     caption = figure.caption
     paths = [drawing.is_to_scale(panel) for panel in figure.panels if panel.equal_aspect]
     if paths:
@@ -442,8 +441,8 @@ def _code(text: str) -> str:
 def compare_fits(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
     """Find fits of the same model among the results, and compare their parameters in a table and a figure.
 
-    Return each group of two or more fits with this comparison. Fits belong to a group only if they have the
-    same parameters in the same units.
+    Return each group of two or more fits with its comparison. Fits of one model form a group only if they
+    have the same parameters in the same units.
     """
     groups: dict[Any, list[Fitted]] = {}
     for result in results:

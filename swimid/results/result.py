@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 
 File = TypeVar("File", bound="ResultFile")
 
-#: Class of the results of each format, such as ``gap`` for ``swimid-gap/1``. A class adds itself when it is
-#: defined.
+#: Result class of each file format. The key is the name of the format, such as ``gap`` for ``swimid-gap/1``.
+#: A class adds itself when it is defined.
 _CLASSES: dict[str, type[FileResult[Any]]] = {}
-#: Modules with the classes of the two results that several packages make: parameters, and logs.
+#: Modules with the classes of parameter results and of log results, which several packages make.
 PARAMETERS, LOG = "swimid.results.parameters", "swimid.kinematics.logged"
 LOG_ENDINGS = (".csv", *tabular.PARQUET_ENDINGS)
 
-#: Maximum width of a line on a terminal, and minimum width of a table column with shortened texts,
-#: characters.
+#: Maximum width of a line on a terminal, and minimum width to which the texts of a table column may be
+#: shortened, characters.
 WIDTH, MIN_CUT = 100, 16
 #: Pattern of a table cell that counts as a number: a number as :mod:`swimid.results.numbers` writes it, a
 #: dash, or an empty text.
@@ -55,7 +55,7 @@ _INTERNAL = frozenset((
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Result of a command: an answer, the evidence for it, and the files that were written.
+    """Result of a command: its content, its evidence (verdict, checks, figures), and the files written.
 
     Files are written by :meth:`save`, or by the function that computes the result if ``output`` is given.
 
@@ -97,7 +97,7 @@ class Result:
 
     #: Name that reports give to results of this class, such as ``Parameter file``.
     kind: ClassVar[str] = "Result"
-    #: Ending of the name of a result file that is not written yet.
+    #: Extension of the default name of a result file, which is used until the file is written.
     ending: ClassVar[str] = ".yaml"
     #: Whether a report of several results begins with the verdict of this result.
     leads_page: ClassVar[bool] = False
@@ -135,15 +135,15 @@ class Result:
         file : path
             Path of the result file from ``folder``.
         folder : Path
-            Folder in which the command is typed. It must contain the inputs of the result, or the folder of
-            the result file or one above it must. Otherwise there is no command.
+            Folder in which the command is typed. This folder, the folder of the result file, or a folder
+            above the latter must contain the inputs of the result. Without the inputs there is no command.
         """
         return format_command(self, file, folder)
 
     def content(self) -> ev.Evidence:
-        """Return the content of a report on the result: its evidence, and facts and tables of its file.
+        """Return the content of a report on the result: its evidence, with facts and tables of its file.
 
-        The verdict on a result without evidence is caution or bad.
+        The verdict on a result file without evidence is caution or bad.
         """
         shown = self.evidence or self.bare()
         facts = {**self._own_facts(), **shown.facts}
@@ -299,7 +299,7 @@ class Result:
         return []
 
     def _own_tables(self) -> list[ev.Table]:
-        """Return the tables by which a report shows the content of the result file."""
+        """Return the tables that a report makes from the content of the result file."""
         return []
 
     @classmethod
@@ -308,10 +308,7 @@ class Result:
         return {}
 
     def bare(self) -> ev.Evidence:
-        """Return evidence without checks for a result file whose evidence file is missing.
-
-        It has the content of the result file as a table.
-        """
+        """Return a verdict and a table of the result file, for use if the evidence file is missing."""
         return ev.Evidence(
             command=self.command,
             title=f"{self.kind} {self.path.name}",
@@ -329,7 +326,7 @@ class Result:
         raise UsageError(f"the result of {self.command} cannot be written to a file", hint=hint)
 
     def _list_evidence(self, what: str) -> Sequence[Any]:
-        """Return all checks, tables, figures or notices of the evidence, whichever ``what`` names.
+        """Return the checks, tables, figures or notices of the evidence, as selected by ``what``.
 
         The list is empty for a result without evidence.
         """
@@ -388,7 +385,7 @@ class Text(Result):
 
 
 def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence:
-    """Return the evidence of a result file, with a lower verdict if the file has changed since.
+    """Return the evidence of a result file, with a lower verdict if the evidence does not fit the file.
 
     Warns
     -----
@@ -561,7 +558,7 @@ def list_result_formats() -> list[str]:
 
 
 def class_of(name: str) -> type[FileResult[Any]]:
-    """Return the class of the results of a format; the module of its command is imported if need be."""
+    """Return the result class of a format, and import the module that defines the class if necessary."""
     import_module(PARAMETERS)
     for spec in COMMAND_SPECS.values():
         if name not in _CLASSES and name in spec.usage.makes.split("|"):

@@ -5,18 +5,19 @@ of the wrong sign, and estimates that no body can have. Added mass, drag and dri
 the largest values that any body of the known size can have, from theory and tables. Terminal speed, period
 and damping ratios are derived with their standard errors.
 
-The reference fit (``stated``) has the parameters that the user chose. Its rivals
-(:mod:`swimid.fitting.rivals`) free each parameter that it holds for all trials, or let it replace the
-parameters with a similar effect (:data:`swimid.rig.model.SIMILAR_PARAMETERS`). For example, dry friction
-replaces linear damping. Further rivals have another start or another pulley friction in each trial, one trial
-with parameters of its own, or another sign of the force.
+The reference fit (``stated``) estimates the parameters that the user chose, and holds the others fixed. It
+is compared with alternative fits, called rivals (:mod:`swimid.fitting.rivals`). A rival frees a parameter
+that the reference fit holds for all trials, or estimates it in place of parameters with a similar effect
+(:data:`swimid.rig.model.SIMILAR_PARAMETERS`), such as dry friction in place of linear damping. Further rivals
+have another initial state or pulley friction in each trial, one trial with parameters of its own, or another
+sign of the force.
 
-The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
-squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
-and hence the drag coefficient and the added mass. Slope and intercept give the pulley friction (Eq 17). The
-method assumes the same moving mass for all pulling weights. The bias is the error of the method on noise-free
-data that are simulated with its own estimates. The reported standard error includes the bias. The
-output-error fit does not assume an equal moving mass.
+The two-point method of the boxfish paper (Chan et al., see :func:`fit_drag`) uses speeds at two displacements
+(Eqs 13-19). At a fixed displacement the squared speed is a linear function of the pulling mass. The slopes at
+two displacements give ``a1`` (Eq 18), and hence the drag coefficient and the added mass. Slope and intercept
+give the pulley friction (Eq 17). The method assumes the same moving mass for all pulling weights. The bias is
+the error of the method on noise-free data that are simulated with its own estimates. The reported standard
+error includes the bias. The output-error fit does not assume an equal moving mass.
 """
 
 from __future__ import annotations
@@ -54,18 +55,18 @@ from swimid.rig.model import (
 from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
-#: Minimum relative move of an estimate at which an omitted parameter makes a result bad. Drag and added mass
-#: are proportional to the stated force, mass or density, which no fit can check and which are rarely known to
-#: better than 1 % (the density of water alone differs by 0.4 % between 5 and 30 °C). In simulated tows
-#: without an omission the estimates move by at most 0.4 %, and by 3 % or more if an effect is omitted.
+#: Minimum relative change of an estimate at which an omitted parameter makes a result bad. Drag and added
+#: mass are proportional to the stated force, mass or density. No fit can check these values, which are rarely
+#: known to better than 1 % (the density of water alone differs by 0.4 % between 5 and 30 °C). In simulated
+#: tows without an omission the estimates change by at most 0.4 %, and by 3 % or more if an effect is omitted.
 MATERIAL_SHARE = 0.01
-#: Parameters that describe the force sensor and not the body. Each has another meaning beside the other.
+#: Parameters of the force sensor, not of the body. The estimate of one changes if the other is estimated too.
 OF_SENSOR = ("force_offset", "force_drift")
 #: Maximum number of omitted parameters that one warning names.
 MAX_OMITTED = 3
-#: Parameters of the initial state of a trial. Each has the text of a warning on how the trials then start.
+#: Per-trial parameters of the start of a trial, each with the words for a warning on how the trials start.
 STARTS = {"initial_speed": "in motion", "clock_offset": "at another time than their first sample"}
-#: Per-trial parameter that gives each trial a pulley friction of its own.
+#: Name of the per-trial parameter with which each trial has a pulley friction of its own.
 OWN_FRICTION = "friction_deviation"
 #: Reason that messages give if the two-point method has no result.
 NO_ANSWER = "the speeds do not rise with the pulling mass as Eq 13 requires"
@@ -77,8 +78,8 @@ POINT_SHARES = (0.255, 0.51)
 #: Half-width of the displacement interval over which the two-point method fits a speed, as a fraction of the
 #: smaller of its two displacements.
 HALF_WIDTH = 1 / 6
-#: Minimum number of samples around each of the two displacements of the two-point method, and the number of
-#: samples above which their noise is estimated.
+#: Minimum number of samples around each of the two displacements of the two-point method, and number of such
+#: samples above which the noise of the samples is estimated.
 MIN_SAMPLES_POINT, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
@@ -112,9 +113,9 @@ def fit_drag(
     -------
     Fitted
         ``.parameters`` has ``drag_coefficient`` (1) or ``quadratic_drag`` (N s^2/m^2), ``added_mass`` (kg)
-        and ``pulley_friction`` (N). A free decay also has ``linear_drag`` (N s/m) and ``stiffness`` (N/m), a
-        rotation ``quadratic_damping``, ``linear_damping`` and ``added_inertia``. ``.verdict`` and
-        ``.checks()`` judge them.
+        and ``pulley_friction`` (N). A free decay also has ``linear_drag`` (N s/m) and ``stiffness`` (N/m). A
+        rotation has ``quadratic_damping``, ``linear_damping`` and ``added_inertia``. ``.verdict`` and
+        ``.checks()`` assess the estimates.
 
     Raises
     ------
@@ -187,7 +188,7 @@ def fit_drag(
 
 
 def _try_two_point(experiment: Experiment, options: FitDragOptions) -> TwoPointResult | None:
-    """Return the result of the two-point method; None if it has none and the user did not ask for it."""
+    """Return the result of the two-point method; None if the method fails and the user did not choose it."""
     try:
         return two_point(experiment.trials, experiment.robot, options.points_m)
     except NoTrustworthyResult:
@@ -204,8 +205,8 @@ def _fit_best(
 ) -> tuple[FitResult, dict[str, str], list[ev.Check]]:
     """Return the fit of a rig experiment with the smallest residuals, its settings and its checks.
 
-    The fits differ in the rounding of encoder counts (down, to the nearest, up) and in the initial states of
-    the trials.
+    The compared fits differ in the rounding of encoder counts (down, to the nearest, up) and in the initial
+    states of the trials.
     """
     if start_state == "estimate":
         choices = choose_parameters(choices, freed=("start_offset", "initial_speed"))
@@ -225,8 +226,8 @@ def _fit_best(
     if judged and judged[0].is_better and judged[0].rival.name in starts:
         best, facts["start_state"] = judged[0].fit, judged[0].rival.name
         _warn_of_start(best, facts["start_state"])
-        # Judge the other rivals again, because the separate initial states may explain residuals that another
-        # rival seemed to explain.
+        # Judge the other alternative fits again, because separate initial states may explain residuals that
+        # another alternative seemed to explain.
         judged = rivals.judge(best, name_rivals(best))
     result = output_error.complete_fit(best)
     checks = [omission_check(result, find_omitted(best, judged))]
@@ -238,7 +239,7 @@ def _fit_best(
 def _fit_readings(
     experiment: Experiment, choices: tuple[Parameter, ...], progress: Progress
 ) -> tuple[str, FitResult]:
-    """Return the rounding of encoder counts that explains the trials best, and its fit."""
+    """Return the rounding of encoder counts with the smallest residuals, and the fit with this rounding."""
     fits = {
         name: output_error.fit_output_error(experiment.model, trials, parameters=choices, progress=progress)
         for name, trials in (experiment.variants or {"": experiment.trials}).items()
@@ -282,15 +283,15 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
 
 
 def name_rivals(stated: FitResult, starts: Sequence[str] = ()) -> list[Rival]:
-    """Name the rivals of a fit of all trials.
+    """Return the alternative fits (rivals) with which a fit of all trials is compared.
 
-    Each held parameter that all trials share is freed, and replaces the parameters with a similar effect.
-    Trials with a pulley may each have a friction of their own.
+    In one alternative, a held parameter that all trials share is freed. In another, this parameter replaces
+    the parameters with a similar effect. For a pulley, each trial may also have a friction of its own.
 
     Parameters
     ----------
     starts : sequence of str
-        Per-trial parameters of the start of a trial that are freed, too.
+        Per-trial parameters of the start of a trial that are also freed.
     """
     held = [p for p in stated.parameters if not p.free and not p.per_trial]
     found = [rivals.free(stated, name) for name in (*starts, *(p.name for p in held))]
@@ -308,10 +309,10 @@ def name_rivals(stated: FitResult, starts: Sequence[str] = ()) -> list[Rival]:
 
 
 def _name_replacement(stated: FitResult, held: Parameter) -> Rival | None:
-    """Return the rival in which a held parameter replaces the parameters with a similar effect.
+    """Return the alternative fit in which a held parameter replaces the parameters with a similar effect.
 
-    Return None if there is no parameter to replace, or if the user holds the parameter and the model by
-    default does not.
+    Return None if there is no parameter to replace, or if the parameter is held only because the user chose
+    to hold it.
     """
     alike = next((names for names in SIMILAR_PARAMETERS if held.name in names), ())
     acting = [p for p in stated.parameters if p.free or p.start != 0.0]
@@ -334,11 +335,11 @@ def is_held_by_default(model: Model, name: str) -> bool:
 
 
 def find_omitted(stated: FitResult, judged: Sequence[Judged]) -> list[Judged]:
-    """Return the rivals whose held parameter the data support, with their intervals, best first.
+    """Return the alternative fits whose additional parameter the data support, with intervals, best first.
 
-    A freed parameter must make the fit better, and its interval must exclude the value at which it was held.
-    A parameter that replaces others must make the fit as good, and move an estimate of the fit ``stated`` out
-    of its 95 % interval.
+    A freed parameter must improve the fit, and its interval must exclude the value at which it was held. A
+    fit with a parameter that replaces others must be as good as the fit ``stated``, and move one of its
+    estimates out of its 95 % interval.
     """
     found = []
     for one in judged:
@@ -364,7 +365,7 @@ def _describe(omitted: Judged) -> str:
 
 
 def _suggest(stated: FitResult, omitted: Judged) -> str:
-    """Return a sentence on the change of a fit by an omitted parameter, with the options that include it."""
+    """Return a sentence on the effect of an omitted parameter, with the options that include it in a fit."""
     name = omitted.rival.name
     held = "".join(f" --fix {other}=0" for other in omitted.rival.replaced)
     acting = next(p for p in omitted.fit.parameters if p.name == name)
@@ -387,10 +388,10 @@ def find_moved(stated: FitResult, other: FitResult) -> list[str]:
 
 
 def find_material(stated: FitResult, other: FitResult) -> list[str]:
-    """Return the coefficients of the body that move materially from the fit ``stated`` to another fit.
+    """Return the coefficients of the body that differ materially between the fit ``stated`` and another fit.
 
-    They move by more than 1.96 standard errors of their difference, as of independent estimates, and by more
-    than :data:`MATERIAL_SHARE`. A coefficient that is fixed in the other fit has no error there.
+    A material difference is larger than 1.96 times its standard error, computed as for independent estimates,
+    and larger than :data:`MATERIAL_SHARE`. A coefficient that is fixed in the other fit has zero error there.
     """
 
     def is_material(label: str) -> bool:
@@ -404,7 +405,8 @@ def find_material(stated: FitResult, other: FitResult) -> list[str]:
 def explains_differences(stated: FitResult, other: FitResult) -> bool:
     """Return whether a further parameter explains why the trials of the fit ``stated`` differ.
 
-    A further parameter makes standard errors larger, unless they contain differences that it explains.
+    A further parameter usually increases the standard errors of the estimates. It decreases them only if they
+    included differences between trials that the parameter explains.
     """
     if stated.differences is None or not stated.differences.are_likely:
         return False
@@ -415,8 +417,8 @@ def explains_differences(stated: FitResult, other: FitResult) -> bool:
 def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
     """Check that the fit ``stated`` omits no parameter that the data support, and warn if it omits any.
 
-    The check fails if a parameter makes the fit better, and if it moves estimates materially or explains why
-    the trials differ.
+    The check fails if an omitted parameter improves the fit and also either moves estimates materially
+    (:func:`find_material`) or explains differences between trials.
     """
     name = "no parameter left out"
     limit = f"score ≤ {rivals.STRONG:g}, and no other law explains as much"
@@ -451,7 +453,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Judged]) -> ev.Check:
 
 
 def _warn_of_start(fit: FitResult, name: str) -> None:
-    """Warn that the trials do not start at rest, with the estimates of the parameter of their start."""
+    """Warn that the trials do not start at rest, and state the estimates of the start parameter ``name``."""
     values = ", ".join(
         f"{label[len(name) + 1 : -1]} {value:+.3g}"
         for label, value in zip(fit.labels, fit.estimate, strict=True)
@@ -465,14 +467,14 @@ def _warn_of_start(fit: FitResult, name: str) -> None:
 
 
 def trial_checks(stated: FitResult, result: FitResult, judged: Sequence[Judged]) -> list[ev.Check]:
-    """Check whether the pulley friction follows the pulling mass, and whether one trial is odd.
+    """Check whether the pulley friction depends on the pulling mass, and whether one trial is an outlier.
 
     Parameters
     ----------
     stated, result : FitResult
-        Fit without and with its intervals.
+        The same fit without and with intervals of its estimates.
     judged : sequence of Judged
-        Rivals of the fit. An odd trial must be better than each of them.
+        Alternative fits. A fit in which one trial is an outlier must be better than each of them.
     """
     found = []
     own = next((one for one in judged if one.rival.name == OWN_FRICTION and one.is_better), None)
@@ -505,7 +507,7 @@ def _format_estimate(fit: FitResult, label: str) -> str:
 
 
 def _friction_check(own: FitResult) -> list[ev.Check]:
-    """Check whether the pulley friction depends on the pulling force, from a fit with one for each trial."""
+    """Check whether pulley friction depends on the pulling force, from a fit with a friction per trial."""
     pulls = {f"{OWN_FRICTION}[{t.id}]": t.rig.pull for t in own.trials}
     index = [j for j, label in enumerate(own.labels) if label in pulls and own.stderr(label)]
     if len(index) < rivals.MIN_TRIALS_RIVAL:
@@ -649,7 +651,7 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
 
 
 def _differentiate(result: FitResult, trial: Trial, function: Callable[[Array], float]) -> Array:
-    """Return the derivatives of a function of a trial's values with respect to the unknowns, shape (p,)."""
+    """Return the derivatives of a function with respect to the p unknowns of a fit, shape (p,)."""
     values, gradient = result.values(trial.id), np.zeros(len(result.labels))
     for j, label in enumerate(result.labels):
         parameter = result.parameter(label)
@@ -696,8 +698,8 @@ def _first_amplitude(result: FitResult, trial: Trial) -> float:
 def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]:
     """Check that estimated added mass and drag, swing angles and driving forces are physically possible.
 
-    The limits follow from the mass, the frontal area and the size of the body only. If a limit depended on
-    the stated force, a wrong force could pass the check.
+    The limits are derived only from the mass, the frontal area and the size of the body. If a limit depended
+    on the stated force, a wrong force could pass the check.
     """
     checks = []
     for name, most, basis, inputs in _limits(experiment, result):
@@ -777,9 +779,9 @@ def _limit_drag(result: FitResult, areas: Sequence[float], density: float) -> It
 def _force_ratios(experiment: Experiment) -> list[tuple[float, float, float, str]]:
     """Compare the driving force of each drop without a pulley with the largest possible driving force.
 
-    Return for each drop the ratio of the two forces, the driving force (N), the largest possible driving
-    force (N) and the name of the trial. The largest possible force is the weight of the body or, if larger,
-    its maximum net buoyancy.
+    Return for each drop the ratio of driving force to largest possible force, the driving force (N), the
+    largest possible force (N) and the name of the trial. The largest possible force is the weight of the body
+    or, if larger, its maximum net buoyancy.
     """
     forces = []
     for trial in experiment.trials:
@@ -853,7 +855,7 @@ def max_added_mass_in_box(
     Parameters
     ----------
     along : bool
-        Whether the body moves along its length. Otherwise it may move in any direction.
+        Whether the body moves along its length. If False, the body may move in any direction.
 
     Notes
     -----
@@ -879,8 +881,8 @@ def max_added_inertia(length_m: float, width_m: float, height_m: float, density_
 
     Notes
     -----
-    The limit is derived as in :func:`max_added_mass_in_box`. It is the moment of inertia of a sphere of water
-    whose radius is the diagonal of the box.
+    The limit is derived as in :func:`max_added_mass_in_box`. The limit is the moment of inertia of a sphere
+    of water whose radius is the diagonal of the box.
 
     >>> round(max_added_inertia(1.0, 1.0, 1.0, 1000.0))
     26119
@@ -978,7 +980,9 @@ class TwoPointResult:
     points_m : tuple of float
         The two displacements.
     pulling_mass_kg : ndarray, shape (k,)
+        Pulling mass of each of the k drops.
     speed_squared, speed_squared_sd : ndarray, shape (2, k), m2/s2
+        Squared speed at each displacement, and its standard deviation.
     lines : ndarray, shape (2, 2)
         Slope and intercept of squared speed over pulling mass at each displacement: alpha and beta of Eq 13.
     """
@@ -996,7 +1000,7 @@ class TwoPointResult:
     def is_valid(self) -> bool:
         """Whether all standard errors of the two-point method are finite.
 
-        They are finite if the squared speeds rise with the pulling mass as the method assumes.
+        The standard errors are finite if the squared speeds rise with the pulling mass as the method assumes.
         """
         return all(map(math.isfinite, self.stderr.values()))
 
@@ -1046,11 +1050,11 @@ def two_point(
     Parameters
     ----------
     trials : sequence of Trial
-        Falling-weight trials without missing samples. Those with a pulley and the role ``fit`` are used; they
-        must have at least three different pulling masses.
+        Falling-weight trials without missing samples. Only those with a pulley and the role ``fit`` are used.
+        These must have at least three different pulling masses.
     points_m : (x1, x2), optional
         The two displacements. The default is :data:`POINT_SHARES` of the displacement that all drops reached.
-        The paper used 0.293 and 0.584 m.
+        The boxfish paper used 0.293 and 0.584 m.
 
     Raises
     ------
@@ -1119,8 +1123,9 @@ def _random_variance(
 ) -> Array:
     """Return the variances of the estimates due to the random errors of the squared speeds, shape (3,).
 
-    The errors follow from the residuals about the lines over pulling mass. The variances are infinite if the
-    method has no result for a squared speed that is moved by its error.
+    The random errors are estimated from the residuals of squared speed about its regression lines over the
+    pulling mass. The variances are infinite if the method has no result for a squared speed displaced by its
+    error.
     """
     scatter = squared - np.array([np.polyval(line, masses) for line in lines])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))

@@ -71,7 +71,7 @@ EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest", "gravi
 
 
 class RigScales(Scales):
-    """Typical sizes of speed, force, stiffness and inertia in the trials of a rig, for scaling parameters."""
+    """Typical sizes of speed, force, stiffness and inertia in rig trials, for the scaling of parameters."""
 
     model: RigModel
 
@@ -107,7 +107,7 @@ class RigScales(Scales):
     def force(self) -> float:
         """Typical applied force of the trials, N or N m.
 
-        In a free decay it is the restoring force at a displacement equal to the range of motion.
+        In a free decay this is the restoring force at a displacement equal to the range of motion.
         """
         if self.model.rig.swings:
             return max(self.stiffness, 1e-12) * self.span
@@ -118,7 +118,7 @@ class RigScales(Scales):
     def brake(self) -> float:
         """Typical force of friction or damping, N or N m: a tenth of the typical applied force.
 
-        In a free decay it is a hundredth of the typical force, because losses add up over many swings.
+        In a free decay the size is a hundredth of the typical force, because losses add up over many swings.
         """
         if self.model.rig.swings:
             return 0.01 * self.force
@@ -187,8 +187,8 @@ class RigModel(Model):
     def equation(self, values: Array, trial: Trial) -> dict[str, float]:
         """Return the coefficients of the equation of motion of one trial for given parameter values.
 
-        They include the constant force of the trial and its initial state: ``force`` (N), ``drift`` (N/s),
-        ``x0`` and ``v0``.
+        The key is the name of the coefficient. Further keys are the constant force ``force`` (N) and its
+        rate ``drift`` (N/s), and the initial displacement ``x0`` and speed ``v0`` of the trial.
         """
         known, friction = trial.rig, 0.0
         if known.pulley:
@@ -280,7 +280,7 @@ class RigModel(Model):
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the time derivatives of simulated displacement and speed at the samples of a trial.
 
-        They are the simulated speed and the numerical derivative of the speed.
+        These derivatives are the simulated speed and the numerical derivative of the speed.
         """
         simulated = self.run(values, trial)
         rate = np.zeros(1)
@@ -315,7 +315,7 @@ def _free_parameter(name: str, unit: str, scale: float, meaning: str, **more: An
 def _drag(area_known: bool, source: str = "") -> Parameter:
     """Return the parameter of quadratic drag.
 
-    It is the drag coefficient if the frontal area is known, and otherwise the quadratic drag in N s2/m2.
+    This is the drag coefficient if the frontal area is known, and else the quadratic drag in N s2/m2.
     """
     if area_known:
         return Parameter(
@@ -350,10 +350,10 @@ def falling_weight(
     Parameters
     ----------
     area_known : bool
-        Whether the frontal area is known, so that the drag coefficient is estimated. Otherwise the quadratic
-        drag is estimated.
+        Whether the frontal area is known, so that the drag coefficient is estimated. If it is unknown, the
+        quadratic drag is estimated.
     pulley : bool
-        Whether the friction of the pulley is estimated. Otherwise it is zero.
+        Whether the friction of the pulley is estimated. If false, this friction is zero.
     """
     half, friction = 0.5 * mass_kg, 0.1 * force_N * pulley
     common = "pulley friction of a trial against the common one"
@@ -405,8 +405,8 @@ def free_decay(
     inertia : float
         Known inertia, kg or kg m2.
     stiffness : float or None
-        Known stiffness, N/m or N m/rad; the added inertia is then estimated. If it is None, the stiffness is
-        estimated and the added inertia is held, because a decay determines only ratios to the inertia.
+        Known stiffness, N/m or N m/rad; the added inertia is then estimated. If the stiffness is None, it is
+        estimated and the added inertia is held, because a decay determines only their ratio.
     guess : float
         Stiffness that follows from the period of the decay.
     amplitude : float
@@ -423,7 +423,7 @@ def free_decay(
     if spring is None:
         spring = guess - gravity
     else:
-        # the inertia with which the known stiffness has the period of the decay
+        # total inertia with which the known stiffness gives the measured period of the decay
         whole = max((spring + gravity) / rate**2, inertia)
     damping, speed = 0.01 * whole * rate, amplitude * rate
     quadratic = damping / speed
@@ -467,7 +467,7 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
     dry : float
         Maximum force of dry friction, N.
     left : float, s
-        Duration in which the body may start to move. It is returned as the time if the body stays at rest.
+        Duration of the search for a start. If the body stays at rest, this duration is returned as the time.
 
     >>> breakaway(0.5, 2.0, 1.0, 1.0)
     (0.25, 1.0)
@@ -485,8 +485,8 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
 def restoring(x, c):  # type: ignore[no-untyped-def]
     """Return the restoring force or moment that opposes a displacement from the rest position, N or N m.
 
-    It has the sign of the displacement, and is subtracted from the applied force. ``c`` has the coefficients
-    of the equation of motion in the order of :data:`EQUATION`.
+    The result has the sign of the displacement, and is subtracted from the applied force. ``c`` has the
+    coefficients of the equation of motion in the order of :data:`EQUATION`.
     """
     _, _, _, _, stiffness, rest, gravity, cubic = c
     away = x - rest
@@ -612,8 +612,8 @@ def integrate_rig(  # type: ignore[no-untyped-def]
         Velocity of the water at :func:`step_ends`, between which it is interpolated linearly.
     extra : tuple or None
         Working memory of shape (3, 3), number of forces that act on the body, and :data:`MOST_FORCES` pairs
-        of constants and compiled function of a force (:class:`swimid.fitting.model.ExternalForce`). It is
-        None in still water without further forces.
+        of constants and compiled function of a force (:class:`swimid.fitting.model.ExternalForce`). None in
+        still water without further forces.
 
     Returns
     -------
@@ -746,12 +746,12 @@ class RigTrial(TrialEntry):
 
 
 def mass_of(entry: RigTrial, robot: Robot, path: Path) -> float:
-    """Return the inertial mass of a trial, or else that of the robot, kg.
+    """Return the inertial mass that a trial states, or else the mass of the robot, kg.
 
     Raises
     ------
     InputError
-        If neither the trial nor the robot file states it.
+        If neither the trial nor the robot file states a mass.
     """
     mass = entry.inertial_mass_kg
     if mass is None:
@@ -815,8 +815,8 @@ class Displacement:
     position_sd : float
         Standard deviation of the positions, due to the step of the encoder.
     shifts : dict of str to float
-        True position minus position for each possible rounding of the count (:data:`ROUNDINGS`); empty if the
-        positions are not those of a sampled count.
+        True position minus ``position`` for each possible rounding of the count (:data:`ROUNDINGS`); empty
+        unless ``kind`` is ``sampled``.
     """
 
     kind: Literal["continuous", "clicks", "sampled"]
@@ -838,7 +838,7 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
     Parameters
     ----------
     resolution : float, optional
-        Known step of the encoder. It is needed for records that move several steps per sample.
+        Known step of the encoder, which is needed for records that move several steps per sample.
     """
     plain = Displacement("continuous", time_s, position)
     step = step_of(position)

@@ -142,8 +142,8 @@ class Rudder(OnLink):
 class MovingMass(OnLink):
     """Mass that an input moves along a line of a link, as the battery of a glider.
 
-    It moves the centre of mass and changes the inertia of the link. Its acceleration pushes the link back.
-    The mass of the link does not include it. The input is a position, by default in m.
+    The moving mass shifts the centre of mass and changes the inertia of the link. Its acceleration pushes the
+    link back. The link's own mass excludes the moving mass. The input is a position, by default in m.
     """
 
     kind: Literal["moving-mass"]

@@ -40,9 +40,10 @@ class Body(yamlio.Document):
     """Masses, dimensions and moments of inertia of a robot that is regarded as a single rigid body."""
 
     inertial_mass_kg: PositiveFloat | None = None
-    #: Without it a fit estimates the coefficient of quadratic drag in place of the drag coefficient.
+    #: Frontal area, m2. Without it a fit estimates the coefficient of quadratic drag in place of the drag
+    #: coefficient.
     frontal_area_m2: PositiveFloat | None = None
-    #: Length, width and height give the added mass of a box, with which reports compare.
+    #: Length, width and height give the added mass of a box, for comparison in reports.
     length_m: PositiveFloat | None = None
     width_m: PositiveFloat | None = None
     height_m: PositiveFloat | None = None
@@ -60,8 +61,9 @@ class TestRig(yamlio.Document):
     roll_stiffness_N_m_rad: NonNegative | None = None
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
-    #: Stiffness of the restoring moment of gravity in roll: the product m g l of a pendulum, or m g GM of a
-    #: ship. The restoring moment is this product times the sine of the roll angle.
+    #: Stiffness of the restoring moment of gravity in roll: the product m g l of mass, gravity and length of
+    #: a pendulum, or m g GM with the metacentric height GM of a ship. The restoring moment is this product
+    #: times the sine of the roll angle.
     roll_gravity_stiffness_N_m_rad: NonNegative | None = None
     pitch_gravity_stiffness_N_m_rad: NonNegative | None = None
 
@@ -168,8 +170,8 @@ class Robot(yamlio.Document):
     def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
         """Return the positions of markers and of points of the first link, relative to the reference point.
 
-        They are in m. A position has the components forward and to port, or forward and up for the vertical
-        plane. The reference point is the point whose pose is logged.
+        The positions are in m. A position has the components forward and to port, or forward and up for the
+        vertical plane. The reference point is the point whose pose is logged.
         """
         if self.multibody is not None:
             aside = {"horizontal": 1, "vertical": 2}[plane]
@@ -225,7 +227,7 @@ def list_built_in_robots() -> list[str]:
 def locate(name: str, relative_to: Path | None = None, said: Mapping[str, Any] | None = None) -> Path:
     """Return the path of a robot file, given the name of a built-in robot or the path itself.
 
-    ``said`` is the place of the name for the error: ``file``, ``line`` and ``column``.
+    ``said`` states where a file names the robot, for the error: ``file``, ``line`` and ``column``.
 
     Raises
     ------
@@ -312,8 +314,7 @@ def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
         key = _member(data, part)
         if key is None:
             raise add_location(
-                InputError(f"this option sets '{place}', but the robot file has no '{part}'", column=where),
-                path,
+                InputError(f"sets '{place}', but the robot file has no '{part}'", column=where), path
             )
         return key
 

@@ -70,7 +70,7 @@ class Driven(Actuator):
 
     @property
     def is_computed(self) -> bool:
-        """Whether the angle is computed, from a command or a shared actuator. It is then never given."""
+        """Whether the angle follows from a command or a shared actuator. Such an angle is never an input."""
         return self.servo is not None or self.actuator is not None
 
     @model_validator(mode="after")
@@ -117,8 +117,8 @@ class Input(yamlio.Document):
     """Column of a log that loads act by, and the law of the actuator between the column and the loads.
 
     The law maps a value u of the column to ``sign(u) (|u| - dead_band)^power``, or 0 within the dead band.
-    The result is multiplied by ``reverse`` if u is negative. It follows with a first-order lag. Between its
-    samples a column is linear.
+    The result is multiplied by ``reverse`` if u is negative, and then passes a first-order lag. The column is
+    linear between its samples.
 
     Example::
 
@@ -136,7 +136,7 @@ class Input(yamlio.Document):
     power: Quantity = 1.0
     #: Absolute value of the column up to which the loads are zero, in the unit of the column.
     dead_band: Quantity = 0.0
-    #: Factor on the loads for negative values of the column, for example of a propeller in reverse.
+    #: Factor applied to the loads for negative values of the column, for example of a propeller in reverse.
     reverse: Quantity = 1.0
     lag_s: Quantity = 0.0
 

@@ -104,7 +104,8 @@ class InPlane(OnLink):
     at_m: Quantity | None = None
     #: Distance of the element to port (upwards in the vertical plane), m.
     offset_m: Quantity = 0.0
-    #: Half the height of the band about the water surface: an element in a plane is always under water.
+    #: Half the height of the band about the water surface. None, because an element in a plane is always
+    #: under water.
     half_height_m: ClassVar[float | None] = None
 
     def point(self, link: Link) -> Components:
@@ -200,7 +201,7 @@ class Section(yamlio.Document):
 class SlenderBody(OnLink):
     """Added mass and drag of a slender link with varying cross-section (dolphin paper, Eqs 4, 7 and 8).
 
-    They act on strips along the link.
+    Added mass and drag act on strips along the link.
     """
 
     kind: Literal["slender-body"]

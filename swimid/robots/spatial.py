@@ -162,7 +162,7 @@ class Spheroid(InSpace):
 class Plate(InSpace):
     """Added mass of a rectangular flat plate that moves normal to its plane.
 
-    It is ``pi rho k b c^2 / 4`` with the span b and the chord c (sea lion paper, Eq 9).
+    The added mass is ``pi rho k b c^2 / 4`` with the span b and the chord c (sea lion paper, Eq 9).
     """
 
     kind: Literal["plate"]
@@ -342,9 +342,7 @@ class SpatialRudder(InSpace, elements.Rudder):
     @model_validator(mode="after")
     def _across(self) -> SpatialRudder:
         if abs(self.side[0]) > 1e-6 * math.hypot(*self.side):
-            raise ValueError(
-                f"'side' must be perpendicular to the x axis of the link, and is {list(self.side)}"
-            )
+            raise ValueError(f"side {list(self.side)} must be perpendicular to the x axis of the link")
         return self
 
     @property
@@ -415,7 +413,7 @@ class HingeStroke(yamlio.Document):
                 raise ValueError(f"'{name}' has {len(angles)} angles at {len(self.knots_s)} knots")
             if angles[0] != angles[-1]:
                 raise ValueError(
-                    f"'{name}': the last angle, {angles[-1]:g}, must equal the first angle, {angles[0]:g}"
+                    f"'{name}': the last angle {angles[-1]:g} must equal the first, {angles[0]:g}"
                 )
         return self
 

@@ -1,4 +1,4 @@
-"""Command ``swimid batch``: run of a plan, which does the items that are missing or changed."""
+"""Command ``swimid batch``: run of a plan, which processes the items that are missing or outdated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from swimid.runs import item, status, summary
 from swimid.runs.options import BatchOptions
 from swimid.runs.plan import Item, Resolved, folder_of, resolve
 
-#: States of items that a run does. Items of the states ``failed`` and ``refused`` are done on request.
+#: States of the items that a run processes. Items in the states ``failed`` and ``refused`` are processed only
+#: on request.
 UNFINISHED = ("missing", "outdated")
 #: Exit status of a run in which an item is refused, failed or without result.
 INCOMPLETE = 4
@@ -33,8 +34,8 @@ class Batch(Result):
     document : Summary
         Items of the run with their states, verdicts and estimates; None after a dry run.
     exit_status : int
-        Exit status of the command: 4 if an item is refused, failed, without result or held by another
-        process, or if a run left an item undone; 0 otherwise.
+        Exit status of the command: 4 if an item is refused, failed, without result, held by another process
+        or not processed; else 0.
     """
 
     next_step = "python -m webbrowser {file}"
@@ -61,23 +62,23 @@ def batch(
 ) -> Batch:
     """Process many films, logs or trials files with a sequence of commands.
 
-    Each item is done in a process of its own, and leaves results and state in ``output/items/<name>``. Items
-    that are done with these inputs, options and version are not repeated.
+    Each item is processed in a process of its own, which writes results and state to ``output/items/<name>``.
+    An item is not repeated if it is done with the same inputs, options and version of swimid.
 
     Parameters
     ----------
     plan : path
         Plan file (swimid-plan/1, ``docs/batch.md``).
     output : path
-        Folder of the run. It is made if it does not exist.
+        Folder of the run. It is created if it does not exist.
     force : bool
-        Whether the folder may have files that are not of a run.
+        Whether the folder may contain files that do not belong to a run.
     progress : Progress
 
     Returns
     -------
     Result
-        ``.document`` is the summary of the run, ``.data`` its numbers of items by state.
+        ``.document`` is the summary of the run. ``.data`` has the number of items in each state.
 
     Raises
     ------
@@ -86,7 +87,7 @@ def batch(
     UsageError
         If the folder is not empty and not that of a run.
     Interrupted
-        After Ctrl-C. The same call goes on.
+        After Ctrl-C. Repeat the call to continue the run.
 
     Examples
     --------
@@ -113,7 +114,7 @@ def batch(
 
 
 def _states_of(items: list[Item], run: Path) -> dict[str, str]:
-    """Return the states of items by name."""
+    """Return the state of each item. The key is the name of the item."""
     return {one.id: status.state_of(one, folder_of(run, one.id))[0] for one in items}
 
 
@@ -142,7 +143,7 @@ def _insist_same(run: Path, resolved: Resolved) -> None:
 
 
 def _do(run: Path, mine: list[Item], options: BatchOptions, progress: Progress) -> dict[str, str]:
-    """Do the items that are not done. Return the errors of those whose status cannot be written."""
+    """Process unfinished items. Return, by item, the errors of items whose status cannot be written."""
     problems: dict[str, str] = {}
     wanted = {*UNFINISHED, *options.retry}
     todo = [name for name, state in _states_of(mine, run).items() if state in wanted]

@@ -22,7 +22,7 @@ from swimid.runs.options import CompareRunsOptions
 from swimid.runs.plan import Resolved, folder_of
 from swimid.runs.status import Metric
 
-#: Maximum number of panels of the figure, and of rows of the table of estimates that is not folded.
+#: Maximum number of panels in the figure of a comparison, and of rows in its unfolded table of estimates.
 MAX_COMPARISON_PANELS, MAX_COMPARISON_ROWS = 12, 12
 
 
@@ -34,8 +34,8 @@ class ComparedQuantity(yamlio.Document):
     unit: str
     values: yamlio.Numbers
     stderr: yamlio.Numbers
-    #: Probability of differences this large if the quantity were the same in all runs (chi-squared test). It
-    #: is null if a standard error is unknown, and if all values are equal.
+    #: p-value of the chi-squared test of the hypothesis that the quantity is the same in all runs; null if a
+    #: standard error is unknown, or if all values are equal.
     p: float | None = None
     changed: bool = False
 
@@ -48,7 +48,7 @@ class RunComparison(yamlio.ResultFile):
     runs: list[str]
     false_discovery_rate: float
     quantities: list[ComparedQuantity]
-    #: For each item that is not the same in all runs: what differs between the runs.
+    #: Differences between the runs, such as other inputs or steps, for each item that is not the same in all.
     differences: dict[str, list[str]] = {}
     provenance: yamlio.Provenance = Field(default_factory=dict)
 
@@ -59,7 +59,8 @@ class ComparedRuns(FileResult[RunComparison]):
     Attributes
     ----------
     file : RunComparison
-        Estimates of each quantity in each run, tests, and differences of the items. :meth:`save` writes it.
+        Estimates of each quantity in each run, tests, and differences of items. :meth:`save` writes this
+        file.
     """
 
     file_type = RunComparison
@@ -112,17 +113,13 @@ def compare_runs(
     """
     paths = [Path(run) for run in runs]
     if len(paths) < 2:
-        raise UsageError(
-            f"a comparison needs two runs, not {len(paths)}", hint="swimid compare-runs run1 run2"
-        )
+        raise UsageError("a comparison needs two runs", hint="swimid compare-runs run1 run2")
     found = [_read(path) for path in paths]
     names = _names(paths)
     quantities = _quantities(found)
     if not quantities:
         have = ", ".join(sorted({item or "one result" for run in found for item in run}))
-        raise InputError(
-            "the runs have no estimate in common", file=paths[0], hint=f"items of the runs: {have}"
-        )
+        raise InputError("the runs share no estimate", file=paths[0], hint=f"items of the runs: {have}")
     _mark_changes(quantities, options.false_discovery_rate)
     quantities.sort(key=lambda q: (not q.changed, 2.0 if q.p is None else q.p))
     inputs = [path / "plan.json" if path.is_dir() else path for path in paths]
@@ -166,7 +163,7 @@ def _read(path: Path) -> dict[str, _Found]:
 
 
 def _quantities(runs: Sequence[Mapping[str, _Found]]) -> list[ComparedQuantity]:
-    """Return the estimates that two or more runs have in one unit, with the test of their equality."""
+    """Return the quantities that two or more runs have in the same unit, with the test of equality."""
     quantities = []
     for item in dict.fromkeys(name for run in runs for name in run):
         metrics = [run[item].metrics if item in run else {} for run in runs]
@@ -176,7 +173,7 @@ def _quantities(runs: Sequence[Mapping[str, _Found]]) -> list[ComparedQuantity]:
 
 
 def _quantity(item: str, name: str, estimates: Sequence[Metric | None]) -> ComparedQuantity | None:
-    """Return a quantity with its estimates in all runs; None unless two runs have it in one unit."""
+    """Return a quantity with its estimates in all runs; None unless two runs have it in the same unit."""
     known = [estimate for estimate in estimates if estimate is not None]
     units = {estimate.unit for estimate in known}
     if len(known) < 2 or len(units) > 1:
@@ -204,7 +201,7 @@ def _mark_changes(quantities: Sequence[ComparedQuantity], rate: float) -> None:
 
 
 def _p_value(known: Sequence[Metric]) -> float | None:
-    """Return the p-value of the hypothesis that all estimates are of one value; None if it is not tested."""
+    """Return the p-value of the hypothesis that all estimates have the same true value; None if untested."""
     from scipy import stats
 
     errors = np.array([one.stderr for one in known])
@@ -230,7 +227,7 @@ def _differences(runs: Sequence[Mapping[str, _Found]], names: Sequence[str]) -> 
 
 
 def _item_differences(entries: Mapping[str, _Found]) -> list[str]:
-    """Return what is not the same in the runs that have an item, by the name of the run."""
+    """Return sentences on the differences of an item between the runs that have it (keys: run names)."""
     texts = []
     for what in ("state", "version"):
         values = [getattr(entry, what) for entry in entries.values()]
@@ -265,7 +262,7 @@ def _answer(file: RunComparison) -> ev.Verdict:
 
 
 def _count_changes(file: RunComparison) -> tuple[int, int]:
-    """Return the number of quantities that changed, and of those that were tested."""
+    """Return the number of quantities that changed, and the number of quantities that were tested."""
     tested = [quantity for quantity in file.quantities if quantity.p is not None]
     return sum(quantity.changed for quantity in tested), len(tested)
 

@@ -1,7 +1,7 @@
-"""One item of a batch, in a process of its own.
+"""Processing of one item of a batch in a process of its own.
 
-:func:`run_item` starts the process, and records an item that fails. The module run as a program is that
-process.
+:func:`run_item` starts the process, and records the failure of an item. The started process runs this module
+as a program.
 """
 
 from __future__ import annotations
@@ -28,34 +28,36 @@ from swimid.runs import status as states
 from swimid.runs.plan import TRIALS, Item, ItemStep, folder_of, is_linked, item_of
 from swimid.runs.status import LOG, STAMPS, STATUS_FILE, Status, StepStatus
 
-#: Exit status of the process of an item that another process does (EX_TEMPFAIL), and after Ctrl-C.
+#: Exit status of the process of an item that another process holds (EX_TEMPFAIL), and exit status after
+#: Ctrl-C.
 BUSY, INTERRUPTED = 75, 130
-#: Size of the end of the log that is kept, bytes, and number of its lines that an error shows.
+#: Number of bytes at the end of the log of an item that are kept, and number of its lines in an error
+#: message.
 MAX_LOG, MAX_LINES = 100_000, 15
-#: Environment of the process of an item: each library uses one thread.
+#: Environment variables of the process of an item, with which each library uses one thread.
 ONE_THREAD = dict.fromkeys(
     [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["OPENCV_FOR_THREADS_NUM"], "1"
 )
-#: Endings of files that are no outputs of an item, and that stay when the item is repeated.
+#: Extensions of checkpoint and lock files, which are not removed when an item is repeated.
 KEPT_ENDINGS = (".partial", ".lock")
 
-#: Set when the run was interrupted: no item is started or tried again.
+#: Event that is set when the run is interrupted, so that no further item is started or repeated.
 stopping = threading.Event()
 _processes: set[subprocess.Popen[bytes]] = set()
 
 
 def stop() -> None:
-    """End all items that this process does, and start no other."""
+    """End the processing of all items in this process, and start no other item."""
     stopping.set()
     for process in list(_processes):
         process.kill()
 
 
 def run_item(run: str, ident: str) -> str:
-    """Do one item of a run, and return its state.
+    """Process one item of a run, and return the new state of the item.
 
     An item that crashes or exceeds its time limit is ``failed``, and its status has the end of its log. An
-    item whose folder is a symbolic link is left alone.
+    item whose folder is a symbolic link is not processed.
 
     Parameters
     ----------
@@ -160,9 +162,10 @@ def _status(
 
 
 def _read(item: Item, folder: Path) -> dict[str, reading.Opened]:
-    """Return the inputs that the plan names and the files that the steps have read so far, as they were then.
+    """Return the inputs of an item and the files that its steps have read, as they were when read.
 
-    A name is a path relative to the folder of the item. Files in this folder and files of swimid are none.
+    The key is the path relative to the folder of the item. Files in this folder and files of swimid are left
+    out.
     """
     for name in item.inputs:
         reading.note(folder / name, at_once=True)
@@ -224,7 +227,7 @@ def _run_steps(item: Item, folder: Path) -> Status | None:
             sketch = sketch or sketched
             continue
         state = {4: "no result"}.get(code, "refused")
-        if "cannot be written" in error.get("message", ""):  # The disk may be full, and the input is sound.
+        if "cannot be written" in error.get("message", ""):  # The disk may be full: do not blame the input.
             state = "failed"
         if error.get("type") == "NotEnoughMemory":
             state = "failed"
@@ -234,7 +237,7 @@ def _run_steps(item: Item, folder: Path) -> Status | None:
 
 
 def _step(step: ItemStep) -> tuple[StepStatus, states.Sketch | None, int, dict[str, Any]]:
-    """Run the command lines of a step. Return its status and sketch, its exit status and its error."""
+    """Run the command lines of a step. Return its status, figure sketch, exit status and error."""
     shown, sketch = StepStatus(name=step.name), None
     for argv, output in zip(step.argv, step.outputs, strict=True):
         code, answer = _command(argv)
@@ -255,7 +258,7 @@ def _step(step: ItemStep) -> tuple[StepStatus, states.Sketch | None, int, dict[s
 
 
 def _command(argv: list[str]) -> tuple[int, dict[str, Any]]:
-    """Run a command of swimid in this process. Return its exit status and its ``--json`` answer."""
+    """Run a command of swimid in this process. Return its exit status and its ``--json`` output."""
     from swimid.cli.main import main
 
     print("$", "swimid", *argv, file=sys.stderr, flush=True)

@@ -45,7 +45,7 @@ class BatchOptions(
 
     @property
     def part(self) -> slice:
-        """Items of the shard."""
+        """Indices of the items that this shard of the run processes."""
         if self.shard is None:
             return slice(None)
         number, _, count = self.shard.partition("/")

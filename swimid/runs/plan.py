@@ -1,8 +1,8 @@
-"""Plan file (``swimid-plan/1``) of a batch, and its resolution into items with the commands for each.
+"""Plan file (``swimid-plan/1``) of a batch, and its resolution into items with their command lines.
 
-A plan names files by globs and states the steps for them. A step is a command of swimid with its options as
-they are typed, or ``trials``, which writes a trials file for the logs of the item. Files in a plan are
-relative to its folder. The resolved plan names files relative to the folder of each item.
+A plan names files by globs and states the steps for these files. A step is a command of swimid with its
+options as they are typed, or ``trials``, which writes a trials file for the logs of the item. Files in a plan
+are relative to its folder. The resolved plan names files relative to the folder of each item.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from swimid.options import Declared
 
 #: Name of the step that writes a trials file for the logs of an item.
 TRIALS = "trials"
-#: Ending of the output of a command by the kind of file that it makes.
+#: Extension of the output file of a command, by the kind of file that the command makes.
 OUTPUT_ENDINGS = {
     "log": ".csv",
     "parameters": ".yaml",
@@ -41,19 +41,19 @@ OUTPUT_ENDINGS = {
     "picture": ".svg",
     "page": ".html",
 }
-#: Placeholder of the positional argument of commands that take one input file of an item at a time.
+#: Placeholders of the positional argument in the help of commands that take one input file at a time.
 EACH = ("VIDEO", "FILE", "IMU")
-#: Kind of file that a required option takes from an earlier step if the plan does not state it.
+#: Kind of file, by option, that an earlier step supplies if the plan does not state the required option.
 TAKEN = {"params": "parameters", "setup": "setup"}
 #: Maximum length of the name of an item, which is the name of its folder, and of a result, bytes. The limit
-#: of file systems is 255; commands add endings.
+#: leaves room for the suffixes that commands add, because file systems allow 255 bytes.
 MAX_NAME = 120
 
 Steps = list[tuple[str, dict[str, Any]]]
 
 
 def _step(value: Any) -> tuple[str, dict[str, Any]]:
-    """Return command and options of a step, which a plan states as a name or as a mapping."""
+    """Return the command and the options of a step, which a plan states as a name or as a mapping."""
     if isinstance(value, str):
         return value, {}
     if isinstance(value, Mapping) and len(value) == 1:
@@ -77,7 +77,7 @@ class ItemLimits(yamlio.Document):
 
 
 class ItemGroup(yamlio.Document):
-    """Files that go through the same steps. Each file is an item, or each folder of files is one."""
+    """Files that go through the same steps. Each file is an item, or each folder of files is an item."""
 
     files: list[str] = Field(min_length=1)
     name: str = ""
@@ -102,12 +102,13 @@ class PlanFile(yamlio.Document):
 
     format: Literal["swimid-plan/1"]
     limits: ItemLimits = ItemLimits()
-    #: Options of a command in every group.
+    #: Options of each command that apply in every group.
     defaults: dict[str, dict[str, Any]] = {}
-    #: Steps of the groups that state none.
+    #: Steps of the groups that state no steps.
     steps: Steps = []
     items: list[ItemGroup] = Field(min_length=1)
-    #: Options of a command for the files whose path matches a pattern. Later entries win.
+    #: Options of each command for files whose path matches a pattern. If several patterns match, the last
+    #: wins.
     overrides: dict[str, dict[str, dict[str, Any]]] = {}
 
     _read_steps = field_validator("steps", mode="before")(_steps)
@@ -124,15 +125,15 @@ class ItemStep(BaseModel):
     outputs: list[str]
     argv: list[list[str]] = []
     text: str = ""
-    #: Dotted names of numbers in the answer of the command that the summary shows, with ``*`` for any name.
+    #: Dotted names of numbers in the ``--json`` output that the summary shows. ``*`` stands for any name.
     metrics: list[str] = []
 
 
 class Item(BaseModel):
-    """Item of a run: files that go through steps together.
+    """Item of a run: one or several files that go through the steps together.
 
-    ``files`` are relative to the folder of the plan, ``inputs`` to the folder of the item. ``root`` is the
-    path from the folder of the item to that of the plan.
+    ``files`` are relative to the folder of the plan, and ``inputs`` to the folder of the item. ``root`` is
+    the path from the folder of the item to the folder of the plan.
     """
 
     id: str
@@ -149,7 +150,7 @@ class Item(BaseModel):
 
 
 class Resolved(BaseModel):
-    """Resolved plan, which the folder of a run holds as ``plan.json``."""
+    """Resolved plan: items with their command lines. The folder of a run has it as ``plan.json``."""
 
     format: Literal["swimid-run/1"] = "swimid-run/1"
     version: str
@@ -166,7 +167,7 @@ class Resolved(BaseModel):
         Raises
         ------
         InputError
-            If the folder is not that of a run, or if its plan is damaged.
+            If the folder is not the folder of a run, or if its plan is damaged.
         """
         path = Path(run) / "plan.json"
         if not path.is_file():
@@ -182,7 +183,7 @@ class Resolved(BaseModel):
 def item_of(run: str | Path, ident: str) -> tuple[Item, ItemLimits]:
     """Read one item of the resolved plan of a run, and the limits of the run.
 
-    The other items are not validated, because that takes long in a large run.
+    The other items are not validated, because their validation takes long in a large run.
 
     Raises
     ------
@@ -192,9 +193,7 @@ def item_of(run: str | Path, ident: str) -> tuple[Item, ItemLimits]:
     plan = json.loads((Path(run) / "plan.json").read_bytes())
     found = next((item for item in plan["items"] if item["id"] == ident), None)
     if found is None:
-        raise UsageError(
-            f"the plan of {run} was replaced during this run, and lacks {ident}: run the new plan"
-        )
+        raise UsageError(f"the plan of {run} was replaced and lacks {ident}: run the new plan")
     return Item.model_validate(found), ItemLimits.model_validate(plan["limits"])
 
 
@@ -223,8 +222,8 @@ def resolve(path: Path, run: Path, data: Any = None) -> Resolved:
     Raises
     ------
     InputError
-        If the plan is invalid: a pattern without files, an unknown command or option, a step that lacks its
-        input. The message names the line of the plan.
+        If the plan is invalid: a pattern that matches no files, an unknown command or option, or a step
+        without input. The message names the line of the plan.
     """
     if data is None:
         data = yamlio.load(path)
@@ -240,7 +239,7 @@ class _Resolution:
     data: Any
     plan: PlanFile
     run: Path
-    #: Folder of the plan. Both folders are without symbolic links.
+    #: Folder of the plan. Symbolic links in the paths of plan and run are resolved.
     root: Path
     #: Patterns of the overrides that matched a file, and commands that appear in a group.
     matched: set[str] = field(default_factory=set)
@@ -288,7 +287,7 @@ class _Resolution:
         )
 
     def distinct(self, number: int, name: str, counts: Mapping[str, int]) -> str:
-        """Return the name of an item, with that of its group if several groups have the item."""
+        """Return the name of an item, with the name of its group if several groups use this item name."""
         if counts[name] == 1:
             return name
         group = self.plan.items[number].name
@@ -306,7 +305,7 @@ class _Resolution:
     def find_files(self, number: int, group: ItemGroup) -> Iterator[list[str]]:
         """Yield the files of each item of a group, relative to the folder of the plan.
 
-        A pattern that ends with ``/`` matches folders, for instance of the pictures of a film.
+        A pattern that ends with ``/`` matches folders, for instance folders with the pictures of a film.
         """
         root, own = self.root, self.run
         found: dict[str, str] = {}
@@ -358,12 +357,12 @@ class _Resolution:
         )
 
     def options(self, command: str, options: Mapping[str, Any], file: str) -> dict[str, Any]:
-        """Return the options of a step for a file: defaults, those of the step, and overrides."""
+        """Return the options of a step for a file, from the defaults, the step itself and the overrides."""
         merged = {**self.plan.defaults.get(command, {}), **options}
         return merged | self.overridden(command, file)
 
     def overridden(self, command: str, file: str) -> dict[str, Any]:
-        """Return the options of a command that overrides state for a file."""
+        """Return the options of a command that the overrides of the plan state for a file."""
         found: dict[str, Any] = {}
         for pattern, commands in self.plan.overrides.items():
             if fnmatch.fnmatchcase(file, pattern):
@@ -373,9 +372,9 @@ class _Resolution:
 
 
 def _inside(name: str, patterns: Sequence[str]) -> str:
-    """Return the path of a file from the last folder on that its pattern names without a wildcard.
+    """Return the path of a file relative to the last folder in its pattern before a wildcard.
 
-    A path inside the folder of the plan stays as it is.
+    A path inside the folder of the plan is returned unchanged.
     """
     if not (os.path.isabs(name) or name.startswith("..")):
         return name
@@ -404,22 +403,22 @@ def _matches(root: Path, pattern: str) -> Iterator[str]:
         yield from (os.path.join(name, one) for one in found)
         with suppress(OSError):
             inner = [one for one in os.scandir(real) if os.path.isdir(one) and one.name[0] != "."]
-            # Links are followed last, so that a folder is found under its own name.
+            # Follow symbolic links last, so that a folder is found under its own name.
             todo.extendleft(os.path.join(name, one.name) for one in inner if not one.is_symlink())
             todo.extend(os.path.join(name, one.name) for one in inner if one.is_symlink())
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """Return the path of a file relative to a folder. The way back from a linked folder is its real one."""
+    """Return the path of a file relative to a folder, whose symbolic links are resolved first."""
     if ".." in path.parts:
         path = path.parent.resolve() / path.name
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def _file_names(names: Sequence[str], paths: Sequence[str] | None = None) -> list[str]:
-    """Return a distinct file name for each name. One that is too long or not distinct ends with a digest.
+    """Return a distinct file name for each name. A name that is too long or not distinct gets a hash suffix.
 
-    ``paths`` has what is distinct about equal names.
+    The hash of equal names is computed from ``paths``, which are distinct.
     """
     safe = [atomic.file_names([name], [""])[0] for name in names]
     counts = Counter(name.casefold() for name in safe)
@@ -434,7 +433,7 @@ def _file_names(names: Sequence[str], paths: Sequence[str] | None = None) -> lis
 
 @dataclass
 class _Chain:
-    """Steps of one item. ``made`` has the outputs of the steps so far by kind of file."""
+    """Steps of one item while they are resolved. ``made`` has the outputs so far by kind of file."""
 
     plan: _Resolution
     folder: Path
@@ -450,13 +449,13 @@ class _Chain:
 
     @property
     def what(self) -> str:
-        """Path of the item by which overrides name it: that of its file, or of the folder of its files."""
+        """Path by which overrides name the item: the path of its file, or of the folder of its files."""
         if len(self.files) == 1:
             return self.files[0]
         return os.path.dirname(self.files[0])
 
     def path_of(self, name: str) -> str:
-        """Return the path of an input relative to the folder of the item, and note it as an input."""
+        """Return the path of a file relative to the folder of the item, and add the file to the inputs."""
         place = _relative(self.plan.root / name, self.folder)
         self.inputs.add(place)
         return place
@@ -489,7 +488,7 @@ class _Chain:
         self.made.setdefault(spec.usage.kind, []).extend(step.outputs)
 
     def name_output(self, spec: CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
-        """Return the name of the output of a step, with the usual ending if the stated name has none."""
+        """Return the name of the output of a step, with the usual extension if the stated name has none."""
         name = str(stated or stem)
         if Path(name).name != name or name.startswith("."):
             raise self.plan.error(f"'as: {name}' must be the name of a file without a folder", *place)
@@ -504,13 +503,14 @@ class _Chain:
             )
         self.written.add(name)
         if name.startswith("-"):
-            name = f"./{name}"  # A command takes a dash for an option.
+            name = f"./{name}"  # A name with a leading dash would be read as an option.
         return name
 
     def argument(self, spec: CommandSpec, place: tuple[Any, ...]) -> list[str]:
         """Return the files of the positional argument of a command.
 
-        An import takes the logs that tracking has made, to which a mapping joins other files.
+        For an import, the files are the logs that tracking has made. A mapping joins other files to these
+        logs.
         """
         made = self.made
         if spec.usage.argument == "FILE" and len(made.get("log", [])) == len(self.sources):
@@ -584,7 +584,8 @@ class _Chain:
     def with_paths(self, entry: Declared, value: Any, place: tuple[Any, ...]) -> Any:
         """Replace the files in the value of an option by their paths relative to the folder of the item.
 
-        A file is the output of an earlier step, by the name of the step, or a path relative to the plan.
+        The plan states a file as the name of the earlier step that makes it, or as a path relative to the
+        plan.
         """
         if isinstance(value, list):
             return [self.with_paths(entry, one, place) for one in value]

@@ -1,8 +1,8 @@
-"""Files that an item leaves in its folder: ``status.json`` with its state, and ``stamps.json`` of its inputs.
+"""Files on the state of an item in its folder: ``status.json``, and ``stamps.json`` about its inputs.
 
-The status is written last. It has the state, the SHA-256 of every input and output, and the verdicts and
-estimates that the summary of the run shows. An item whose steps, inputs or version are not those of its
-status is outdated.
+The status file is written last. It has the state, the SHA-256 of every input and output, and the verdicts and
+estimates that the summary of the run shows. An item is outdated if its steps, inputs or version of swimid
+differ from those in its status file.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from swimid.results import numbers
 from swimid.runs.plan import Item, is_linked
 
 State = Literal["done", "no result", "refused", "failed"]
-#: States in the order in which they need attention. An item is ``missing`` before it is done, and ``busy``
-#: while another process does it. The states ``outdated`` and ``missing`` have no results that count.
+#: States of an item in the order in which they need attention. An item is ``missing`` before it is processed,
+#: and ``busy`` while another process processes it. Results of ``outdated`` and ``missing`` items are not
+#: used.
 STATES = ("failed", "refused", "no result", "busy", "missing", "outdated", "done")
 #: Levels of a verdict from the worst to the best; empty for a result without a verdict.
 VERDICT_LEVELS = ("bad", "caution", "good", "")
 STATUS_FILE, STAMPS, LOG = "status.json", "stamps.json", "log.txt"
-#: Maximum number of traces, and of points of each, in the sketch of a figure.
+#: Maximum number of traces, and maximum number of points of a trace, in the sketch of a figure.
 MAX_TRACES, MAX_SKETCHED = 3, 48
 
 
@@ -83,19 +84,19 @@ class Status(BaseModel):
     id: str
     state: State
     version: str
-    #: SHA-256 of steps and version, and of these together with the inputs.
+    #: SHA-256 of steps and version of swimid, and SHA-256 of steps, version and inputs.
     steps_sha256: str
     key: str = ""
     inputs: dict[str, str] = {}
     outputs: dict[str, str] = {}
     steps: list[StepStatus] = []
-    #: Step that was refused or failed, and its error: type, message, hint.
+    #: Error of the step that was refused or failed: step, type, message, hint.
     error: dict[str, Any] = {}
     sketch: Sketch | None = None
 
     @property
     def level(self) -> str:
-        """Worst verdict of the steps; empty if no step has one."""
+        """Worst verdict of the steps; empty if no step has a verdict."""
         return min((step.level for step in self.steps), key=VERDICT_LEVELS.index, default="")
 
     @property
@@ -107,7 +108,7 @@ class Status(BaseModel):
 
     @property
     def metrics(self) -> dict[str, Metric]:
-        """Estimates of all steps. The name of each begins with its step."""
+        """Estimates of all steps. The key is the name of the step, followed by the name of the estimate."""
         return {f"{s.name}: {name}": one for s in self.steps for name, one in s.metrics.items()}
 
     def write(self, folder: Path) -> None:
@@ -118,7 +119,7 @@ class Status(BaseModel):
 
 
 def read(folder: Path) -> Status | None:
-    """Read the status of an item; None if it has none or a damaged one."""
+    """Read the status of an item; None if the status file is missing or damaged."""
     try:
         return Status.model_validate_json((folder / STATUS_FILE).read_bytes())
     except (OSError, ValidationError):
@@ -126,7 +127,7 @@ def read(folder: Path) -> Status | None:
 
 
 def read_stamps(folder: Path) -> dict[str, Any]:
-    """Read size and time of modification of each input of an item; empty if they are not known."""
+    """Return size and time of modification of each input of an item; empty if the file is missing."""
     try:
         return dict(json.loads((folder / STAMPS).read_bytes()))
     except (OSError, ValueError, TypeError):
@@ -136,10 +137,10 @@ def read_stamps(folder: Path) -> dict[str, Any]:
 def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
     """Return the state of an item and its status.
 
-    The status of an outdated item is returned too, so that its version can be shown.
+    The status of an outdated item is also returned, so that its version can be shown.
     """
     if is_linked(folder):
-        # Nothing is read or removed through a link, which may lead to files that are not of the run.
+        # Read and remove nothing through a link, which may lead to files that do not belong to the run.
         text = f"its folder items/{item.id} is a symbolic link, or below one: remove the link"
         return "failed", Status(
             id=item.id, state="failed", version="", steps_sha256="", error={"message": text}
@@ -151,7 +152,7 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
         return "outdated", status
     stated = read_stamps(folder)
     for name, digest in status.inputs.items():
-        # As in other tools, an unchanged size and time of modification stand for unchanged content.
+        # Assume unchanged content if size and time of modification are unchanged, as other tools do.
         files = reading.files_of(folder / name)
         now = reading.Opened(files, reading.stamp_of(files))
         if now.stamp != stated.get(name) and now.digest()[0] != digest:
@@ -165,11 +166,11 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
 
 
 def metrics_of(answer: Mapping[str, Any], patterns: list[str]) -> dict[str, Metric]:
-    """Return the estimates in the ``--json`` answer of a command, and the numbers that match patterns.
+    """Return the estimates in the ``--json`` output of a command, and the numbers that match patterns.
 
     An estimate is a mapping with ``value`` and ``unit``, and ``stderr`` or ``low`` and ``high``. Estimates of
     one trial and parameters that the data do not determine are left out. A pattern has dotted names, ``*``
-    for any name, and after ``|`` the name of the 95 % interval.
+    for any name, and after ``|`` the dotted name of the 95 % interval of the number.
     """
     found = dict(_estimates(answer))
     for pattern in patterns:
@@ -202,7 +203,7 @@ def _is_known(value: Any) -> bool:
 
 
 def _find_numbers(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
-    """Yield dotted name and value of the numbers that a pattern of keys names, alone or in a list."""
+    """Yield dotted name and value of each number, single or in a list, that a pattern of keys matches."""
     if not keys:
         values = data if isinstance(data, list) else [data]
         yield from (("", float(value)) for value in values if _is_known(value))
@@ -216,7 +217,7 @@ def _find_numbers(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
 
 
 def sketch_of(evidence: ev.Evidence) -> Sketch | None:
-    """Return a sketch of the first figure in the evidence of a result; None if it has no figure."""
+    """Return a sketch of the first figure in the evidence of a result; None if there is no figure."""
     for figure in evidence.figures:
         for panel in figure.panels:
             if panel.traces:

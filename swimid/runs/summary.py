@@ -1,6 +1,6 @@
 """Summary of a run: ``summary.csv``, ``metrics.csv``, and the page ``index.html``.
 
-The summary depends on the statuses of the items only, so that it is the same however the run was done.
+The summary depends only on the statuses of the items, so that it does not depend on the order of processing.
 Estimates of items that are not done with the present plan and version are left out.
 """
 
@@ -27,25 +27,26 @@ from swimid.runs import status as states
 from swimid.runs.plan import Item, Resolved, folder_of
 from swimid.runs.status import Metric, Sketch
 
-#: Robust z score beyond which an estimate is an outlier (Iglewicz and Hoaglin, How to Detect and Handle
-#: Outliers, ASQC 1993), standard deviation of the normal distribution over its median absolute deviation,
-#: and minimum number of items of a group for a score.
+#: (1) Robust z score beyond which an estimate is an outlier (Iglewicz and Hoaglin, How to Detect and Handle
+#: Outliers, ASQC 1993). (2) Standard deviation of the normal distribution divided by its median absolute
+#: deviation. (3) Minimum number of items of a group at which z scores are computed.
 MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
-#: Maximum number of metrics that the page draws unfolded for a group, and of items listed on the terminal.
+#: Maximum number of estimates that the page draws unfolded for a group, and of items listed on the terminal.
 MAX_STRIPS, MAX_LISTED = 8, 10
-#: Maximum number of rows, of sketches of a group, and of points of a strip on the page. The tables have all.
+#: Maximum numbers on the page: table rows, sketches of a group, and points of a strip plot. The CSV files
+#: have all items.
 MAX_TABLE_ROWS, MAX_SKETCHES, MAX_STRIP_POINTS = 2000, 500, 1000
-#: Pattern of characters that no table and no page can hold.
+#: Pattern of control and other characters that must not occur in tables and pages.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 #: Names of the files of a summary.
 NAMES = ("index.html", "summary.csv", "metrics.csv")
-#: First line of the tables, by which swimid recognises them as its own.
+#: First line of the CSV files of a summary, by which swimid recognises that it wrote them.
 MADE_BY_LINE = "# made_by: swimid batch\n"
 
 
 @dataclass
 class Entry:
-    """Item in the summary of a run."""
+    """Entry of one item in the summary of a run."""
 
     id: str
     group: str
@@ -81,7 +82,7 @@ class Entry:
         return self.state not in ("done", "missing") or self.level == "bad" or bool(self.outliers)
 
     def plain(self) -> dict[str, Any]:
-        """Return the entry as plain data, without sketch."""
+        """Return the entry as plain data, without the sketch of its figure."""
         kept = {k: v for k, v in vars(self).items() if k not in ("metrics", "sketch", "log")}
         return kept | {"metrics": {name: one.model_dump() for name, one in self.metrics.items()}}
 
@@ -95,12 +96,12 @@ class Summary:
 
     @property
     def ranking(self) -> list[Entry]:
-        """Items, those that need attention first."""
+        """Items of the run, sorted so that items that need attention come first."""
         return sorted(self.entries, key=lambda entry: entry.rank)
 
     @property
     def groups(self) -> dict[str, list[Entry]]:
-        """Items by group."""
+        """Items of the run by the name of their group."""
         found: dict[str, list[Entry]] = {}
         for entry in self.entries:
             found.setdefault(entry.group, []).append(entry)
@@ -110,7 +111,7 @@ class Summary:
 def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None) -> Summary:
     """Return the summary of a run from the statuses of its items.
 
-    ``problems`` has errors of items that just failed without a status.
+    ``problems`` has the errors, by item, of items that failed in this run and have no status file.
     """
     entries = [_entry_of(item, folder_of(run, item.id), (problems or {}).get(item.id)) for item in plan.items]
     found = Summary(plan.plan, entries)
@@ -120,7 +121,7 @@ def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None)
 
 
 def _entry_of(item: Item, folder: Path, problem: str | None) -> Entry:
-    """Return the entry of an item. ``problem`` is the error of an item that failed without a status."""
+    """Return the entry of an item. ``problem`` is the error of a failed item without a status file."""
     state, status = states.state_of(item, folder)
     entry = Entry(item.id, item.group, item.files, state)
     if status is not None:
@@ -151,8 +152,8 @@ def _entry_of(item: Item, folder: Path, problem: str | None) -> Entry:
 def _find_outliers(members: Sequence[Entry]) -> None:
     """Add to each item of a group the robust z scores of its outlying estimates.
 
-    The score is the distance from the median over the root of the sum of two variances: that of the group,
-    from its median absolute deviation, and that of the estimate itself.
+    The score is the distance from the median divided by the root of the sum of two variances: the variance of
+    the group, from its median absolute deviation, and the variance of the estimate itself.
     """
     for name in metric_names(members):
         having = [entry for entry in members if name in entry.metrics]
@@ -168,7 +169,7 @@ def _find_outliers(members: Sequence[Entry]) -> None:
 
 
 def metric_names(members: Sequence[Entry]) -> list[str]:
-    """Return the names of the estimates of a group, those of most items first."""
+    """Return the names of the estimates of a group, sorted by the number of items that have the estimate."""
     counts = Counter(name for entry in members for name in entry.metrics)
     order = {name: k for k, name in enumerate(counts)}
     return sorted(counts, key=lambda name: (-counts[name], order[name]))
@@ -204,7 +205,7 @@ def _csv(table: pd.DataFrame) -> str:
 
 
 def text(entries: Sequence[Entry]) -> str:
-    """Return the summary of a run for a terminal: numbers of items by state, and what needs attention."""
+    """Return the text of a summary for a terminal: number of items by state, and items to check."""
     counts = Counter(entry.state for entry in entries)
     levels = Counter(entry.level for entry in entries if entry.state == "done")
     parts = [f"{counts[state]} {state}" for state in reversed(states.STATES) if counts[state]]
@@ -229,7 +230,7 @@ def text(entries: Sequence[Entry]) -> str:
 
 
 def page(found: Summary) -> str:
-    """Return the page of a run: HTML without scripts, with a table that sorts by radio buttons."""
+    """Return the HTML page of a run, without scripts. Radio buttons select the order of its table."""
     style = environment("swimid.results").get_template("report.css").render()
     groups = [_group(name, members) for name, members in found.groups.items()]
     templates = environment("swimid.runs", autoescape=True, lstrip_blocks=True)
@@ -251,7 +252,7 @@ def page(found: Summary) -> str:
 
 
 def _orders(entries: Sequence[Entry]) -> dict[str, dict[str, int]]:
-    """Return the rank of each item by the columns by which the table can be sorted."""
+    """Return, for each sortable column of the table, the rank of each item."""
     keys: dict[str, Any] = {
         "attention": lambda e: e.rank,
         "item": lambda e: e.id,
@@ -264,12 +265,12 @@ def _orders(entries: Sequence[Entry]) -> dict[str, dict[str, int]]:
     }
 
 
-#: Width and height of a strip of estimates and of a sketch, in units of the drawing.
+#: Width and height of a strip plot of estimates, and of a sketch of a figure, in SVG units.
 WIDE, HIGH, SMALL_WIDE, SMALL_HIGH = 300, 90, 120, 70
 
 
 def _group(name: str, members: list[Entry]) -> dict[str, Any]:
-    """Return the variables of the page for one group: strips of its estimates, and sketches of its items."""
+    """Return the template variables of one group: strip plots of its estimates, sketches of its items."""
     strips = [strip for one in metric_names(members) if (strip := _strip(one, members)) is not None]
     drawn = [entry for entry in members if entry.sketch is not None]
     common = 0
@@ -287,12 +288,12 @@ def _group(name: str, members: list[Entry]) -> dict[str, Any]:
 
 
 def _strip(name: str, members: Sequence[Entry]) -> dict[str, Any] | None:
-    """Return a strip of the estimates of one quantity over the items of a group; None with fewer than two."""
+    """Return a strip plot of one estimate over the items of a group; None for fewer than two items."""
     shown = [(k, e, e.metrics[name]) for k, e in enumerate(members) if name in e.metrics]
     if len(shown) < 2:
         return None
     values = [one.value for _, _, one in shown]
-    # Show the typical interval whole, and cut the intervals that are much wider.
+    # Scale the plot to the typical interval, and cut the intervals that are much wider.
     half = statistics.median(
         numbers.Z95 * (0.0 if math.isnan(one.stderr) else one.stderr) for _, _, one in shown
     )

@@ -164,7 +164,7 @@ class Sensitivity(FileResult[SensitivityFile]):
 class MeasuredChannel(NamedTuple):
     """Measured samples of one channel of a trial, with which a simulation is compared.
 
-    The root-mean-square error of the simulation is divided by ``scale``, and ``unit`` is its unit after that.
+    The root-mean-square error of the simulation is divided by ``scale``. The quotient has the unit ``unit``.
     """
 
     time_s: Array
@@ -250,8 +250,8 @@ class SensitivityStudy:
     def outputs(self, points: Array) -> Array:
         """Simulate all trials at n points in the space of the coefficients, and return their outputs.
 
-        The points have the shape (n, d), the outputs the shape (n, s). The outputs of a point are NaN if its
-        coefficients are impossible, or if a simulation diverges.
+        Points in the space of d coefficients have the shape (n, d), and their s outputs the shape (n, s). The
+        outputs of a point are NaN if its coefficients are impossible, or if a simulation diverges.
         """
         vectors = np.repeat(np.array([run.values for run in self.runs])[None], len(points), axis=0)
         vectors[:, :, [self.model.index(name) for name in self.ranges]] = points[:, None]
@@ -400,11 +400,12 @@ def _make_evidence(
     Parameters
     ----------
     step_change : float
-        Largest change of an output when the integration step is halved, in its standard deviations.
+            Largest change of an output when the integration step is halved, divided by its standard deviation
+            over the ranges.
     strongest : (float, str, str) or None
-        Strongest correlation between two estimates.
+            Strongest correlation between the estimates of two coefficients, and the names of the two.
     source : str
-        Source of the values without a parameter file.
+            Text that names the source of the values if there is no parameter file.
     """
     checks = _checks(file, step_change, strongest)
     return ev.Evidence(
@@ -509,8 +510,8 @@ def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
 def _find_correlation(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
     """Return the strongest correlation between the estimates of two coefficients, and their names.
 
-    Only coefficients whose ranges follow from their standard errors are compared. The result is None for
-    fewer than two of them.
+    Only coefficients whose ranges follow from their standard errors are compared. The result is None if there
+    are fewer than two such coefficients.
     """
     names, covariance = applied.uncertain()
     sd = np.sqrt(np.diag(covariance))
@@ -728,11 +729,12 @@ def _method(file: SensitivityFile) -> str:
 # ---------------------------------------------------------------- Sobol indices
 
 
-#: Maximum fraction of the model evaluations that may diverge. The analysis is refused above it.
+#: Maximum fraction of the model evaluations that may diverge. With a larger fraction the analysis fails.
 MAX_BROKEN_SHARE = 0.01
 #: Number of points of the Sobol design that are evaluated in one call of the model function.
 ROWS_PER_BATCH = 8
-#: Maximum number of independently scrambled parts of the design. The intervals follow from their differences.
+#: Maximum number of independently scrambled parts of the design. The intervals of the indices follow from the
+#: differences between these parts.
 MAX_PARTS = 8
 
 #: Type of the model function. Its argument is an array of n points in the space of the d parameters, shape
@@ -885,10 +887,10 @@ def _evaluate_design(
 def _jackknife_error(outputs: Array, part: NDArray[np.int64], groups: Sequence[Sequence[int]]) -> Array:
     """Return the jackknife standard errors of the indices, shape (2, s + g, d).
 
-    They follow from estimates that leave out one part of the design in turn. The first axis holds first-order
-    and total indices, the second one s outputs and g groups of outputs, the third one d parameters.
-    A bootstrap over the rows would give too wide intervals, because the rows of one Sobol sequence are not
-    independent. The parts are.
+    The errors follow from estimates that leave out one part of the design in turn. The first axis holds
+    first-order and total indices, the second one s outputs and g groups of outputs, the third one d
+    parameters. A bootstrap over the rows would give too wide intervals, because the rows of one Sobol
+    sequence are not independent. The parts are independent.
     """
     without = np.array([_indices(outputs[..., part != k], groups) for k in np.unique(part)])
     number = len(without)

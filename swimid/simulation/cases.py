@@ -1,4 +1,4 @@
-"""Cases of the command ``simulate``: a robot driven by a beat, a weight or a log, and recorded trials.
+"""Cases of the command ``simulate``: a robot under a beat, a weight or logged inputs, and recorded trials.
 
 The quantities of simulated swimming are defined in :mod:`swimid.kinematics.cycles`. :class:`SwimRun` samples
 a simulation so that it ends in whole cycles. It adds the quantities that need the model: amplitudes of
@@ -60,11 +60,12 @@ Quantities = Callable[[Applied, Sequence[Array]], Array]
 
 @dataclass(frozen=True)
 class Case:
-    """Model, parameters and drive of one simulation.
+    """Model, parameters and drive (commanded motion or input) of one simulation.
 
     Attributes
     ----------
     values : ndarray, shape (len(applied.model.parameters),)
+        Parameter vector.
     trial : Trial
         Sample times, drive and initial state of the simulation.
     metadata : dict
@@ -93,7 +94,7 @@ class Case:
         return self.trial.id
 
     def at_step(self, model: Model) -> Case:
-        """Return the same simulation by the model with another integration step."""
+        """Return the same case with ``model``, which has another integration step."""
         metadata = dict(self.metadata)
         if model.swimmer is not None:
             metadata["dt_s"] = model.swimmer.max_step
@@ -106,7 +107,7 @@ def describe_point(options: SimulateOptions) -> Path | None:
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
-    """Return the metadata of a simulated log: the entries that every log has, and those in ``more``."""
+    """Return the metadata of a simulated log: entries that every simulated log has, and those in ``more``."""
     path = describe_point(options)
     lines: dict[str, Any] = {"robot": robot}
     if path is not None:
@@ -121,7 +122,7 @@ def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, An
 def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
     """Return equally spaced sample times of a simulation, s.
 
-    By default, a stroke with a limited number of cycles determines the duration.
+    If the options state no duration, a stroke with a limited number of cycles determines the duration.
     """
     duration = options.duration_s or DURATION_S
     if options.duration_s is None and stroke is not None and math.isfinite(stroke.cycles):
@@ -233,23 +234,21 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
         if swim.beat is not None:
             _check_sampling(options, swim.beat.frequency_hz)
     elif drive:
-        raise UsageError(
-            f"the robot '{model.robot.name}' has no driven joint, which a beat needs: omit the beat"
-        )
+        raise UsageError(f"the robot '{model.robot.name}' has no driven joint: omit the options of the beat")
     else:
         swim, time = SwimInput(pose=rest_pose(model)), _times(options)
     return _swimming(applied, values, model, Trial("run", "fit", time, {}, swim=swim), metadata)
 
 
 def rest_pose(model: Swimmer) -> tuple[float, ...] | None:
-    """Return the initial pose of a robot that starts at the origin; None for a fixed base."""
+    """Return the initial pose of a robot that starts at the origin; None for a robot on a fixed base."""
     return (0.0,) * len(model.pose) if model.free_base else None
 
 
 def list_drive_options(options: DriveOptions) -> dict[str, float]:
     """Return the drive parameters that the options state.
 
-    They are those of a stroke if the options name a stroke, otherwise those of a beat.
+    These are the parameters of a stroke if the options name a stroke, and else the parameters of a beat.
     """
     names = STROKE if options.stroke is not None else BEAT
     stated = {name: getattr(options, name) for name in names}
@@ -289,7 +288,7 @@ def swim_input(
 ) -> SwimInput:
     """Return the input of a simulation from rest under a stroke or a beat with the given parameters."""
     if options.stroke is not None:
-        # the default ramp is for beats only: a stroke has no ramp unless one is given
+        # use the default ramp for beats only: a stroke has a ramp only if the options state one
         ramp = options.ramp_s * (options.ramp_s != options.declarations()["ramp_s"].default)
         command = StrokeDrive(
             stroke=options.stroke,
@@ -312,7 +311,7 @@ def swim_input(
 
 
 def _check_sampling(options: SimulateOptions, frequency_hz: float) -> None:
-    """Raise an error if the integration step does not resolve a beat. Warn if the sample rate does not."""
+    """Raise an error if the integration step is too long for a beat. Warn if the sample rate is too low."""
     rate = options.sample_rate_hz or RATE_HZ
     if frequency_hz * options.dt >= 0.5:
         raise UsageError(
@@ -354,7 +353,7 @@ def setting_text(key: str, value: float | str) -> str:
 
 
 def _read_inputs(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, SwimInput]:
-    """Return the sample times of a simulation, and the input of the model from the columns of a log."""
+    """Read a log, and return its sample times and the input of the model from its columns."""
     log = log_format.read(path, optional=tuple(swimmer.input_columns(model)))
     swim = SwimInput(inputs=swimmer.read_inputs(model, log), pose=rest_pose(model))
     swim = swimmer.with_logged_joints(swim, model, log)
@@ -382,7 +381,8 @@ def beat_frequency(
 ) -> float | None:
     """Return the beat frequency of a trial, Hz; None if there is no beat.
 
-    It is the frequency of the drive, or else that of the first joint or measured channel with a beat.
+    The beat frequency is that of the drive. Without a drive, it is estimated from the first joint or measured
+    channel that has a beat.
     """
     if trial.swim.drive is not None:
         return float(trial.swim.drive.frequency_hz)
@@ -394,7 +394,7 @@ def beat_frequency(
 
 
 def _each(compute: Callable[[Applied, Array], list[float]]) -> Quantities:
-    """Return a function that calls ``compute`` for each of several parameter vectors."""
+    """Return a function of several parameter vectors that calls ``compute`` for each vector."""
     return lambda applied, vectors: np.array([compute(applied, values) for values in vectors])
 
 
@@ -417,9 +417,9 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
 
 
 def format_quantity(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
-    """Return a quantity as text, with its unit and, if known, its standard deviation.
+    """Return a quantity as text, with its unit and, if known, its standard deviation ``sd``.
 
-    Angles are in degrees.
+    Angles are converted to degrees.
     """
     factor, shown = numbers.in_degrees(unit)
     if value is None:
@@ -494,7 +494,7 @@ class SwimRun:
     def simulate_drive(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
         """Return a simulation from rest under a drive.
 
-        It is longer than ``duration_s`` if no whole beat after the ramp fits into that time.
+        The simulation is longer than ``duration_s`` if no whole beat after the ramp fits into ``duration_s``.
 
         Parameters
         ----------
@@ -502,9 +502,11 @@ class SwimRun:
             Name of the simulation. The model caches simulations under this name, so each drive needs a
             different name.
 
-        Notes ----- Samples are counted from the end of the simulation, so that its quantities are smooth
-        functions of the frequency. The simulation begins up to one sample before the drive. For a robot that
-        moves in 3-D, the duration is rounded up to whole cycles.
+        Notes
+        -----
+        Samples are counted from the end of the simulation, so that its quantities are smooth functions of the
+        frequency. The simulation begins up to one sample before the drive. For a robot that moves in 3-D, the
+        duration is rounded up to whole cycles.
         """
         assert swim.drive is not None
         end, frequency_hz = duration_s, float(swim.drive.frequency_hz)
@@ -546,7 +548,7 @@ class SwimRun:
     def _of_last_cycles(
         self, body: PlanarBody, values: Array, columns: Mapping[str, Array]
     ) -> dict[str, float]:
-        """Return the quantities of the last whole cycles of a simulation, from the channels in the window."""
+        """Return the quantities of the last whole cycles of a simulation, from the channels in them."""
         length = body.length(values)
         pose = [columns[name] for name in body.pose]
         found = plane_quantities(
@@ -567,7 +569,7 @@ class SwimRun:
         return found
 
     def _of_whole_run(self, body: PlanarBody, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return mean surge speed, settling time and extent of the path, which need the whole simulation."""
+        """Return the quantities of a whole simulation: mean surge speed, settling time, extent of path."""
         time, surge = self.trial.time_s, columns[body.velocity[0]]
         return {
             "mean_surge_from_start_m_s": float(np.trapezoid(surge, time) / (time[-1] - time[0])),
@@ -591,12 +593,12 @@ def quantities_of(model: Swimmer, runs: Sequence[SwimRun], vectors: Sequence[Arr
 
 
 def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[str, float]:
-    """Return power, torque and rate of the driven joints, and the cost of transport.
+    """Return power, torque and angular rate of the driven joints, and the cost of transport (COT).
 
     Notes
     -----
-    ``COT = P / V`` (dolphin, Eq 11). P is the mean positive mechanical power of the joints, because servos
-    return no energy to the battery. Losses of gear and motor are not included.
+    ``COT = P / V`` (dolphin, Eq 11). V is the mean speed. P is the mean positive mechanical power of the
+    joints, because servos return no energy to the battery. Losses of gear and motor are not included.
     """
     positive = energetics.mean_positive_power_W()
     found = {

@@ -24,9 +24,9 @@ from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.robots import file as robot_format
 
 #: Step of a finite difference as a fraction of the standard error of the parameter, and maximum step as a
-#: fraction of the absolute value or the typical scale of the parameter, whichever is larger.
+#: fraction of the larger of the absolute value and the typical scale of the parameter.
 STEP_SHARE, MAX_STEP_SHARE = 0.05, 1e-3
-#: Largest change of a quantity, as a fraction of it, that is a rounding error.
+#: Largest relative change of a quantity that counts as a rounding error in a finite difference.
 COVARIANCE_RTOL = 1e-12
 
 
@@ -59,17 +59,17 @@ class Applied:
     Attributes
     ----------
     model : Model
-        Model with the effects that the file names.
+        Model with the effects that the parameter file names.
     file : ParameterFile or None
         Parameter file; None if the values come from the robot file.
     path : Path or None
         Path of ``file``.
     chosen : dict of str to float
-        Values set by the user. They replace the values of the file and have no uncertainty.
+        Parameter values set by the user. They replace the values of the file and have no uncertainty.
     trials : sequence of Trial
         Trials of the model, from which the effects of the file take the scales of their parameters.
     own_effects : sequence of path
-        Python files with effects of the user, which the file may name.
+        Python files with effects of the user, which the parameter file may name.
     stated : dict of str to float
         Values of the coefficients that the robot file states. They may differ from the start values of a fit.
     known : dict of str to Estimate
@@ -104,7 +104,7 @@ class Applied:
     def _check(self, names: list[str]) -> None:
         """Refuse a parameter file whose parameters differ from those of the model.
 
-        It may be a file of another robot.
+        Such a file may belong to another robot.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class Applied:
             )
 
     def at_step(self, model: Model) -> Self:
-        """Return the same parameters for the model with another integration step."""
+        """Return the same parameters with ``model``, which has another integration step."""
         other = copy.copy(self)
         other.model = model
         return other
@@ -159,10 +159,10 @@ class Applied:
         return np.array([self._value(p, owner) for p in self.model.parameters])
 
     def owner(self, trial: Trial | None) -> str | None:
-        """Return the id under which the parameter file has the samples of a trial; None if it has others.
+        """Return the id of the fitted trial that has the samples of ``trial``; None if no fitted trial has.
 
-        A name does not identify a trial, because the log of another day may have it. If the file comes from
-        no fit, trials are matched by name.
+        A trial is not identified by its name, because a log of another day may have the same name. Only if
+        the parameter file does not come from a fit, trials are matched by name.
         """
         if trial is None or self.file is None:
             return None
@@ -182,11 +182,11 @@ class Applied:
         return self.stated.get(p.name, p.start)
 
     def list_per_trial(self) -> set[str]:
-        """Return the names of the parameters that have values for single trials in the parameter file."""
+        """Return the names of the parameters that have a value for each trial in the parameter file."""
         return {n.split("[")[0] for n in self.known if "[" in n}
 
     def noise(self) -> dict[str, float]:
-        """Return the standard deviation of the noise of each channel that the parameters were fitted to."""
+        """Return the standard deviation of the noise of each fitted channel, by the name of the channel."""
         if self.file is None or self.file.fit is None:
             return {}
         known = {name: noise for name, noise in self.file.fit.noise.items() if isinstance(noise, dict)}
@@ -244,7 +244,7 @@ class Applied:
         -----
         Derivatives are central differences. A standard error is NaN if no parameter has one, or if the
         quantity is undefined for one of the displaced parameter vectors, because the simulation diverges
-        or never becomes steady. A change of the size of a rounding error counts as none.
+        or never becomes steady. A change of the quantity within :data:`COVARIANCE_RTOL` counts as zero.
         """
         names, covariance = self.uncertain()
         vectors, widths = [values], []
@@ -280,8 +280,8 @@ def with_effects(
     Raises
     ------
     InputError
-        If there is no such effect, if no form of it has the parameters of the file, or if the file lacks
-        constants of the effect that only measured trials show.
+        If an effect is unknown, if no variant of the effect has the parameters of the file, or if the file
+        lacks constants of the effect that can be computed only from measured trials.
     """
     own = [e for place in own_effects for e in effect_catalogue.from_file(place)]
     acting = []
@@ -339,12 +339,12 @@ def constants_of(file: ParameterFile, name: str) -> dict[str, Any]:
 def form_of(
     effect: Effect, file: ParameterFile, path: Path | None, model: Model, trials: Sequence[Trial]
 ) -> Effect:
-    """Return the form of an effect whose parameters and constants are those in a parameter file.
+    """Return the variant (form) of an effect that has the parameters and constants in a parameter file.
 
     Raises
     ------
     InputError
-        If no form of the effect has these parameters in the model, or if the file names the effect twice.
+        If no variant of the effect has these parameters in the model, or if the file names the effect twice.
     """
     name = effect.name
     names = list(file.of_effect(name))
@@ -365,7 +365,7 @@ def form_of(
 
 
 class Loaded(NamedTuple):
-    """Experiment, and the parameters for its simulation."""
+    """Experiment (trials and their model), and the parameters for its simulation."""
 
     experiment: Experiment
     applied: Applied
@@ -374,7 +374,7 @@ class Loaded(NamedTuple):
 def read_parameters(
     source: parameters_format.Source, own: Sequence[type[Trials]] = ()
 ) -> tuple[ParameterFile, dict[str, type[Trials]]]:
-    """Read the parameters of a model that can be simulated.
+    """Read a parameter file, and find the experiments that its model can simulate.
 
     Returns
     -------
@@ -527,8 +527,7 @@ def is_possible(model: Model, values: Array) -> bool:
 # ---------------------------------------------------------------- random samples
 
 
-#: Number of random samples of the coefficients that are drawn at once, and maximum number of samples that are
-#: drawn.
+#: Number of random samples of the coefficients that are drawn at once, and maximum total number of samples.
 BLOCK, MAX_DRAWS = 50_000, 5_000_000
 
 
@@ -543,7 +542,7 @@ def draw_parameters(applied: Applied, count: int, seed: int) -> tuple[list[Array
     vectors : list of ndarray
         Parameter vectors of the model.
     inside : float
-        Fraction of the samples that lay within the bounds. The others were replaced.
+        Fraction of the samples that were possible. The other samples were replaced.
 
     Raises
     ------

@@ -59,7 +59,7 @@ class Comparison(FileResult[ComparisonFile]):
 
     @property
     def next_step(self) -> str:  # type: ignore[override]
-        """Command that usually follows: a report of a good comparison, and a diagnosis of another one."""
+        """Command that usually follows: a report if the verdict is good, and else a diagnosis."""
         if self.verdict == "good":
             return FileResult.next_step
         return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repair_option}"
@@ -169,7 +169,7 @@ def compare(
 def _make_file(
     experiment: Experiment, done: Sequence[Compared], profiles: Sequence[Profile], options: CompareOptions
 ) -> ComparisonFile:
-    """Return the comparison file of compared trials."""
+    """Return the content of the comparison file of compared trials."""
     file = ComparisonFile(
         verdict="caution",
         model=experiment.model.name,
@@ -188,7 +188,7 @@ def _make_file(
 
 
 def _channel_checks(file: ComparisonFile, applied: Applied, done: Sequence[Compared]) -> list[ev.Check]:
-    """Return the checks of the errors of channels. A channel in which nothing moves is not judged."""
+    """Return the checks of the errors of channels. A channel without motion is not checked."""
     fitted: Iterable[str] = file.channels
     if applied.file is not None and applied.file.fit is not None:
         fitted = applied.file.fit.channels
@@ -252,9 +252,9 @@ def _compare_profiles(experiment: Experiment, done: Sequence[Compared]) -> list[
 
 
 def _with_speeds(done: Compared, side: str) -> dict[str, Array]:
-    """Return the measured or the simulated channels of a trial, completed by pitch rate and speed.
+    """Return the measured or the simulated channels of a trial, with pitch rate and speed added.
 
-    The speed is that in the vertical plane. ``side`` is ``measured`` or ``simulated``.
+    The speed is the speed in the vertical plane. ``side`` is ``measured`` or ``simulated``.
     """
     stroke, time, half = done.trial.swim.stroke, done.trial.time_s, compare_series.HALF_WIDTH_S
     if stroke is not None:
@@ -313,7 +313,8 @@ def _resample(clock: Array, time_s: Array, values: Array) -> Array:
 def _distance(means: Mapping[str, Array], names: Sequence[str]) -> float | None:
     """Return the root-mean-square distance between mean measured and mean simulated motion.
 
-    The distance is computed from the channels ``names``, each shape (2, n). Return None if all are missing.
+    The distance is computed from the channels ``names``, each of shape (2, n): measured and simulated values
+    at n sample times. Return None if all these channels are missing.
     """
     squares = [np.diff(means[name], axis=0)[0] ** 2 for name in names if name in means]
     total = np.sum(squares, axis=0)
@@ -325,7 +326,7 @@ def _distance(means: Mapping[str, Array], names: Sequence[str]) -> float | None:
 def _cycles(
     members: Sequence[Compared], series: Sequence[Sequence[Mapping[str, Array]]]
 ) -> list[CycleComparison]:
-    """Return measured and simulated quantities of every whole stroke, averaged over repeated trials."""
+    """Return measured and simulated quantities of each whole stroke, averaged over repeated trials."""
     each = []
     for done, sides in zip(members, series, strict=True):
         time, stroke = done.trial.time_s, done.trial.swim.stroke
@@ -415,7 +416,7 @@ def _checks(file: ComparisonFile, fitted: Iterable[str], still: Iterable[str]) -
     Parameters
     ----------
     fitted, still : iterable of str
-        Channels that the parameters were fitted to and that move, and channels in which nothing moves.
+        Fitted channels with motion, and channels without motion.
     """
     graded = fit_common.score_checks(file.channels, fitted=fitted, noise=still)
     share = _speed_share(file)
@@ -489,7 +490,7 @@ def _answer(file: ComparisonFile) -> str:
 
 
 def _rates(names: Iterable[str]) -> list[str]:
-    """Return those names that are channels of surge velocity or turning rate."""
+    """Return those of the given channel names that are surge velocities or turning rates."""
     return [n for n in names if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
 
 
@@ -613,7 +614,8 @@ def _figures(
 ) -> list[ev.Figure]:
     """Return the figures of the evidence.
 
-    They show motion profiles, or else time series and mean speeds. Paths follow for a robot in a plane.
+    The figures show motion profiles. Without motion profiles, they show time series and mean speeds. Paths
+    follow for a robot in a plane.
     """
     if experiment.model.timed_runs:
         runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
@@ -645,8 +647,8 @@ def _speeds_figure(file: ComparisonFile) -> ev.Figure:
 def _select_trials(done: Sequence[Compared]) -> dict[str, Compared]:
     """Return the trials to plot, by the title of their panel.
 
-    They are the trials with the largest and the smallest error, and the held-out trial with the largest
-    error.
+    These are the fitted trials with the largest and the smallest error, and the held-out trial with the
+    largest error.
     """
 
     def error(one: Compared) -> float:

@@ -43,7 +43,7 @@ class ChannelScore(yamlio.Document):
     #: Difference of the maximum magnitudes, and its ratio to the measured maximum (tendon fish, Eq 14).
     peak_error: Number = None
     peak_error_normalised: Number = None
-    #: Phase by which the simulation leads the measurement at the beat frequency.
+    #: Phase lead of the simulation over the measurement at the beat frequency, rad.
     phase_error_rad: Number = None
 
 
@@ -76,8 +76,8 @@ class TrialComparison(yamlio.Document):
 
     id: str
     role: Literal["fit", "validate"]
-    #: Source of the trial's start state: the parameter file, an estimate from the trial, or rest at the first
-    #: pose.
+    #: Source of the initial state of the simulation: the parameter file, an estimate from the trial, or the
+    #: assumption of rest at the first measured pose.
     start: Start
     start_values: dict[str, float] = {}
     frequency_hz: Number = None
@@ -143,7 +143,7 @@ class ComparisonFile(yamlio.ResultFile):
         return [(t, t.mean_speed.measured, t.mean_speed.simulated) for t in self.trials if t.mean_speed]
 
 
-#: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
+#: Prefixes of the names of per-trial parameters that describe the initial state or camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
 SIDES = ("measured", "simulated")
 #: Half-width of the window in which a derivative of the pose is computed: in cycles of the beat, and in s for
@@ -152,7 +152,7 @@ HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
 #: Minimum number of valid derivatives of the pose for a channel that is derived from the pose.
 MIN_DERIVATIVES = 9
 #: Assumed standard deviation of the noise of a channel, as a fraction of the range of the channel. It is used
-#: in the estimate of a start state if the noise is unknown.
+#: in the estimate of an initial state if the noise of the channel is unknown.
 NOISE_RANGE_SHARE = 0.01
 
 
@@ -200,9 +200,9 @@ def compare_trials(
     channels: Sequence[str] = (),
     advance: Callable[[], Any] = lambda: None,
 ) -> tuple[list[Compared], StepChoice]:
-    """Compare trials with their simulations, whose integration step is small enough for all of them.
+    """Compare trials with simulations whose integration step is small enough for all trials.
 
-    The step is chosen before the start states are estimated, and tested with the estimates. See
+    The step is chosen before the initial states are estimated, and tested with these estimates. See
     :func:`compare_trial` for the parameters and the errors.
 
     Returns
@@ -278,7 +278,7 @@ def compare_trial(applied: Applied, trial: Trial, *, refit: bool, channels: Sequ
 
 
 def _select_pairs(pairs: dict[str, Pair], channels: Sequence[str], trial: Trial) -> dict[str, Pair]:
-    """Return the pairs of the channels to compare; all without a choice."""
+    """Return the pairs of the named channels; all pairs if no channels are named."""
     for name in channels:
         if name not in pairs:
             hint = suggestion(name, list(pairs))
@@ -287,7 +287,7 @@ def _select_pairs(pairs: dict[str, Pair], channels: Sequence[str], trial: Trial)
 
 
 def _turn_pairs(pairs: Mapping[str, Pair]) -> dict[str, Pair]:
-    """Return the pairs of a trial with positions along and across its mean heading."""
+    """Return the pairs of a trial, with positions rotated to its mean heading: along it and across it."""
     measured, simulated = fit_common.own_axes(
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
     )
@@ -332,7 +332,7 @@ def _pair_logged(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> 
 def start_of(
     applied: Applied, trial: Trial, refit: bool, tolerance: float = output_error.START_RTOL
 ) -> tuple[Array, Start, dict[str, float]]:
-    """Return the parameters of a trial, the origin of its start state, and the estimated start values.
+    """Return the parameter vector of a trial, the source of its initial state, and the estimated state.
 
     Parameters
     ----------
@@ -378,7 +378,7 @@ def _name_start_parameters(applied: Applied) -> set[str]:
 
 
 def _replace_values(model: Model, values: Array, start: Mapping[str, float]) -> Array:
-    """Return a copy of the parameter vector with the given start values."""
+    """Return a copy of the parameter vector with the given values of start-state parameters, by name."""
     values = values.copy()
     for name, value in start.items():
         values[model.index(name)] = value
@@ -386,9 +386,9 @@ def _replace_values(model: Model, values: Array, start: Mapping[str, float]) -> 
 
 
 def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) -> float:
-    """Return the sum of squared residuals of a trial, in units of the noise.
+    """Return the sum of squared residuals of a trial, each divided by the noise ``sd`` of its channel.
 
-    It is infinite if the simulation diverges.
+    The sum is infinite if the simulation diverges.
     """
     simulated = model.run(values, trial)
     residuals = [(trial.measured[name] - simulated[name]) / size for name, size in sd.items()]
@@ -400,8 +400,8 @@ def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) ->
 def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     """Return the standard deviation of the noise of the channels from which a start state is estimated.
 
-    These are the channels that the parameters were fitted to. Without such channels, these are all measured
-    channels, each with a noise of :data:`NOISE_RANGE_SHARE` times its range.
+    These are the channels that the parameters were fitted to. If the trial has no such channel, all measured
+    channels are used, each with a noise of :data:`NOISE_RANGE_SHARE` times its range.
     """
     known = applied.noise()
     noise = {name: known[name] for name in trial.measured if name in known}
@@ -446,7 +446,7 @@ def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: 
     """Return the errors of a channel over one or several trials (see :func:`.score_trials`)."""
     series = [(p.measured, p.simulated) for p in parts]
     middle = [0.0] * len(series)
-    if own_motion:  # peaks of a pose are about the mean of the trial
+    if own_motion:  # count the peaks of a pose from the mean of the trial
         middle = [float(np.nanmean(y)) for y, _ in series]
     measured, simulated = (
         np.concatenate([pair[side] - m for pair, m in zip(series, middle, strict=True)]) for side in (0, 1)
@@ -480,7 +480,7 @@ def compute_body_speed(
     frequency_hz: float,
     between_s: tuple[float, float] = (-math.inf, math.inf),
 ) -> Speed | None:
-    """Return the mean speed over the last whole beats, measured and simulated by the same rule.
+    """Return the measured and the simulated mean speed over the last whole beats, computed in the same way.
 
     Parameters
     ----------
@@ -519,7 +519,7 @@ def compute_body_speed(
 
 
 def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, Pair]) -> CruiseSpeed | None:
-    """Return the steady speed of the model for a trial with a start speed; None for other trials."""
+    """Return the steady speed of the model for a trial that begins in motion; None for other trials."""
     model = applied.model
     swimmer, body, drive = model.swimmer, model.body, trial.swim.drive
     speeds = [p.name for p in model.parameters if p.name.startswith("initial_")]

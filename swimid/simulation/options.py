@@ -57,7 +57,7 @@ class CompareOptions(Options, makes="comparison", metrics=("channels.*.nrmse",))
 
 
 class DriveOptions(Options):
-    """Options of every command that simulates a robot with links under a drive."""
+    """Options of every command that simulates a robot with links under a commanded motion (drive)."""
 
     params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
     robot: str | None = other_robot("Robot; without --params the values of its file are used.")

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-#: Frame rate of a film, Hz, and width of a frame for each file ending, px.
+#: Frame rate of a film, Hz, and width of a frame for each file extension, px.
 FILM_RATE_HZ, FILM_PX = 25.0, {".mp4": 960, ".gif": 560}
 #: Width of the view of a film, and drawn width of a link, both in body lengths.
 FILM_WIDTH, LINK_WIDTH = 2.4, 0.08
-#: Colours of a film, each as blue, green and red components. The second colour of LINKS is for passive links.
+#: Colours of a film, each as blue, green and red components. LINKS has those of active and passive links.
 WATER, GRID, INK, PATH = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
 LINKS = ((150, 105, 45), (80, 130, 225))
 #: Number of fractional bits of the pixel coordinates that OpenCV draws.
@@ -50,7 +50,7 @@ SHIFT = 4
 
 @dataclass(frozen=True)
 class Simulated:
-    """Result of one simulation: columns of its log, quantities, and effect of the integration step.
+    """Result of one simulation: columns of its log, quantities, and error of the integration step.
 
     Attributes
     ----------
@@ -126,7 +126,8 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
     """Return the path of the log of each simulation.
 
-    It is the output itself, or a file in the output folder that is named after the trial.
+    The path of a single log is ``output`` itself. Several logs are files in the folder ``output``, which are
+    named after their trials.
     """
     if output is None:
         return []
@@ -149,7 +150,7 @@ class Simulation(Result):
     Attributes
     ----------
     frame : DataFrame
-        Log of the only simulation, one row for each sample. Units are SI and radians, named in the columns.
+        Log of the only simulation, one row for each sample. Column names state the units (SI and radians).
     quantities : dict of str to Quantity
         Quantities of the only simulation, each with ``value``, ``unit`` and ``stderr`` (None if the
         uncertainty of the coefficients is unknown).
@@ -181,7 +182,7 @@ class Simulation(Result):
 
     @property
     def frames(self) -> dict[str, pd.DataFrame]:
-        """Log of each simulation, by the name of the simulation. Units are SI, named in the columns."""
+        """Log of each simulation, by the name of the simulation. Column names state the (SI) units."""
         import pandas as pd
 
         return Named({name: pd.DataFrame(one.columns) for name, one in self.runs.items()})
@@ -342,7 +343,7 @@ def _list_cases(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
 
 
 def _refuse_run_options(options: SimulateOptions) -> None:
-    """Refuse options that describe a drive together with recorded trials, which have their own drives."""
+    """Refuse options of a commanded motion together with recorded trials, which have their own motion."""
     for name, entry in options.declarations().items():
         if name not in WITH_TRIALS and getattr(options, name) != entry.default:
             text = f"{entry.flag} cannot be combined with --trials: trials state drives. Omit it"
@@ -350,7 +351,7 @@ def _refuse_run_options(options: SimulateOptions) -> None:
 
 
 def _refuse_film(asked: Sequence[Case], path: Path) -> None:
-    """Refuse a film of several simulations, of a robot without links in a plane, or in an unknown format.
+    """Refuse a film in an unknown format, of several simulations, or of a robot that is no chain in a plane.
 
     Raises
     ------
@@ -434,9 +435,9 @@ def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
 
 
 def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[str]) -> ev.Evidence:
-    """Return the evidence of ``simulate``.
+    """Return the evidence (verdict, checks, tables) of the command ``simulate``.
 
-    It has the quantities, and the checks of the integration step and of steady swimming.
+    The evidence has the quantities, and the checks of the integration step and of steady swimming.
     """
     first, path = done[0], cases.describe_point(options)
     facts = {"Parameters": "values of the robot file", "Runs": str(len(done))}
@@ -467,7 +468,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
 
 
 def _quantity_table(done: Sequence[Simulated]) -> ev.Table:
-    """Return the quantities of a simulation by name, or those of several simulations by run."""
+    """Return a table of quantities: a row for each quantity, or for each of several simulations."""
     if len(done) == 1:
         rows: list[list[Any]] = [list(row) for row in _texts(done[0]).items()]
         return ev.Table(id="quantities", title="Quantities", columns=["quantity", "value"], rows=rows)

@@ -24,9 +24,11 @@ from swimid.simulators.model import SimulatorModel
 MAX_BATCH = 32
 #: Number of samples from which the initial velocity of a trial is estimated.
 FIRST_SAMPLES = 8
-#: Slope of a channel over its first samples, in standard errors, above which a trial begins in motion.
+#: Slope of a channel over its first samples, divided by its standard error, above which a trial begins in
+#: motion.
 MOVES = 5.0
-#: Singular values of the derivatives of outputs below which a start offset has no effect, over the largest.
+#: Relative size of the derivatives of the measured outputs with respect to a start offset (the displacement
+#: of a joint at the first sample), compared with the largest ones, below which the offset is held at zero.
 NO_EFFECT = 1e-4
 #: Types of the joints that have one coordinate, in MuJoCo.
 SLIDE, HINGE = 2, 3
@@ -42,10 +44,10 @@ class ArrayEntries:
     Attributes
     ----------
     field : str
-        Name of the array in ``MjModel``; ``opt.`` stands before those of the options.
+            Name of the array in ``MjModel``. The name of an array of the options begins with ``opt.``.
     index : tuple
     factor : float
-        Factor from the attribute to the entry.
+            Factor by which the value of the attribute is multiplied to give the entry.
     """
 
     field: str
@@ -60,12 +62,12 @@ class Attribute:
     Attributes
     ----------
     path : str
-        Kind, name and attribute: ``joint/tail/stiffness``.
-    places : tuple of Place
-        Entries that the attribute sets. The first one has its value.
+            Kind of element, name of the element, and name of the attribute: ``joint/tail/stiffness``.
+    places : tuple of ArrayEntries
+            Array entries that the attribute sets. The first entry has the value of the attribute.
     unit : str
     inertia_of : int or None
-        Body whose inertia changes with its mass.
+            Index of the body whose inertia is scaled with its mass; None if the attribute is no such mass.
     """
 
     path: str
@@ -82,7 +84,8 @@ UNITS = {
     "frictionloss": ("N", "N m"),
     "springref": ("m", "rad"),
 }
-#: Attributes by kind of element: array, its column or None, and unit. ``[i]`` stands for a component.
+#: Attributes that can be parameters, by kind of element and name: array of the compiled model, column of the
+#: array (None if it has one), and unit. ``[i]`` stands for a component.
 ATTRIBUTES: dict[str, dict[str, tuple[str, int | None, str]]] = {
     "body": {
         "mass": ("body_mass", None, "kg"),
@@ -118,7 +121,8 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, int | None, str]]] = {
         "gravity": ("opt.gravity", 0, "m/s^2"),
     },
 }
-#: Attributes of joints: array by joint, by degree of freedom or by coordinate.
+#: Array of the compiled model that holds an attribute of a joint, by name of the attribute. An array ``jnt_``
+#: has one entry for each joint, ``dof_`` for each degree of freedom, and ``qpos_`` for each coordinate.
 JOINT_ARRAYS = {
     "stiffness": "jnt_stiffness",
     "damping": "dof_damping",
@@ -134,11 +138,12 @@ class SensorOutput(NamedTuple):
     Attributes
     ----------
     first, size : int
-        Entries of ``sensordata``.
+            Index of the first entry in ``sensordata``, and number of entries.
     part : str
-        Component: ``x``, ``y``, ``z`` or ``value`` for an entry, else ``roll``, ``pitch`` or ``yaw``.
+            Component that is the output: ``x``, ``y``, ``z`` or ``value`` for one of the entries; ``roll``,
+            ``pitch`` or ``yaw`` for an angle of the quaternion in the entries.
     place : bool
-        Whether the output follows from the coordinates alone.
+            Whether the output depends on the joint coordinates alone, and not on velocities.
     """
 
     first: int
@@ -147,7 +152,7 @@ class SensorOutput(NamedTuple):
     place: bool
 
     def of(self, data: Array) -> Array:
-        """Return the output from sensor data, shape (..., entries)."""
+        """Return the output from sensor data whose last axis has the entries of ``sensordata``."""
         part = data[..., self.first : self.first + self.size]
         if self.part in ("x", "y", "z"):
             return np.asarray(part[..., "xyz".index(self.part)])
@@ -179,7 +184,7 @@ class Fields(dict[str, Any]):
 
 
 def base_array(compiled: Any, name: str) -> Array:
-    """Return an array of a compiled model, or of its options (``opt.density``), as an array."""
+    """Return an array of a compiled model, or of its options (``opt.density``), as a NumPy array."""
     holder, _, field = name.rpartition(".")
     return np.atleast_1d(
         np.asarray(getattr(getattr(compiled, holder) if holder else compiled, field), dtype=float)
@@ -193,7 +198,7 @@ def mujoco() -> Any:
     Raises
     ------
     UsageError
-        If it is not installed.
+            If MuJoCo is not installed.
     """
     try:
         import mujoco as module
@@ -229,7 +234,7 @@ def compile_spec(spec: Any, path: Path) -> Any:
     Raises
     ------
     InputError
-        If MuJoCo cannot compile it.
+            If MuJoCo cannot compile the specification.
     """
     try:
         return spec.compile()
@@ -247,19 +252,20 @@ class MjcfModel(SimulatorModel):
     path : Path
         File in MJCF or URDF.
     parameters : mapping of name to (Parameter, path, bool)
-        Parameters, the paths of their attributes, and whether the inertia of a body changes with its mass.
+            Parameters by name, each with the path of its attribute, and whether the inertia of a body is
+            scaled with its mass.
     inputs : mapping of str to str
-        Column of the log of each actuator.
+            Column of the log that drives each actuator, by name of the actuator.
     outputs : mapping of str to str
-        Path of each channel: ``site/led/x``, ``body/head/yaw``, ``joint/tail``, ``joint/tail/rate`` or
-        ``sensor/gyro/2``.
+            Path of the output in the file, by name of the channel: ``site/led/x``, ``body/head/yaw``,
+            ``joint/tail``, ``joint/tail/rate`` or ``sensor/gyro/2``.
     keyframe : str, optional
         Keyframe from which trials start. By default they start from the reference configuration.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or has no element or attribute of a name.
+            If the file cannot be read, or lacks an element or attribute that is named.
     """
 
     name = "mjcf"
@@ -358,7 +364,7 @@ class MjcfModel(SimulatorModel):
     # -------------------------------------------------------- simulation
 
     def _steps(self, trial: Trial, hooks: Hooks) -> int:
-        """Return the number of steps of a trial. A log that is late needs more of them."""
+        """Return the number of steps of a trial. If the clock of the log is late, more steps are needed."""
         last = max(float(trial.time_s[-1]), float(np.max(hooks.compute_event_times(trial.time_s[-1:]))))
         return math.ceil((last - float(trial.time_s[0])) / self.step_s - 1e-9) + 1
 
@@ -406,7 +412,7 @@ class MjcfModel(SimulatorModel):
         ]
 
     def _start(self, values: Array) -> tuple[Array, Array]:
-        """Return coordinates and velocities at the first sample."""
+        """Return the joint coordinates and the velocities of a model at the first sample of a trial."""
         first = len(self.attributes)
         offset, rate = (
             values[first : first + len(self.dofs)],
@@ -420,7 +426,7 @@ class MjcfModel(SimulatorModel):
     def _read_outputs(self, data: Array, time: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the outputs at the samples of a trial from the sensor data of each step.
 
-        The data of a step belong to the state before it.
+        The sensor data of a step belong to the state before this step.
         """
         begin = float(trial.time_s[0])
         grid = begin + self.step_s * np.arange(len(data))
@@ -440,18 +446,18 @@ class MjcfModel(SimulatorModel):
     # -------------------------------------------------------- start of a trial
 
     def set_start(self, trial: Trial, state: str = "auto") -> Trial:
-        """Return a trial with the start offsets and initial velocities that its log shows.
+        """Return a trial with the initial displacements and velocities of the joints that its log shows.
 
         Parameters
         ----------
         state : str
-            ``rest``: the trial starts at rest. ``estimate``: its velocities are estimated as well. ``auto``:
-            they are estimated if the first samples move.
+            With ``rest``, the trial starts at rest. With ``estimate``, the initial velocities are estimated
+            as well. With ``auto``, they are estimated if the robot moves during the first samples.
 
         Notes
         -----
-        With the offsets the outputs have their first measured values. Offsets that no measured output shows
-        are held at zero.
+        The displacements give the simulated outputs their first measured values. Displacements that no
+        measured output shows are held at zero.
         """
         first = {c: _first(trial.time_s, trial.measured[c]) for c in self.outputs if c in trial.measured}
         shown = {c: v for c, v in first.items() if v is not None and self.outputs[c].place}
@@ -475,28 +481,28 @@ class MjcfModel(SimulatorModel):
 
 
 class _StartPose:
-    """Outputs of a model without motion as functions of the offsets of its joints from the rest pose."""
+    """Outputs of a model at rest, as functions of the displacements of its joints from the rest pose."""
 
     def __init__(self, model: MjcfModel, outputs: Sequence[SensorOutput]) -> None:
         self._compiled, self._rest, self._outputs = model.compiled, model._rest[0], outputs
         self._data, self._count = mujoco().MjData(model.compiled), len(model.dofs)
 
     def outputs(self, offset: Array) -> Array:
-        """Return the outputs at an offset."""
+        """Return the outputs at displacements ``offset`` of the joints."""
         self._data.qpos[:] = self._rest
         mujoco().mj_integratePos(self._compiled, self._data.qpos, offset, 1.0)
         mujoco().mj_forward(self._compiled, self._data)
         return np.array([output.of(self._data.sensordata) for output in self._outputs])
 
     def slopes(self, offset: Array) -> Array:
-        """Return the derivatives of the outputs with respect to the offset, shape (outputs, offsets)."""
+        """Return the derivatives of the outputs with respect to displacements, shape (outputs, offsets)."""
         size = 1e-5
         rows = size * np.eye(self._count)
         moved = [self.outputs(offset + row) - self.outputs(offset - row) for row in rows]
         return np.array(moved).T / (2.0 * size)
 
     def solve(self, target: Array, chosen: NDArray[np.intp]) -> Array:
-        """Return the offset with which the outputs have given values; only chosen elements differ from 0."""
+        """Return displacements at which the outputs have given values. Only chosen ones differ from 0."""
         turning, offset = np.array([output.turns for output in self._outputs]), np.zeros(self._count)
         for _ in range(6):
             missing = target - self.outputs(offset)
@@ -547,7 +553,7 @@ def _first(time_s: Array, values: Array) -> tuple[float, float, float] | None:
 
 
 def element_name(compiled: Any, kind: str, number: int) -> str | None:
-    """Return the name of an element of a compiled model; None if it has none."""
+    """Return the name of an element of a compiled model; None if the element has no name."""
     module = mujoco()
     name = module.mj_id2name(compiled, getattr(module.mjtObj, f"mjOBJ_{kind.upper()}"), number)
     return str(name) if name else None
@@ -572,7 +578,7 @@ def find_element(compiled: Any, kind: str, name: str, path: Path) -> int:
 
 
 def find_attribute(compiled: Any, place: str, path: Path, *, scale_inertia: bool = False) -> Attribute:
-    """Return the attribute of a path, such as ``joint/tail/stiffness`` or ``geom/fin/fluidcoef[0]``.
+    """Return the attribute with a path such as ``joint/tail/stiffness`` or ``geom/fin/fluidcoef[0]``.
 
     Raises
     ------
@@ -636,7 +642,7 @@ def _component(column: int | None, part: int | None, place: str, path: Path) -> 
 
 
 def _servo(compiled: Any, number: int, place: str, path: Path) -> tuple[ArrayEntries, ...]:
-    """Return the entries of the gain of a position servo."""
+    """Return the two array entries that the gain of a position servo sets."""
     gain, bias = compiled.actuator_gainprm[number, 0], compiled.actuator_biasprm[number, 1]
     if not gain or bias != -gain:
         raise InputError(f"'{place}': the actuator is no position servo", file=path, hint="use gainprm[0]")
@@ -655,7 +661,7 @@ def base_joints(compiled: Any) -> list[int]:
 
 
 def _dofs(compiled: Any, joints: Sequence[str]) -> list[str]:
-    """Return the names of the degrees of freedom, with their units."""
+    """Return the names of the degrees of freedom of joints, with their units."""
     # free, ball, slide, hinge
     ends = {0: FREE, 1: BALL, 2: ("m",), 3: ("rad",)}
     kinds = zip(joints, compiled.jnt_type, strict=True)
@@ -664,7 +670,7 @@ def _dofs(compiled: Any, joints: Sequence[str]) -> list[str]:
 
 #: Components of an output that is an angle of a body or of a site.
 TURNS = ("roll", "pitch", "yaw")
-#: Sensors of MuJoCo by kind and component of an output.
+#: MuJoCo's type of sensor for an output, by kind of element and component.
 SENSORS = {
     ("site", "xyz"): "framepos",
     ("site", "turn"): "framequat",
@@ -678,12 +684,14 @@ SENSORS = {
 
 
 def _add_sensor(spec: Any, source: str, path: Path) -> tuple[str, str, bool]:
-    """Add the sensor of an output to a specification, and return its name, its component and its kind.
+    """Add the sensor of an output to a specification.
+
+    Return the name of the sensor, the component, and whether the output depends on coordinates alone.
 
     Raises
     ------
     InputError
-        If the output is none, or its element does not exist.
+        If ``source`` is not a valid output, or its element does not exist.
     """
     module = mujoco()
     kind, _, rest = source.partition("/")

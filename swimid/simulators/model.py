@@ -22,7 +22,8 @@ from swimid.notices import warn
 from swimid.results.numbers import split_unit
 from swimid.robots.file import Robot
 
-#: Maximum number of successive missing samples of an input. A line replaces shorter gaps.
+#: Maximum number of successive missing samples of an input. Gaps up to this length are filled by a straight
+#: line.
 MAX_INPUT_GAP = 4
 #: Channels of a pose in the horizontal plane.
 PLANE = ("x_m", "y_m", "yaw_rad")
@@ -62,7 +63,7 @@ class SimulatorParameter(yamlio.Document):
         Parameters
         ----------
         start, unit : float, str
-            Value and unit that the simulator states. The trials file has precedence.
+                Value and unit that the simulator states. A value or unit in the trials file has precedence.
 
         Raises
         ------
@@ -118,7 +119,7 @@ class SimulatorModel(Model):
         return tuple(name[0] for name in POSITIONS if name in names) or ("x",)
 
     def is_commanded(self, trial: Trial) -> bool:
-        """Return whether the simulator has inputs. They are commands."""
+        """Return whether the simulator has inputs, which are the commands of the trial."""
         return bool(self.columns)
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
@@ -157,7 +158,7 @@ def _strongest(time_s: Array, values: Array) -> float:
 
 
 class SimulatorTrials(Trials):
-    """Trials of a simulator of the user. A derived class has the key ``model`` and makes the model of it."""
+    """Trials of a simulator of the user. A derived class has the key ``model``, and builds this model."""
 
     robot_form = ""
     commands = ("fit", "fit-graybox")
@@ -175,7 +176,7 @@ class SimulatorTrials(Trials):
     def read_trials(
         self, path: Path, inputs: Sequence[str], outputs: Sequence[str]
     ) -> tuple[list[Trial], Sequence[Input]]:
-        """Read the logs: the inputs, and those of the outputs that a log has.
+        """Read the inputs of the simulator from the logs, and those of its outputs that a log has.
 
         Raises
         ------
@@ -195,7 +196,7 @@ class SimulatorTrials(Trials):
         return trials, sources
 
     def error_at(self, path: Path, keys: Sequence[str], text: object, hint: str | None = None) -> InputError:
-        """Return the error of a key of the trials file, with file and line."""
+        """Return the error for a key of the trials file, with file and line."""
         line = None if self._data is None else yamlio.line_of(self._data, list(keys))
         return InputError(str(text), file=path, line=line, column=".".join(keys), hint=hint)
 
@@ -216,9 +217,7 @@ def _fill_gaps(log: log_format.Log, name: str) -> Array:
         return values
     if longest_run(missing) > MAX_INPUT_GAP:
         first = int(np.flatnonzero(missing)[0])
-        text = (
-            f"the input is missing for more than {MAX_INPUT_GAP} samples: cut the log with start_s and end_s"
-        )
+        text = f"the input lacks more than {MAX_INPUT_GAP} samples: cut the log with start_s and end_s"
         raise InputError(text, file=log.path, line=log.line(first), column=name)
     warn("SWM058", f"{log.path.name}: {int(missing.sum())} missing samples of {name} are interpolated")
     return np.interp(log.time_s, log.time_s[~missing], values[~missing])

@@ -22,12 +22,13 @@ Simulate = Callable[[Mapping[str, float], Mapping[str, Array], Array], Mapping[s
 class PythonModel(SimulatorModel):
     """Model whose simulation is a function of the user.
 
-    Effects of commands, clocks and sensors act on it, and its parameters may differ from their values.
+    Effects of commands, clocks and sensors act on this model. Its parameters may be changed as hypotheses.
 
     Parameters
     ----------
     simulate : callable
-        Function ``simulate(parameters, inputs, times) -> outputs``. The inputs have the values at the times.
+            Function ``simulate(parameters, inputs, times) -> outputs``. Each input is an array of values at
+            ``times``.
     parameters : sequence of Parameter
     inputs, outputs : sequence of str
         Columns of the log.

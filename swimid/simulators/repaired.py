@@ -1,6 +1,7 @@
-"""The user's file of MuJoCo with the smallest change that gives other values and effects (``repaired.xml``).
+"""The user's file of MuJoCo with the smallest change that gives it other values and effects
+(``repaired.xml``).
 
-Attributes are changed in the text of the file, so that its comments, its order and its defaults stay.
+Attributes are changed in the text of the file, so that comments, order and defaults are kept.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class SimulatorFile(NamedTuple):
 
 
 class XmlElement(NamedTuple):
-    """Element of an XML text: its tag, its name, the tags around it, and the place of its start tag."""
+    """Element of an XML text: tag, name, tags of enclosing elements, and byte range of its start tag."""
 
     tag: str
     name: str | None
@@ -48,7 +49,7 @@ class XmlElement(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Attribute of an element that changes. The old value is that of the compiled file."""
+    """Change of an attribute of an element. The old value is that in the compiled file."""
 
     kind: str
     element: str
@@ -57,7 +58,7 @@ class Change(NamedTuple):
     new: Array
 
 
-#: Tags of elements by kind. Actuators and tendons have many.
+#: XML tags of the elements of each kind. Actuators and tendons have many tags, which are not listed.
 TAGS = {
     "joint": ("joint", "freejoint"),
     "body": ("body",),
@@ -70,9 +71,10 @@ AROUND = dict.fromkeys(("joint", "body", "geom", "site"), "worldbody") | {
     "actuator": "actuator",
     "tendon": "tendon",
 }
-#: Tags of actuators that have the gains of a servo as attributes.
+#: XML tags of actuators that have a servo gain as an attribute, by name of the gain.
 SERVO_TAGS = {"kp": ("position",), "kv": ("position", "velocity", "intvelocity")}
-#: Attribute and columns of an array, by kind of element. None stands for all columns.
+#: Place in the file of each array of the compiled model: array, kind of element, attribute, and columns of
+#: the array (None for all columns).
 WRITTEN: tuple[tuple[str, str, str, slice | None], ...] = (
     ("jnt_stiffness", "joint", "stiffness", None),
     ("dof_damping", "joint", "damping", None),
@@ -106,7 +108,7 @@ def edit(model: MjcfModel, values: Array, hooks: Hooks) -> SimulatorFile:
     values : ndarray
         Parameters of the model, without those of effects.
     hooks : Hooks
-        Effects. Those of commands, clocks and sensors are not part of the file.
+            Effects. Effects of commands, clocks and sensors cannot be written to the file.
     """
     text = model.path.read_text(encoding="utf-8")
     wanted = model.fields(values, hooks)
@@ -130,7 +132,7 @@ def edit(model: MjcfModel, values: Array, hooks: Hooks) -> SimulatorFile:
 
 
 def _changes(model: MjcfModel, wanted: dict[str, Any]) -> tuple[list[Change], list[str]]:
-    """Return the attributes to change, and the arrays that have no attribute."""
+    """Return the attributes to change, and the names of changed arrays that no attribute of the file sets."""
     changes, left_out = [], []
     for field, kind, attribute, columns in WRITTEN:
         if field not in wanted:
@@ -222,7 +224,7 @@ def _find(text: str, kind: str, name: str) -> XmlElement | None:
 
 
 def _set(tag: str, attribute: str, value: str) -> str:
-    """Return a start tag in which an attribute has a value."""
+    """Return a start tag with an attribute set to a value."""
     pattern = re.compile(rf"""(\s{attribute}\s*=\s*)("[^"]*"|'[^']*')""")
     if pattern.search(tag):
         return pattern.sub(rf'\g<1>"{value}"', tag, count=1)
@@ -231,7 +233,7 @@ def _set(tag: str, attribute: str, value: str) -> str:
 
 
 def _with_attribute(text: str, change: Change) -> str | None:
-    """Return a text with a changed attribute; None if it does not have the element."""
+    """Return the file's text with a changed attribute; None if the element cannot state it."""
     element, raw = _find(text, change.kind, change.element), text.encode()
     if element is None and change.kind == "option":
         root = elements(text)[0]
@@ -247,7 +249,7 @@ def _with_attribute(text: str, change: Change) -> str | None:
 
 
 def _with_masses(model: MjcfModel, text: str, wanted: dict[str, Any]) -> tuple[str, list[str]]:
-    """Return a text in which bodies with another mass, inertia or centre of mass state them."""
+    """Return the file's text with changed masses, inertias and mass centres, and the changes in words."""
     compiled, said = model.compiled, []
     parts = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
     changed = [n for n in parts if n in wanted]
@@ -270,7 +272,7 @@ def _with_masses(model: MjcfModel, text: str, wanted: dict[str, Any]) -> tuple[s
 
 
 def _with_inertial(text: str, body: XmlElement, inertial: str) -> str:
-    """Return a text with an element ``inertial`` as the first element of a body."""
+    """Return the file's text in which the element ``inertial`` of one body is added or replaced."""
     raw = text.encode()
     inner = next((e for e in elements(text) if e.first >= body.end), None)
     if inner is not None and inner.tag == "inertial" and inner.around[-1] == "body":
@@ -281,7 +283,7 @@ def _with_inertial(text: str, body: XmlElement, inertial: str) -> str:
 
 
 def _differences(model: MjcfModel, text: str, wanted: dict[str, Any]) -> list[str]:
-    """Return the arrays in which the compiled text differs from the wanted ones."""
+    """Return the names of arrays in which the compiled text differs from the wanted arrays."""
     module = mujoco()
     assets = {}
     for path in model.path.parent.rglob("*"):
@@ -305,7 +307,7 @@ def _differences(model: MjcfModel, text: str, wanted: dict[str, Any]) -> list[st
 
 
 def with_comment(edited: SimulatorFile, said: Sequence[str]) -> str:
-    """Return the text of a changed file with a comment on its changes before its first element."""
+    """Return the text of a changed file, with a comment that lists its changes before the first element."""
     lines = [
         *said,
         *(f"changed: {one}" for one in edited.changed),
@@ -318,17 +320,17 @@ def with_comment(edited: SimulatorFile, said: Sequence[str]) -> str:
 
 
 def make_repaired_file(model: MjcfModel, values: Array, trial: Trial, path: Path) -> SimulatorFile:
-    """Return the user's file with the values and effects of a model.
+    """Return the user's file, changed to the parameter values and the effects of a model.
 
     Parameters
     ----------
     model : MjcfModel
         Model with its effects.
     values : ndarray
-        Parameters, with those of the effects.
+            Parameter values, including those of the effects.
     trial : Trial
     path : Path
-        Parameter file that belongs to the text.
+            Parameter file that belongs to the changed file.
     """
     hooks = model.hooks(values, trial)
     own = values[: model.acting[0].first] if model.acting else values

@@ -1,8 +1,8 @@
 """Rows of the input arrays of an engine, from the links and elements of a robot file.
 
 Each kind of element (:mod:`swimid.robots.elements`) has a function in ``ADDERS``, which adds its rows for a
-robot in a plane and in 3-D. The rows are written with the columns in 3-D. :class:`TableRows` takes those that
-the engine of the robot has.
+robot in a plane and in 3-D. The rows are written with the columns in 3-D. :class:`TableRows` takes the
+columns that the engine of the robot has.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ Row = list[Entry]
 #: Row and column indices of the upper triangle of a symmetric 3 by 3 matrix, which is stored in an input
 #: array.
 UPPER = np.triu_indices(3)
-#: Columns of ``joint`` and ``inertia`` in 3-D that the columns of these names in a plane stand for, and other
-#: columns of a plane that have another name in 3-D.
+#: Names in 3-D of those columns that have another name in a plane, by input array and by name in a plane.
 PLANAR_NAMES = {
     "joint": {"x": "at_x", "y": "at_y", "cos_mount": "turn0_00", "sin_mount": "turn0_10"},
     "inertia": {"uu": "A00", "uv": "A01", "ur": "B02", "vv": "A11", "vr": "B12", "rr": "D22"},
@@ -38,9 +37,9 @@ PLANAR_NAMES = {
 
 
 def select_columns(engine: Engine, table: str, entries: Components) -> Row:
-    """Return those entries of a row with the columns in 3-D that the engine has in an input array.
+    """Return the entries of a row for the columns that the engine has in an input array.
 
-    A column that the row lacks is 0.
+    The given row has the columns in 3-D. A column that the row lacks is 0.
     """
     names = (LINK_COLUMNS | ELEMENT_COLUMNS)[table]
     known = dict(zip(names, entries, strict=True))
@@ -93,7 +92,7 @@ class TableRows:
         self.elements = {name: [] for name in ELEMENT_COLUMNS if name in self.engine.columns}
 
     def add(self, table: str, link: str, entries: Components, *integers: int) -> None:
-        """Add a row to an input array, for an element of a link. Its entries have the columns in 3-D."""
+        """Add a row to an input array, for an element of a link. The row has the columns in 3-D."""
         row = select_columns(self.engine, table, entries)
         self.elements[table].append(((self.index[link], *integers), row))
 
@@ -206,7 +205,7 @@ def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, 
     -------
     k1, k2 : float
         Added masses along and across the axis, divided by the displaced mass: ``alpha_0 / (2 - alpha_0)`` and
-        ``beta_0 / (2 - beta_0)``. Eq 7 of the sea lion paper prints a_0 in place of alpha_0.
+        ``beta_0 / (2 - beta_0)``. Eq 7 of Kadapa et al. on a sea lion robot prints a_0 in place of alpha_0.
     k : float
         Added inertia about a cross axis, divided by the moment of inertia of the displaced water (Lamb 1932,
         section 115): ``e^4 (b - a) / ((2 - e^2) (2 e^2 - (2 - e^2) (b - a)))`` with a = alpha_0 and b =
@@ -225,7 +224,7 @@ def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, 
 
 
 def _add_spheroid(element: Spheroid, link: Any, rows: TableRows) -> None:
-    """Add the added mass of a prolate spheroid at the centre of the spheroid (sea lion, Eqs 3 to 8)."""
+    """Add the added mass of a prolate spheroid at its centre (Kadapa et al. on a sea lion, Eqs 3 to 8)."""
     a, b = element.semi_major_m, element.semi_minor_m
     displaced = 4.0 / 3.0 * math.pi * rows.density_kg_m3 * a * b * b
     k1, k2, turning = spheroid_coefficients(a, b)
@@ -238,7 +237,7 @@ def _add_spheroid(element: Spheroid, link: Any, rows: TableRows) -> None:
 
 
 def _add_plate(element: Plate, link: Any, rows: TableRows) -> None:
-    """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
+    """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (Kadapa et al., Eq 9)."""
     mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
     unit: Any = np.array(unit_vector(element.normal))
     rows.add_mass(link.name, element.at_m, np.outer(unit, unit) * (Polynomial.of(element.k) * mass))
@@ -256,8 +255,8 @@ def _add_water(element: Water, link: Any, rows: TableRows) -> None:
 def _add_slender_body(element: SlenderBody, link: Any, rows: TableRows) -> None:
     """Add added mass ``c_m rho pi h^2 / 4`` and drag ``rho/2 (c_f p, c_d h) |v| v`` per length.
 
-    Both act on strips of a link with a height h and a perimeter p that vary along it (dolphin, Eqs 4, 7 and
-    8).
+    Added mass and drag act on strips of a link with a height h and a perimeter p that vary along the link
+    (Eqs 4, 7 and 8 of the paper on the built-in robot ``dolphin``).
     """
     at = np.array([s.station_m for s in element.sections])
     heights = np.array([s.height_m for s in element.sections])
@@ -311,7 +310,7 @@ def _add_damping(element: Any, link: Any, rows: TableRows) -> None:
 
 
 def _add_foil(element: parts.Foil, link: Any, rows: TableRows) -> None:
-    """Add lift and drag of a fin with the polar of a flat plate (dolphin, Eq 9)."""
+    """Add lift and drag of a fin with the polar of a flat plate (paper on the robot ``dolphin``, Eq 9)."""
     gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
     polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
     form: Any = element

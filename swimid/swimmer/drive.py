@@ -38,8 +38,9 @@ MAX_MOTIONS = 2
 MAX_COMMANDS = 2
 #: Time step at which the commanded joint angles are sampled, s.
 READ_S = 0.0025
-#: Knot spacing of the B-spline kernel that smooths the deviation of an actuator from its command, in s, and
-#: its minimum in grid steps. The deviation is smoothed because a joint angle cannot jump.
+#: Knot spacing of the B-spline kernel that smooths the deviation of an actuator from its command, in s
+#: (BELL_S), and minimum of this spacing in grid steps (MIN_BELL_STEPS). The deviation is smoothed because a
+#: joint angle cannot jump.
 BELL_S, MIN_BELL_STEPS = 0.0075, 1.5
 
 
@@ -141,7 +142,7 @@ class Transmission:
     """Angle of a joint as a function of the angle of its actuator.
 
     Between the rows of a table the function is a monotone cubic (PCHIP, Fritsch and Butland 1984). Beyond the
-    table it is the tangent at the last row, so that the rate of the joint does not jump.
+    table the function is the tangent at the last row, so that the rate of the joint does not jump.
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ class Transmission:
         actuator : (angle, rate, acceleration)
             Motion of the actuator in the same units and with the same shapes.
         ratio : float
-            Value of :attr:`ratio`. It has no effect on a table.
+            Value of :attr:`ratio`. It has no effect if the law is a table.
         """
         angle, rate, acceleration = actuator
         if not self._curves:
@@ -271,7 +272,7 @@ class DrivenJoints:
             Effects on the actuators. They do not apply to measured angles and to measured inputs, which
             already contain them.
         cached : bool
-            Whether the motion is kept for later simulations.
+            Whether the motion is cached for later simulations.
         """
         laws = self._laws_at(values)
         key = (grid, phase_rad, laws, hooks.command_key)
@@ -359,7 +360,7 @@ class DrivenJoints:
     def _compute_commands(self, trial: Trial, grid: Grid, phase_rad: float) -> tuple[Array, list[Motion]]:
         """Return the times of the half steps of the grid, and the commanded motion of each actuator.
 
-        It is sampled at half steps of the grid, or at quarter steps for an actuator with a servo.
+        The motion is sampled at half steps of the grid, or at quarter steps for an actuator with a servo.
         """
         known = self._commands.get(trial.id, (grid, phase_rad))
         if known is not None:
@@ -489,7 +490,8 @@ def fit_spline(time_s: Array, angle_rad: Array) -> BSpline:
 def _smooth_positions(time_s: Array, position: Array) -> Callable[[Array], Motion]:
     """Return the motion of a mass whose positions are the samples of an input, as a function of time.
 
-    It is the smoothing spline of a measured joint. The positions are scaled, because it takes angles.
+    The function is the smoothing spline that is used for measured joints. This spline takes angles, so that
+    the positions are scaled.
     """
     scale = float(np.nanmax(np.abs(position))) or 1.0
     spline = fit_spline(time_s, position / scale)
@@ -684,7 +686,10 @@ def add_deviation(motion: Motion, actual: Array, step_s: float) -> Motion:
 
 @lru_cache(maxsize=32)
 def _bells(step_s: float) -> list[Array]:
-    """Return the smoothing kernel and its first two derivatives, each shape (2 reach + 1,)."""
+    """Return the smoothing kernel and its first two derivatives, each over ``reach`` samples on either side.
+
+    Each has the shape (2 reach + 1,).
+    """
     spacing = max(BELL_S, MIN_BELL_STEPS * step_s)
     reach = math.ceil(2.0 * spacing / step_s)
     at = np.arange(-reach, reach + 1) * step_s / spacing

@@ -196,12 +196,12 @@ def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-unt
     Returns
     -------
     float
-        ``-dE/dphi`` of the tendon fish's Eqs 3 and 4.
+        Torque ``-dE/dphi`` of Eqs 3 and 4 in the paper on the built-in robot ``tfish``.
 
     Notes
     -----
     With ``D = sqrt(l_3^2 + l_ps^2 - 2 l_3 l_ps cos phi)`` and ``d_t = D - l_3 + l_ps`` it is
-    ``-K_t (d_p + d_t) l_3 l_ps sin(phi) / D``. Eq 11 is the same when its garbled argument is
+    ``-K_t (d_p + d_t) l_3 l_ps sin(phi) / D``. Eq 11 of the paper is the same if its misprinted argument is
     read as ``arccos((l_3 - l_cr cos phi) / D)``.
     """
     distance = math.sqrt(arm * arm + crank * crank - 2.0 * arm * crank * math.cos(angle))
@@ -248,8 +248,8 @@ def reduce_input(size, loss, along):  # type: ignore[no-untyped-def]
 def thrust_of(n, advance, static, slope, curve):  # type: ignore[no-untyped-def]
     """Return the thrust of a propeller, N, at a rate n (1/s) and a velocity of advance u (m/s).
 
-    It is ``static n |n| + slope |n| u + curve sign(n) u^2``. With K_T = k_0 + k_1 J + k_2 J^2 and
-    J = u / (n D), the coefficients are ``rho D^4 k_0``, ``rho D^3 k_1`` and ``rho D^2 k_2``. A propeller that
+    The thrust is ``static n |n| + slope |n| u + curve sign(n) u^2``. With K_T = k_0 + k_1 J + k_2 J^2 and J =
+    u / (n D), the coefficients are ``rho D^4 k_0``, ``rho D^3 k_1`` and ``rho D^2 k_2``. A propeller that
     turns backwards has the thrust of its mirror image, ``T(-n, -u) = -T(n, u)``.
     """
     side = positive(n, 1.0, positive(-n, -1.0, 0.0))
@@ -261,8 +261,8 @@ def inflow_speed(advance, thrust, jet, ratio, gain, covered):  # type: ignore[no
     """Return the velocity of the water at a rudder along the hull, m/s (Yasukawa and Yoshimura 2015, Eq 24).
 
     The share ``covered`` of the rudder's height lies in the slipstream. There, the velocity has grown by the
-    share ``gain`` of its growth far behind the propeller. In the printed equation this growth is
-    ``u_P (sqrt(1 + 8 K_T / (pi J^2)) - 1)``. Written with the thrust it has no division by J.
+    share ``gain`` of its growth far behind the propeller. In the printed equation the growth far behind is
+    ``u_P (sqrt(1 + 8 K_T / (pi J^2)) - 1)``. This module writes it with the thrust, without a division by J.
     """
     far = math.sqrt(max(advance * advance + jet * thrust, 0.0))
     within = advance + gain * (far - abs(advance))
@@ -288,7 +288,7 @@ def rudder_force(along, aside, lift, port, starboard, sine, cosine):  # type: ig
     port, starboard : float
         Flow straightening coefficients for motion to port and to starboard.
     sine, cosine : float
-        Of the rudder angle.
+        Sine and cosine of the rudder angle.
     """
     across = aside * positive(aside, port, starboard)
     return lift * math.sqrt(along * along + across * across) * (along * sine + across * cosine)
@@ -296,9 +296,10 @@ def rudder_force(along, aside, lift, port, starboard, sine, cosine):  # type: ig
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def wake_growth(aside, speed, decay, port, starboard):  # type: ignore[no-untyped-def]
-    """Return the factor on 1 - w of a propeller in oblique motion (Yasukawa and Yoshimura 2015, Eq 18).
+    """Return the factor of 1 - w of a propeller in oblique motion (Yasukawa and Yoshimura 2015, Eq 18).
 
-    It is ``1 + (1 - exp(-C_1 |b_P|)) (C_2 - 1)``, with the sine of the drift angle of the propeller for b_P.
+    The factor multiplies 1 - w, with the wake fraction w. Its value is
+    ``1 + (1 - exp(-C_1 |b_P|)) (C_2 - 1)``, with the sine of the drift angle of the propeller for b_P.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def fit_graybox(
         Trials of a free-swim or multibody experiment with a robot that has links: a trials file, or the
         result of :func:`swimid.load`.
     output : path, optional
-        Parameter file to write. The evidence of the fit is written to the same folder.
+        Parameter file to write. The evidence file of the fit is written to the same folder.
     progress : Progress
 
     Returns
@@ -172,7 +172,7 @@ def fit_graybox(
 def _check_fit(
     posed: FitSetup, result: FitResult, search: _Search, progress: Progress
 ) -> tuple[list[ev.Check], mistakes.Explanation | None]:
-    """Return the checks of a fit, and the common mistake that explains a bad fit, if one does."""
+    """Return the checks of a fit, and the recording mistake that explains a bad fit; None if none does."""
     options = posed.options
     checks = [
         *fit_common.assess(result),
@@ -208,9 +208,7 @@ def _fit_simulator(
     ]
     if other:
         flag = type(options).declarations()[other[0]].flag
-        raise UsageError(
-            f"{flag} has no effect on the model of the experiment '{trials.experiment}': omit it"
-        )
+        raise UsageError(f"omit {flag}: it has no effect on the model of '{trials.experiment}'")
     given = {name: getattr(options, name) for name in used}
     return fit(trials, output=output, progress=progress, **given)
 
@@ -336,7 +334,7 @@ def _least_squares(posed: FitSetup, begins: Sequence[Array] | None, progress: Pr
 def _deserves_starts(first: FitResult) -> bool:
     """Return whether to fit again from other starting points.
 
-    This is so if the first fit was quick, if it did not converge, or if its errors are too large.
+    Fit again if the first fit was quick, if it did not converge, or if its errors are too large.
     """
     lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
     steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
@@ -406,7 +404,7 @@ def _explain(
     options: FitGrayboxOptions,
     progress: Progress,
 ) -> mistakes.Explanation | None:
-    """Return a common mistake in the trials or logs that explains a bad fit; None if none does.
+    """Return a recording mistake in the trials or logs that explains a bad fit; None if none does.
 
     Each mistake is corrected in each trial, first with fixed coefficients: those of the fit, and those of the
     robot file. Then the model is fitted again with each of the few most promising corrections. The results of
@@ -600,7 +598,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
 
 
 def _methods(experiment: Experiment, result: FitResult, ends: Sequence[Start], method: str) -> list[str]:
-    """Describe the fit in sentences for a methods section."""
+    """Return sentences for a methods section that describe the fit."""
     fitted = sum(t.role == "fit" for t in result.trials)
     model = result.model.swimmer
     kind, by = "planar model", "output-error maximum likelihood"

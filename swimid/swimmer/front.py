@@ -189,7 +189,7 @@ class Profiles:
         Returns
         -------
         ndarray, shape (n, m)
-            Distances relative to the scales; NaN if a simulation diverges.
+            Distances for each of m objectives, divided by the scales; NaN if a simulation diverges.
         """
         members = self._members(profile)
         runs = iter(self.problem.simulate_points([(self.theta(p), k) for p in points for k in members]))
@@ -236,8 +236,8 @@ class FrontResult:
     rules : mapping of str to int
         Index of the point that each rule chooses. The knee is also chosen for each profile alone.
     stages : mapping of str to FitResult
-        Fits before the search, at the chosen point, and so on, by title. None if the model cannot be
-        simulated.
+        Fits before the search, at the chosen point, and after least squares, by title. A fit is None if the
+        model cannot be simulated.
     """
 
     profiles: Profiles
@@ -260,7 +260,8 @@ class FrontResult:
     def starts(self, count: int) -> list[Array]:
         """Return starting points for least squares.
 
-        They are the chosen point, the points that the other rules choose, and then points along the front.
+        The first is the chosen point, followed by the points that the other rules choose, and by points along
+        the front.
         """
         ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
         along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]
@@ -279,7 +280,7 @@ class FrontResult:
         return [path]
 
     def add_evidence(self, evidence: ev.Evidence, result: FitResult, options: FitGrayboxOptions) -> None:
-        """Add the Pareto front, the chosen point, and the errors of all fits to the evidence of a fit."""
+        """Add the Pareto front, the chosen point, and the errors of all fits to the evidence of the fit."""
         stages = dict(self.stages)
         if options.method == "hybrid":
             stages[AFTER] = result
@@ -440,12 +441,8 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     for column in expected:
         bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
         if len(bad):
-            raise InputError(
-                f"'{table[column].iloc[bad[0]]}' is not a finite number",
-                file=path,
-                line=int(bad[0]) + 2,
-                column=column,
-            )
+            text = f"'{table[column].iloc[bad[0]]}' is not a finite number"
+            raise InputError(text, file=path, line=int(bad[0]) + 2, column=column)
     return _number_points(table[["profile", *expected]])
 
 
@@ -519,7 +516,7 @@ def _figures(found: FrontResult, ends: Mapping[str, Array]) -> list[ev.Figure]:
 
 
 def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:
-    """Describe the search of the Pareto fronts in sentences for a methods section."""
+    """Return sentences for a methods section that describe the search of the Pareto fronts."""
     said = []
     if found.searches:
         evaluations = sum(f.evaluations for f in found.searches.values())

@@ -1,9 +1,9 @@
 """Compiled kernels of a robot, which integrate a batch of simulations at once. They are stored on disk.
 
-An engine is the compiled equations of motion of a robot. Its functions can also run as Python functions on
-symbols instead of numbers. They then run through their loops over links and elements once, and record a list
-of sums and products. Operations with input entries that are always 0 or 1 are removed. An engine must be
-written for this: it may branch on a value only by :func:`swimid.swimmer.engine.positive`, ``max``,
+An engine is the compiled equations of motion of a robot. The functions of an engine can also run as Python
+functions on symbols instead of numbers. They then run through their loops over links and elements once, and
+record a list of sums and products. Operations with input entries that are always 0 or 1 are removed. An
+engine that runs on symbols may branch on a value only by :func:`swimid.swimmer.engine.positive`, ``max``,
 ``min`` and ``abs``.
 
 :func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
@@ -69,8 +69,8 @@ COSINE_COEFFICIENTS = (
     -1.38888888888730564116e-3,
     4.16666666666665929218e-2,
 )
-#: The angle pi / 2, rad, as a sum of three numbers. They are short enough for exact products (Cody and Waite
-#: 1980).
+#: The angle pi / 2, rad, as a sum of three numbers. The numbers have so few digits that products with them
+#: are exact (Cody and Waite 1980).
 QUARTER = (1.5707962512969971, 7.549789415861596e-08, 5.390302858158119e-15)
 #: Logarithm of 2 as a sum of two numbers. The first number ends in zero bits (Cephes: exp.c, double
 #: precision).
@@ -539,7 +539,8 @@ def _write_check(size: int, blocks: tuple[int, int, int]) -> Program:
 def source_of(traced: Traced) -> str:
     """Return the text of the module that integrates a batch of simulations with a traced engine.
 
-    Its function is ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``:
+    The function of the module is ``integrate(start, step, table0, ..., shared, steps, parameters, states,
+    rates, work)``:
 
     - ``start``, ``step`` and ``parameters`` are flat. The simulation is the last axis.
     - ``table0`` and so on are drive arrays of shape (2 steps + 1 or fewer, width).
@@ -1014,9 +1015,10 @@ def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64])
 class Kernels:
     """Kernels of one robot: one for simulations without effects, and one for simulations with effects.
 
-    They compute every simulation, a single one or many, so that equal inputs always give equal digits. The
-    scalar engine computes only what no kernel can: unusual combinations of effects. It computes everything
-    if the environment variable ``SWIMID_LANES`` is ``never``. Results of both agree to about fourteen digits.
+    The kernels compute every simulation, a single one or many, so that equal inputs always give equal digits.
+    The scalar engine computes only unusual combinations of effects, for which no kernel exists. It computes
+    everything if the environment variable ``SWIMID_LANES`` is ``never``. Results of kernels and of the scalar
+    engine agree to about fourteen digits.
 
     Parameters
     ----------
@@ -1043,12 +1045,12 @@ class Kernels:
 
     @cached_property
     def wide(self) -> Kernel | None:
-        """Kernel for simulations with effects; None if they cannot act."""
+        """Kernel for simulations with effects; None if no effect can act."""
         room = self._room()
         return None if room is None else Kernel(self._tree, room)
 
     def prepare(self, name: str, progress: Progress = silent, *, effects: bool = False) -> None:
-        """Compile the kernel of the robot with the given name, and with ``effects`` also the wide kernel."""
+        """Compile the kernel of the robot with the given name, and with ``effects`` also :attr:`wide`."""
         if not self.used:
             return
         self.own.compile_module(progress, name)

@@ -161,10 +161,10 @@ class Swimmer(Model, ABC):
     #: Channels of the pose and of the velocity of the reference point.
     pose: tuple[str, ...]
     velocity: tuple[str, ...]
-    #: Channels of force and torque on the holder of a fixed base. They are about the reference point.
+    #: Channels of force and torque on the holder of a fixed base. The torque is about the reference point.
     reactions: tuple[str, ...]
-    #: Names of the pose coordinates and of the velocities in the names of the start parameters, such as x in
-    #: ``start_x`` and surge in ``initial_surge``.
+    #: Words for the pose coordinates and the velocities in the names of the parameters of the initial state,
+    #: such as x in ``start_x`` and surge in ``initial_surge``.
     places: tuple[str, ...]
     rates: tuple[str, ...]
     #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.
@@ -211,7 +211,7 @@ class Swimmer(Model, ABC):
         )
 
     def _clear_caches(self) -> None:
-        """Begin with empty caches of simulations. A copy with another integration step needs its own."""
+        """Set empty caches of simulations. A copy with another integration step needs caches of its own."""
         self.joints = DrivenJoints(self.tree, self._mounts())
         self.steady = SteadySwimming(self)
         self._trajectories: TrialCache[Trajectory] = TrialCache(MAX_TRAJECTORIES)
@@ -229,7 +229,7 @@ class Swimmer(Model, ABC):
 
     @abstractmethod
     def _velocities_of_pose(self, seen: Callable[[str, int], float | None]) -> Sequence[float | None]:
-        """Return the velocities at the first sample that follow from the pose; empty if none do.
+        """Return the velocities at the first sample that follow from the pose; empty if the pose gives none.
 
         See :meth:`start_velocities`.
         """
@@ -244,7 +244,7 @@ class Swimmer(Model, ABC):
 
     @abstractmethod
     def at_reference(self, wrench: Array) -> Array:
-        """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
+        """Convert a wrench at the origin of a fixed base to one at the reference point, in world axes."""
 
     def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
         """Return start values of the velocities at the first sample, by parameter name.
@@ -279,7 +279,7 @@ class Swimmer(Model, ABC):
         """Return the position on the two axes of the motion (m) and the heading (rad) at the first sample."""
 
     def typical_force(self, scales: Scales) -> float:
-        """Return the drag at the typical speed, plus the force that accelerates the robot to it, N."""
+        """Return the drag at the typical speed, plus the force for accelerating to this speed, N."""
         tables, columns = self.tree.tables(self.start_coefficients), self.engine.columns
         drag = tables["drag"][:, columns["drag"].index("quadratic_x")].sum()
         size, rest = (columns["foil"].index(name) for name in ("half_rho_area", "cd0"))
@@ -296,7 +296,7 @@ class Swimmer(Model, ABC):
     def _memory(self) -> list[int]:
         """Indices of the state entries on which the motion over a period of the drive depends.
 
-        They are passive joint angles, velocities of a free base and passive joint rates.
+        These entries are passive joint angles, velocities of a free base and passive joint rates.
         """
         passives, first = len(self.passive), self.coordinates + len(self.passive)
         begin = first + self.speeds * (not self.free_base)
@@ -305,8 +305,8 @@ class Swimmer(Model, ABC):
     def cycle_states(self, states: Array) -> Array:
         """Return those quantities of states on which the motion over a period of the drive depends.
 
-        The motion is the same from any place, and in a plane in any heading. The quantities have the shape
-        (n, m).
+        The motion is the same from any place, and in a plane in any heading. The result has the m quantities
+        of n states, shape (n, m).
         """
         return states[:, self._memory]
 
@@ -404,9 +404,9 @@ class Swimmer(Model, ABC):
         rows : ndarray of int, shape (thrusters,)
             Rows of the loads in the input array ``load``.
         inputs : ndarray of int, shape (thrusters,)
-            Indices of their inputs.
+            Indices of the inputs of the thrusters.
         forces_N : ndarray, shape (thrusters,)
-            Their forces for an input of 1.
+            Forces of the thrusters for an input of 1.
         """
         columns = self.engine.columns["load"]
         along = [i for i, name in enumerate(columns) if name.startswith("force_")]
@@ -418,7 +418,10 @@ class Swimmer(Model, ABC):
         return rows, inputs[rows], forces[rows]
 
     def lose_thrust(self, tables: dict[str, Any], loss: float) -> None:
-        """Let the thrust T of each thruster fall by ``loss sqrt(|T|)`` per velocity along it, (kg/m)^0.5."""
+        """Let the thrust T of each thruster fall by ``loss sqrt(|T|) u`` at the velocity u along the thrust.
+
+        The unit of ``loss`` is (kg/m)^0.5.
+        """
         rows, _, forces = self.thrusters(tables)
         tables["load"][rows, self.engine.columns["load"].index("loss")] = loss / forces**1.5
 
@@ -538,7 +541,7 @@ class Swimmer(Model, ABC):
 
         Returns
         -------
-        Cruise or None
+        SteadySpeed or None
             None if the drive is not periodic, or if the base is fixed.
         """
         if trial.swim.drive is None or not self.free_base:
@@ -585,7 +588,7 @@ class Swimmer(Model, ABC):
         return pack_forces(run.hooks.force, self.frame(run), len(self.tree.links))
 
     def integrate(self, run: SimulationRequest) -> tuple[Array, Array]:
-        """Integrate by the scalar engine, and return the states and their time derivatives."""
+        """Integrate a simulation by the scalar engine, and return the states and their time derivatives."""
         tables = tuple(run.tables.values())
         states, rates = self.engine.integrate(
             run.start, run.grid.step_s, run.drive.table, tables, self._pack_forces(run), run.grid.begin_s
@@ -611,8 +614,8 @@ class Swimmer(Model, ABC):
     ) -> dict[str, Array]:
         """Return the force and torque of the robot on its holder as a load cell measures them, by channel.
 
-        They are about the reference point. The holder answers like a damped resonance. Each channel has an
-        offset and a drift in each trial.
+        The torque is about the reference point. The holder responds like a damped oscillator. Each channel
+        has an offset and a drift in each trial.
         """
         grid = trajectory.grid
         run = SimulationRequest(values, trial, hooks, (), grid, trajectory)
@@ -685,7 +688,7 @@ class Swimmer(Model, ABC):
     def integrate_many(
         self, runs: Mapping[Any, SimulationRequest]
     ) -> Iterator[tuple[Any, tuple[Array, Array]]]:
-        """Yield key, states and rates of all simulations, first of those that the kernels can compute."""
+        """Yield key, states and rates of all simulations. Those that the kernels can compute come first."""
         rest = dict(runs)
         for at, result in self.kernels.run(runs, self.frame):
             del rest[at]
@@ -761,7 +764,7 @@ def _trial_parameters(model: Swimmer) -> list[Parameter]:
 def _channels(model: Swimmer) -> tuple[Channel, ...]:
     """Return the channels of a model.
 
-    They are pose and velocity of a free base, angles of all joints, and rates of passive joints.
+    The channels are pose and velocity of a free base, angles of all joints, and rates of passive joints.
     """
     found = []
     if model.free_base:

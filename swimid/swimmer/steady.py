@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 #: amplitude of the motion. With steps of 1e-6 of a parameter (:mod:`swimid.fitting.problem`), derivatives in
 #: fits are then accurate to 1e-4.
 STATE_RTOL = 1e-10
-#: Numbers of periods that are simulated from rest before Newton's method, and between two attempts of
-#: Newton's method.
+#: Number of periods that are simulated from rest before Newton's method (N_FIRST_PERIODS), and between two
+#: attempts of Newton's method (N_MORE_PERIODS).
 N_FIRST_PERIODS, N_MORE_PERIODS = 20, 60
 #: Maximum number of attempts of Newton's method, and maximum number of iterations per attempt.
 MAX_ATTEMPTS, MAX_ITERATIONS = 8, 12
@@ -37,7 +37,8 @@ DIFFERENCE_SHARE = 1e-6
 class LimitCycle(NamedTuple):
     """Limit cycle of a periodically driven motion.
 
-    It is the fixed point of the map from the state at the beginning of a period to the state at its end.
+    The cycle is the fixed point of the map from the state at the beginning of a period to the state at its
+    end.
 
     Attributes
     ----------
@@ -54,7 +55,7 @@ class LimitCycle(NamedTuple):
     def multiplier(self) -> float:
         """Factor by which the slowest perturbation changes in one period.
 
-        It is the largest magnitude of an eigenvalue of :attr:`slopes`.
+        The factor is the largest magnitude of an eigenvalue of :attr:`slopes`.
         """
         return float(np.max(np.abs(np.linalg.eigvals(self.slopes)), initial=0.0))
 
@@ -134,7 +135,7 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
 
 
 def _slopes(period: Callable[[Array], Array], state: Array, end: Array, steps: Array) -> Array:
-    """Return the derivative of the state after one period with respect to the state before it.
+    """Return the derivative of the state after one period with respect to the state at its beginning.
 
     The derivative is computed by forward differences.
     """
@@ -188,7 +189,7 @@ class SteadySwimming:
     def cruise(self, values: Array, trial: Trial, hooks: Hooks) -> SteadySpeed:
         """Return the speed at which the model settles under the periodic drive of a trial, with effects.
 
-        It is the speed through the water.
+        The speed is that through the water.
 
         Parameters
         ----------

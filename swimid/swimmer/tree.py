@@ -116,7 +116,7 @@ class Actuated:
     column : str
         Log column of its angle.
     law : Actuator
-        Law by which it follows the drive.
+        Law by which the actuator follows the drive.
     """
 
     name: str
@@ -314,7 +314,7 @@ class Tree(ABC):
         self.passive = [a for a in axes if a.joint.passive is not None]
         self.actuators, self.actuator_of = _list_actuators(body, self.driven)
         self.topology = self._connect()
-        #: Names of the inputs that move masses, whose rates and accelerations act, too.
+        #: Names of the inputs that move masses. The rates and accelerations of these inputs act, too.
         self.moving_inputs = {e.input for e in body.elements if e.kind == "moving-mass"}
         self.free_base = body.base == "free"
         if not (self.free_base or moving or body.inputs):

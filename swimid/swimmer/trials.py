@@ -43,8 +43,8 @@ MIN_OPENING = 7
 MIN_F_RATIO = 6.0
 #: Maximum start time of a log that begins at rest, as a fraction of the duration of its drive's ramp.
 MAX_RAMP_SHARE = 0.3
-#: Minimum number of samples of a joint angle that drives a trial, and minimum number of samples of a heading
-#: whose beat frequency is estimated.
+#: Minimum number of samples of a joint angle that drives a trial (MIN_JOINT_SAMPLES), and of a heading whose
+#: beat frequency is estimated (MIN_BEAT_SAMPLES).
 MIN_JOINT_SAMPLES, MIN_BEAT_SAMPLES = 5, 17
 #: Number of drive phases that are tried as start values for a trial that begins in steady swimming.
 N_PHASES = 12
@@ -402,7 +402,7 @@ def _first_pose(model: Swimmer, log: Log) -> tuple[float, ...] | None:
 def _lacks_heading(model: Swimmer, log: Log) -> bool:
     """Return whether the log of a robot in a plane has the position but not the heading.
 
-    This is so for the track of a single marker.
+    The track of a single marker is such a log.
     """
     if not model.free_base or model.in_space:
         return False
@@ -413,7 +413,7 @@ def _lacks_heading(model: Swimmer, log: Log) -> bool:
 def _first_course(x: Array, y: Array) -> float:
     """Return the direction (rad) in which a track begins.
 
-    It is the direction from the first point of the track to the first point at a quarter of the largest
+    The direction is that from the first point of the track to the first point at a quarter of the largest
     distance.
     """
     known = np.isfinite(x) & np.isfinite(y)
@@ -445,7 +445,7 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
 
 
 def _with_starts(recordings: Sequence[RobotTrial], model: Swimmer) -> list[Trial]:
-    """Free the start parameters in the model, and return the trials with their start values."""
+    """Free the parameters of the initial state in the model, and return trials with their start values."""
     measured = {name for r in recordings for name in r.trial.measured}
     free = _list_offsets(recordings, model, measured)
     initial = set(model.list_determined_starts(measured))
@@ -539,8 +539,8 @@ def _beat_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
 def _begins_in_motion(trial: Trial, log: Log, model: Swimmer) -> bool:
     """Return whether a log begins in motion.
 
-    This is so if the log begins after the drive has started, or if the body or a passive joint moves in the
-    opening of the log.
+    A log begins in motion if it begins after the drive has started, or if the body or a passive joint moves
+    in the opening of the log.
     """
     beat = trial.swim.drive
     beats = getattr(beat, "amplitude_rad", 1.0) != 0.0
@@ -568,7 +568,7 @@ def _moves(log: Log, name: str, is_joint: bool) -> bool:
     def is_off_zero(derivative: int, changes: Array) -> bool:
         """Return whether the initial value or rate differs from zero.
 
-        It must be significant, and not small compared with the largest value or rate in the log.
+        The value or rate must be significant, and not small compared with the largest one in the log.
         """
         value, error = _estimate_start(time, values[opening], derivative)
         return abs(value) > max(MIN_ERRORS * error, MIN_SHARE * float(np.max(np.abs(changes))))
@@ -589,8 +589,9 @@ def _is_opening(log: Log) -> NDArray[np.bool_]:
 def _estimate_start(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
     """Return a value (derivative 0) or its rate (derivative 1) at time zero, with its standard error.
 
-    Both come from a polynomial that is fitted to the samples. A polynomial two orders higher is used if it
-    fits much better, because a polynomial of low order would take a quick start from rest for initial motion.
+    Value and standard error come from a polynomial that is fitted to the samples. A polynomial two orders
+    higher is used if it fits much better, because a polynomial of low order would take a quick start from
+    rest for initial motion.
     """
     order = 1 + derivative
     *stiff, stiff_squares = _at_zero(time_s, values, derivative, order)

@@ -3,10 +3,11 @@
 ``frames`` yields frames with their time stamps, and measures one marker by its colour in a small window.
 ``tracker`` follows all markers through the film, and ``silhouette`` follows a whole body. ``pose`` converts
 pixels to metres, smooths them and computes the columns of the log. The command ``track_video`` writes the
-log, its evidence with the checks, and a film with the track drawn in. The command ``track_setup`` drafts a
-``setup`` with markers that it finds or that are picked by hand, both by ``proposals``. ``picking`` is the
-page in the browser on which markers are picked, and ``pick_server`` its server. The command ``track_camera``
-calibrates a camera from pictures of a checkerboard. ``options`` contains the options of all commands.
+log, a file with checks and results, and a film with the track drawn in. The command ``track_setup`` drafts a
+``setup``, with markers that ``proposals`` finds in the film or about pixels that the user picks. ``picking``
+is the page in the browser on which markers are picked, and ``pick_server`` its server. The command
+``track_camera`` calibrates a camera from pictures of a checkerboard. ``options`` contains the options of all
+commands.
 
 Frames of reference
 -------------------

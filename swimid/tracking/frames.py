@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Silence FFmpeg. Otherwise it prints remarks on damaged frames between the messages of swimid.
+# Silence FFmpeg, so that it prints no remarks on damaged frames between the messages of swimid.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
 
@@ -50,16 +50,15 @@ MIN_RADII = 1.0
 #: Limits of the standard deviation of the distance between two markers on a rigid body, relative to the
 #: distance. Above the first limit the check warns, and above the second it fails.
 MAX_DISTANCE_SD = (0.02, 0.06)
-#: Minimum fraction of the frames of a film in which a marker is found whole, for a marker that can be
-#: tracked.
+#: Minimum fraction of the frames of a film in which a marker must be found whole, so that it can be tracked.
 MIN_FOUND_SHARE = 0.05
 #: Width to which frames are reduced before the motion of the camera is measured, px.
 SCENE_WIDTH = 480
 #: Maximum shift of the scene relative to the first frame for a camera at rest, px of a picture that is
 #: reduced to SCENE_WIDTH.
 MAX_SHIFT_PX = 2.0
-#: Minimum difference between a moving pixel and the empty scene: in grey levels, and relative to the
-#: median difference in the frame.
+#: Minimum difference between a moving pixel and the empty scene: MIN_DIFFERENCE in grey levels, and
+#: MIN_DIFFERENCE_RATIO relative to the median difference in the frame. Both must be reached.
 MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
 #: Pattern of the placeholder for a whole number in a file name, as in the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
@@ -124,8 +123,9 @@ def _pixel_aspect(capture: cv2.VideoCapture) -> float:
 def _warn_of_densities(file: Path) -> None:
     """Warn if a picture states different numbers of pixels per length across and down.
 
-    Programs contradict each other in the order of the two numbers: FFmpeg writes the shape of a pixel, and
-    the standards of PNG and JPEG mean its reciprocal. Therefore the numbers are not used.
+    Programs contradict each other in the order of the two numbers: FFmpeg writes the ratio of width to height
+    of a pixel, but the standards of PNG and JPEG mean the reciprocal ratio. Therefore the numbers are not
+    used.
     """
     from PIL import Image
 
@@ -253,7 +253,7 @@ def reduce_frame(frame: Frame, width: int) -> Frame:
 def find_difference(frame: Frame, scene: Frame) -> tuple[Frame, float, NDArray[np.bool_]]:
     """Return the difference of a frame from the empty scene, its noise, and the flags of all moving pixels.
 
-    The scene was smoothed by a filter of 3 x 3 pixels, as the frame is here.
+    The frame is smoothed by a filter of 3 x 3 pixels. ``scene`` must be smoothed by the same filter.
     """
     blue, green, red = cv2.split(cv2.absdiff(cv2.blur(frame, (3, 3)), scene))
     difference = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
@@ -270,8 +270,8 @@ def draw_text(image: Frame, text: str, where: tuple[int, int], size: float, line
 class FrameKeeper:
     """Store of up to ``most`` frames, spread evenly over a film of unknown length, and reduced in size.
 
-    At first every ``every``-th frame is stored. If there are more than ``most`` frames, every second one is
-    removed, and the interval is doubled. Wider frames are reduced to ``width``.
+    At first every ``every``-th frame is stored. If more than ``most`` frames are stored, every second one is
+    removed, and the interval ``every`` is doubled. Frames wider than ``width`` px are reduced to this width.
     """
 
     def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
@@ -316,8 +316,8 @@ def _numbers(name: str) -> list[int]:
 def _positions(path: Path, files: list[Path]) -> list[int]:
     """Return the index of each picture in the complete series, missing pictures included, from its name.
 
-    The index is the number in the name. If each name contains several numbers, it is the number that changes.
-    If several numbers change, the index is the place of the name in the sorted list.
+    The index is the number in the name. If each name contains several numbers, the index is the number that
+    changes. If several numbers change, the index is the position of the name in the sorted list.
     """
     columns = np.array([_numbers(f.name) for f in files], dtype=object).T
     counting = [list(column) for column in columns if len(set(column)) > 1]
@@ -350,8 +350,8 @@ MAX_DRIFT = np.array([6.0, 40.0, 70.0])
 #: Width by which the range of saturation and value is extended at both ends in a colour model (scale from 0
 #: to 255). Pixels in the extended range belong to the marker if they touch pixels in the original range.
 SLACK = 20.0
-#: Minimum saturation in the extended range of a colour model (scale from 0 to 255). Less saturated pixels
-#: have no reliable hue.
+#: Minimum saturation of a marker pixel on a scale from 0 to 255. The extended colour range (:data:`SLACK`)
+#: ends at this limit, because pixels of lower saturation are nearly grey and have no reliable hue.
 MIN_SATURATION = 30.0
 #: Half and whole period of the hue on the 8-bit scale of OpenCV.
 _HALF, _TURN = 90.0, 180.0
@@ -418,8 +418,8 @@ class ColourModel:
         if self._first is None:
             self._first = hsv.copy()
         offset = colour_difference(hsv, self._first)
-        # Do not adapt a channel that has no bounds. If hue has no bounds, the marker may be grey, and the hue
-        # of grey is noise.
+        # Do not adapt a channel that has no bounds. If the hue has no bounds, the marker may be grey, and the
+        # measured hue of a grey pixel is noise.
         offset[self._any] = 0.0
         moved = self.drift + ADAPTATION * (offset - self.drift)
         self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
@@ -446,7 +446,8 @@ class ColourModel:
         saturation and value.
         """
         shift = np.round(self.drift)
-        # Do not move a bound at the end of the scale, because it does not limit the colours.
+        # Do not move a bound that is at the end of the scale, because such a bound does not limit the
+        # colours.
         low = np.clip(np.where(self._lower <= 0, 0, self._lower + shift[1:] - slack), 0, 255)
         high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
         low[0] = max(low[0], min(self._lower[0], MIN_SATURATION))
@@ -624,7 +625,7 @@ def find_patches(
     step: int = 1,
     inside: tuple[bool, bool, bool, bool] = (False, False, False, False),
 ) -> list[Patch]:
-    """Return the connected patches of a mask whose area is in range, and all patches that the window cuts.
+    """Return the connected patches of a mask with an area in range, and all patches that the window cuts.
 
     Parameters
     ----------
@@ -693,7 +694,7 @@ def measure_blob(
     column, row = m["m10"] / m["m00"], m["m01"] / m["m00"]
     left, top, right, bottom = box = patch.box(origin, step)
     # A coarse mask does not contain the incomplete blocks at the right and lower side of the picture.
-    # Therefore a patch that ends less than 1.5 blocks before such a side counts as cut.
+    # Therefore a patch that ends less than 1.5 blocks before one of these sides counts as cut.
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     if at_edge:
@@ -755,8 +756,7 @@ class RawTrack:
     at_edge : ndarray of bool, shape (m, n)
         Whether the edge of the picture cuts the marker.
     rivals : dict of str to int
-        Maximum number of objects in one frame that have the colour of the marker but are not the marker, for
-        each kind of marker.
+        For each kind of marker, maximum number of other objects of its colour in one frame.
     mistaken : dict of str to (int, float)
         Number of detections of another object that was first taken for the marker, and its area in px.
     others : dict of str to str
@@ -827,9 +827,9 @@ class RawTrack:
             return 0.0, 0.0
         area = self.area[i]
         usual = float(np.median(area[seen]))
-        # Use only detections with the usual area. The others show only a part of the marker, and the centre
-        # of this part moves if the covered part changes. With this limit of the area, the centre of a bar 20
-        # times as long as wide moves by 0.6 radii if objects pass in front of it.
+        # Use only detections with the usual area. Other detections show only a part of the marker, and the
+        # centre of the visible part moves if the covered part changes. With the limit of 15 % of the area,
+        # the centre of a bar 20 times as long as wide moves by 0.6 radii if objects pass in front of the bar.
         whole = seen & (np.abs(area - usual) <= 0.15 * usual)
         part = whole if whole.sum() >= MIN_DETECTIONS else seen
         place = np.stack([self.x[i], self.y[i]])
@@ -850,8 +850,9 @@ class RawTrack:
         front, rear = (np.stack(self.centre(row))[:, every] for row in (i, j))
         line = front - rear
         length = np.hypot(*line)
-        # Use only frames in which the distance between the two markers is near its median. Otherwise one of
-        # the detections is false. An inclined camera changes the distance by less.
+        # Use only frames in which the distance between the two markers is within 30 % of its median. In other
+        # frames one of the two detections is false: perspective of an inclined camera changes the distance by
+        # less than 30 %.
         sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
         ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
         return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
@@ -899,10 +900,10 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
             continue
         flow = (there - corners)[sound, 0]
         middle = np.median(flow, axis=0)
-        # Corners belong to the scene if their shift is within one pixel of the median shift.
+        # A corner belongs to the scene if its shift is within one pixel of the median shift of all corners.
         alike = np.linalg.norm(flow - middle, axis=1) < 1.0
         # The corners of the scene must be half of all corners, and must be in 8 of 4 x 4 cells of the
-        # picture. Otherwise they may be the corners of a robot near the camera.
+        # picture. If they are not, they may be the corners of a robot near the camera.
         cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
         if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
             out[k] = factor * middle

@@ -34,7 +34,8 @@ MAX_BODY = 1_000_000
 CONNECTION_TIMEOUT_S = 30.0
 #: Interval at which the waiting thread looks for Ctrl-C, s.
 POLL_S = 0.5
-#: Header fields of every answer. The page loads nothing from other servers, and no other page can embed it.
+#: Header fields of every answer. They prevent that the page loads anything from other servers, and that
+#: another page embeds it.
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
@@ -51,7 +52,7 @@ and open the address there."""
 
 @dataclass(frozen=True)
 class PageAnswer:
-    """Answer to a request: body, media type, status, further header fields, and whether it is the last."""
+    """Answer to a request: body, media type, status, further header fields, and flag of the last answer."""
 
     body: bytes
     kind: str
@@ -84,7 +85,7 @@ class PageRequest:
 class PageServer(ThreadingHTTPServer):
     """Server of one page. Its threads carry requests to the thread that calls :meth:`run`.
 
-    Therefore two windows cannot change anything at the same time.
+    Because only this thread answers, two windows of the browser cannot change anything at the same time.
 
     Parameters
     ----------
@@ -141,7 +142,7 @@ class PageServer(ThreadingHTTPServer):
                 self.requests.get().reply.put(CLOSED)
 
     def _answer_next(self, answer: Callable[[PageRequest], PageAnswer]) -> bool:
-        """Answer the next request, and return whether it is the last; raise ``Empty`` if there is none."""
+        """Answer the next request; return whether this answer is the last. Raise ``Empty`` if none waits."""
         request = self.requests.get(timeout=POLL_S)
         given = CLOSED
         try:

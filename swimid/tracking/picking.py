@@ -1,7 +1,8 @@
 """Page in the browser on which the user picks the markers and the scale of a film.
 
 The page holds the choice of the user and sends all of it with each request. :class:`Session` computes
-proposals and trials from it with the functions that ``track setup`` uses, and keeps no choice itself.
+proposals and trials from this choice, with the functions that ``track setup`` uses. A session does not store
+the choice.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class Choice(yamlio.Document):
 
     @property
     def common(self) -> dict[str, Any]:
-        """Keys of the setup, apart from those of the markers."""
+        """Keys of the setup, without the keys of the markers."""
         return {key: value for key in KEYS if (value := getattr(self, key)) is not None}
 
 

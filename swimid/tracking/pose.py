@@ -41,27 +41,27 @@ MIN_NOISE_PX = 0.01
 #: of the pixels, the codec and uneven light. It does not average out, and is added to the standard deviations
 #: of the smoother.
 SYSTEMATIC_PX = 0.05
-#: Lags at which the correlation of the errors of marker centres is computed, frames; and minimum number of
-#: pairs of frames with such lags.
+#: LAGS are the lags at which the correlation of the errors of marker centres is computed, frames.
+#: MIN_PRODUCTS is the minimum number of pairs of frames with such lags.
 LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
-#: Shift of the marker centres per frame that is added before repeated pictures are searched for, px. With it
-#: a repeat that the codec copied exactly looks like other repeats, which differ by noise.
+#: Shift per frame, px, that is added to the marker centres before repeated pictures are searched for. It
+#: makes repeats that the codec copied exactly look like other repeats, which differ by noise.
 RAMP_PX = 1e-6
-#: Probability that a film without hidden markers is reported to have a partly hidden one. It holds for areas
-#: that are normally distributed and independent, which areas in films are not. Therefore SINGLE_FRAME
-#: multiplies the limit for a single small area.
+#: Probability that a film without hidden markers is reported to have a partly hidden one. The probability
+#: FALSE_ALARM is exact for areas that are normally distributed and independent, but areas in films are not.
+#: Therefore the limit for a single small area is multiplied by SINGLE_FRAME.
 FALSE_ALARM, SINGLE_FRAME = 1e-3, 2.0
 #: Half-width of a 95 % interval, in standard deviations. The maximum error of a partly hidden marker is
 #: divided by this value to give a standard deviation.
 TWO_SIDED = 1.96
 
-#: Number of measured segments that are hidden from the smoother to calibrate its standard deviation in gaps,
-#: and number of known samples on each side of such a segment.
+#: N_STRETCHES is the number of measured segments that are hidden from the smoother to calibrate its standard
+#: deviation in gaps. MARGIN is the number of known samples on each side of such a segment.
 N_STRETCHES, MARGIN = 40, 20
 #: Minimum number of samples in a segment from which the noise of a track is estimated.
 MIN_NOISE_SAMPLES = 6
-#: Decimal logarithms of the ratios of driving noise to measurement noise at which the likelihood of a track
-#: is compared first.
+#: Decimal logarithms of the ratios of driving noise to measurement noise in the first, coarse search for the
+#: maximum likelihood of a track.
 NOISE_EXPONENTS = np.arange(-9.0, 4.5)
 #: Variance of the unknown initial position in the Kalman filter, relative to the measurement variance. For
 #: velocity and acceleration the variance is divided by the second and fourth power of the time step.
@@ -207,8 +207,8 @@ def rts(times: Array, means: Array, covariances: Array, q: float, order: int) ->
     keep = np.eye(order) - gains @ transitions
     smooth, spread = means.copy(), covariances.copy()
     smooth[:-1] = np.einsum("kij,kj->ki", keep, means[:-1])
-    # Compute the smoothed covariance as a sum of positive terms. A difference loses its digits if the
-    # variance of the initial state is large.
+    # Compute the smoothed covariance as a sum of positive terms. A difference of covariances would lose its
+    # digits, because the variance of the initial state is large.
     spread[:-1] = keep @ covariances[:-1] @ keep.mT + gains @ noises @ gains.mT
     _backward(gains, smooth, spread)
     return smooth, spread
@@ -243,7 +243,7 @@ def _likelihood(
 def _estimate_noise(
     pieces: list[tuple[Array, Array, Array]], order: int, step: float
 ) -> tuple[float, float, float]:
-    """Return the maximum log-likelihood of a track, with the noise ratio and variance at the maximum.
+    """Return the maximum log-likelihood of a track, and the noise ratio and variance at this maximum.
 
     The ratio is that of driving to measurement noise. The variance is that of a measurement.
     """
@@ -328,11 +328,13 @@ def smooth_path(
     -----
     The acceleration of a swimmer is not white noise, because it follows the stroke. Therefore the standard
     deviation in a gap is calibrated: measured segments of the same length are hidden and interpolated, and
-    the standard deviation is multiplied by the ratio of their errors to it.
+    the standard deviation is multiplied by the ratio of the observed errors to the predicted standard
+    deviation.
 
-    The noise maximises the likelihood of the innovations, with the measurement variance concentrated out
-    (Harvey, A. C., 1989, *Forecasting, structural time series models and the Kalman filter*, section 3.4).
-    The smoother is that of Rauch, Tung and Striebel (1965, AIAA J. 3(8), 1445-1450, doi:10.2514/3.3166).
+    The noise parameters maximise the likelihood of the innovations, with the measurement variance
+    concentrated out (Harvey, A. C., 1989, *Forecasting, structural time series models and the Kalman filter*,
+    section 3.4). The smoother is that of Rauch, Tung and Striebel (1965, AIAA J. 3(8), 1445-1450,
+    doi:10.2514/3.3166).
     """
     step = float(np.median(np.diff(times)))
     known = values if trusted is None else np.where(trusted, values, np.nan)
@@ -399,7 +401,7 @@ class Pose:
         Measured position of the reference point, or of the head marker if the positions of the markers on the
         robot are unknown.
     path : SmoothedPath
-        Two coordinates, in units of the world.
+        Smoothed path of the reference point: two coordinates, in units of the world.
     raw_angle : ndarray, shape (n,), or None
         Measured heading (pitch in the vertical plane, nose up), rad, unwrapped.
     angle : SmoothedPath or None
@@ -444,7 +446,7 @@ class Pose:
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """Gaps of the track: times of the last measurement before and of the first after each gap, s."""
+        """Gaps of the track: times of the last measurement before and the first one after each gap, s."""
         fresh = ~self.held.repeated
         seen = self.times[self.measured]
         missing = np.flatnonzero(np.diff(np.flatnonzero(self.measured[fresh])) > 1)
@@ -491,7 +493,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     everyone = range(len(track.names))
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
     hidden = np.array([limit_hidden_error(track, i, plane) for i in everyone])
-    # A frame repeats the previous picture if no marker centre moves between the two.
+    # A frame repeats the previous picture if no marker centre moves between the two frames.
     ramp = RAMP_PX * np.arange(len(times))
     held = find_held(times, [values + ramp for row in rows for values in track.centre(row)])
     measured: NDArray[np.bool_] = np.all(track.is_whole[rows], axis=0) & ~held.repeated
@@ -542,8 +544,8 @@ class _MarkedBody:
         self.measured, self.trusted = measured, ~np.any(hidden[rows] > 0, axis=0)
         self.weights = [_weights(track, row, hidden[row]) for row in rows]
         self.pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
-        # Standard deviations of the white error of a marker's centre, and of the error that does not average
-        # out: of the heading, and of the position.
+        # Standard deviation ``white`` of the error of a marker's centre that averages out, and standard
+        # deviations of the errors that do not average out: of the heading (``along``), and of the position.
         self.white, self.along = MIN_NOISE_PX * self.pixel, 0.0
         self.lasting = SYSTEMATIC_PX * self.pixel
         if tail == head:
@@ -571,8 +573,8 @@ class _MarkedBody:
         angle = smooth_path(
             clock, self.raw_angle[None], weights, segments, min_sd=least, trusted=self.trusted
         )
-        # Add the errors of partly hidden markers, which do not average out: they last as long as the markers
-        # are hidden.
+        # Add the errors of partly hidden markers. They do not average out, because they last as long as the
+        # markers are hidden.
         off = np.hypot(*self.hidden[self.rows]) * self.pixel / TWO_SIDED / self.distance
         return _add_errors(angle, turn * self.along, off)
 
@@ -708,8 +710,8 @@ def limit_hidden_error(track: RawTrack, marker: int, plane: Plane) -> Array:
     plane, with an uncertainty given by its standard deviation. A sequence of smaller areas counts as hidden
     in two cases. Either two successive areas are smaller than chance explains with probability
     :data:`FALSE_ALARM` in a film, or the deviation of one area exceeds :data:`SINGLE_FRAME` times the
-    deviation with this probability. The stricter limit is needed because the codec and the phase of the
-    pixels reduce the areas of single frames.
+    deviation with this probability. The stricter limit for single areas is needed because the codec and the
+    phase of the pixels reduce the areas of single frames.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.is_whole[marker])
@@ -740,7 +742,8 @@ def _scatter(short: Array) -> float:
     """Return the standard deviation of the logarithm of a marker's area about its median.
 
     The result is the larger of two estimates: from the middle half of the areas, and from the areas above the
-    median. The latter show how heavy the tails are, because markers with large areas are not hidden.
+    median. The areas above the median show how heavy the tails are, because markers with large areas are not
+    hidden.
     """
     middle = 1.4826 * float(np.median(np.abs(short)))
     large = -short[short < 0]
@@ -752,7 +755,7 @@ def _scatter(short: Array) -> float:
 
 
 def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
-    """Return the variance of each measured centre of a marker relative to a typical one, shape (n,)."""
+    """Return the variance of each measured centre of a marker, relative to a typical one, shape (n,)."""
     seen = track.is_whole[marker]
     weights = np.ones(len(track.times))
     if seen.any():

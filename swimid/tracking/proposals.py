@@ -2,7 +2,7 @@
 
 :func:`find_candidates` searches for colours whose patches are compact and move. :func:`pick_markers` finds
 the patch about a pixel, and the range of colours that separates the patch from its surroundings.
-:func:`marker_fault` says whether a marker of a trial can be followed.
+:func:`marker_fault` says why a marker cannot be followed, after its setup was tried on the film.
 """
 
 from __future__ import annotations
@@ -35,12 +35,13 @@ N_SAMPLES, SAMPLE_WIDTH = 48, 960
 MIN_DIFFERENT_SHARE = 0.3
 #: Minimum score of a colour that is proposed as a marker, and maximum number of hues that are examined.
 MIN_SCORE, MAX_HUES = 0.02, 8
-#: Maximum colour differences between a picked pixel and the other pixels of its patch, grey levels. All of
-#: them are tried, and the one at which the patch grows least is used. Matas, J. et al. (2002), Robust wide
-#: baseline stereo from maximally stable extremal regions, BMVC. doi:10.5244/C.16.36
+#: Maximum colour differences between a picked pixel and the other pixels of its patch, grey levels. All
+#: differences are tried. The one with the most stable patch is used: the patch grows least from the next
+#: smaller difference to this one. Matas, J. et al. (2002), Robust wide baseline stereo from maximally stable
+#: extremal regions, BMVC. doi:10.5244/C.16.36
 TOLERANCES = (8, 12, 18, 27, 40)
-#: Minimum area of a patch, px; area of a patch above which a warning is given, and maximum area of a marker,
-#: both as fractions of the picture.
+#: MIN_PATCH_PX is the minimum area of a patch, px. LARGE is the area of a patch above which a warning is
+#: given, and LARGEST the maximum area of a marker, both as fractions of the picture.
 MIN_PATCH_PX, LARGE, LARGEST = 5, 0.05, 0.5
 #: Maximum fraction of the pixels around a marker that have a colour in the marker's range.
 MAX_SHARE_AROUND = 0.1
@@ -149,7 +150,7 @@ def describe_rejected(passed: list[MarkerCandidate]) -> str:
 
 
 def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
-    """Return the hues (0 .. 179) that are most frequent among moving coloured pixels, largest first."""
+    """Return the hues (0 .. 179) that are most frequent among moving coloured pixels, most frequent first."""
     histogram = np.bincount(hsv[:, 0], minlength=180)[:180].astype(float)
     kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
     smooth = np.convolve(np.pad(histogram, 9, mode="wrap"), kernel / kernel.sum(), "valid")
@@ -162,8 +163,8 @@ def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange:
     offset = frames.hue_difference(hsv[:, 0].astype(float), peak)
     near = np.abs(offset) <= NEAR_HUE
     cluster = hsv[near].astype(float)
-    # Use the pixels of strongest colour (saturation times value), which are inside the marker. The others are
-    # its blurred rim.
+    # Use the pixels of strongest colour (saturation times value), which are inside the marker. The other
+    # pixels are the blurred rim of the marker.
     purity = cluster[:, 1] * cluster[:, 2]
     core = purity >= np.percentile(purity, 35)
     low, high = np.percentile(offset[near][core], [3, 97])
@@ -228,9 +229,9 @@ def _patches(
 ) -> list[tuple[float, float, float, float]]:
     """Return the moving patches of a mask as (area, x, y, fraction of a disc), largest first.
 
-    Patches at the edge of the picture are left out. A patch does not move if the empty scene (``scenery``)
-    has its colour at the same position, too. In this case the light has changed, or an object passes over the
-    patch.
+    Patches at the edge of the picture are left out. A patch does not count as moving if the empty scene
+    (``scenery``) has the colour of the patch at the same position. In this case the light has changed, or an
+    object passes over the patch.
     """
     count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
@@ -405,9 +406,9 @@ def _colours(inside: Frame) -> HsvRange:
 def _narrow_range(colours: HsvRange, inside: Array, around: Array) -> HsvRange | None:
     """Return the colour range of a patch, narrowed to exclude the surroundings; None if impossible.
 
-    A bound of the range is moved where patch and surroundings differ most in saturation or value. The new
-    bound is in the middle between them, or at the distance ``SLACK`` from the surroundings if that is further
-    away.
+    The bound is moved at which patch and surroundings differ most in saturation or value. The new bound is
+    midway between patch and surroundings, or at the distance ``SLACK`` from the surroundings if that is
+    further away.
     """
     for _ in range(3):
         held = ColourModel(colours).holds(around)
@@ -436,7 +437,7 @@ def _narrow_range(colours: HsvRange, inside: Array, around: Array) -> HsvRange |
 def marker_fault(
     track: RawTrack, name: str, min_share: float = frames.MIN_FOUND_SHARE, scene: Array | None = None
 ) -> tuple[str, str]:
-    """Return the code and the text of a warning if a marker is hardly found or does not move.
+    """Return the code and the text of a warning on a marker that is hardly found or does not move.
 
     Code and text are empty if the marker is often found and moves. ``scene`` is that of
     :func:`measure_range`.
@@ -485,7 +486,7 @@ def distance_change(run: FilmTrack, one: str, other: str) -> float | None:
         return np.asarray(apart - np.median(apart))
 
     bound, limit = np.array([0.7, 0.7, 0.6, 0.6])[: 4 if turns else 2], frames.MAX_DISTANCE_SD[1]
-    # A loss that is bounded in practice, because another object may stand in for a marker in some frames.
+    # Use a robust loss, because another object may be taken for a marker in some frames.
     robust: dict[str, Any] = {"bounds": (-bound, bound), "loss": "cauchy", "f_scale": limit}
     view = least_squares(scatter_of, np.zeros(len(bound)), **robust).x
     left = scatter_of(view)
@@ -514,7 +515,7 @@ def _rectify(points: Array, view: Array) -> Array:
 
 
 def interpolate_shifts(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
-    """Return the shift of the scene in all ``count`` frames, interpolated from that in some frames.
+    """Return the shift of the scene in all ``count`` frames, interpolated from the shift in some frames.
 
     The result has the shape (2, count). It is None if the shift is known in fewer than two frames.
     """

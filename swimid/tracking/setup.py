@@ -109,7 +109,7 @@ class Setup(Document):
     #: Robot file that states the position of each marker without ``at_m``. The robot file must have a marker
     #: of the same name.
     robot: str | None = None
-    #: Scale; without it positions are in pixels.
+    #: Scale from pixels to metres; without a scale, positions are in pixels.
     scale: Scale | None = None
     camera: Camera | None = None
     #: Frame rate of the film, Hz. It replaces the time stamps in the container.
@@ -257,7 +257,5 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
     for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
             text = f"names no marker '{marker.name}'; the robot names: {', '.join(places) or 'none'}"
-            raise refuse(
-                text, "name the markers of the film as the robot file does, or give at_m of the markers"
-            )
+            raise refuse(text, "name the markers of the film as in the robot file, or give at_m of each")
     return places

@@ -16,8 +16,8 @@ from swimid.tracking import frames
 from swimid.tracking.frames import Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Setup
 
-#: Number of frames whose median is the picture of the empty scene, and width in px to which each frame is
-#: reduced before the body is searched for.
+#: SCENE_FRAMES is the number of frames whose median is the picture of the empty scene. WIDTH is the width in
+#: px to which each frame is reduced before the body is searched for.
 SCENE_FRAMES, WIDTH = 41, 960
 #: Default limits of the area of the body, minimum and maximum, as fractions of the picture.
 AREA_SHARES = (5e-4, 0.5)
@@ -38,7 +38,8 @@ class Silhouette:
     """Tracker of the largest object that differs from the empty scene, frame by frame.
 
     Two points represent the object: the centre of the silhouette, and a rear point on the main axis. The
-    distance of the rear point is the half-axis of the ellipse with the same second moments.
+    distance between the two points is the major half-axis of the ellipse with the same second moments as the
+    silhouette.
 
     Parameters
     ----------

@@ -23,18 +23,20 @@ from swimid.tracking import frames
 from swimid.tracking.frames import Array
 from swimid.tracking.options import TrackCameraOptions
 
-#: Minimum number of pictures for an estimate, and for a good one (OpenCV's tutorial on camera calibration).
+#: Minimum number of pictures for a calibration (MIN_PICTURES), and for an accurate one (GOOD_PICTURES;
+#: OpenCV's tutorial on camera calibration).
 MIN_PICTURES, GOOD_PICTURES = 3, 10
-#: Minimum angle between two boards, degrees. With 5 degrees and less the equations of Zhang are nearly
-#: singular, and at 20 degrees the error of the focal length is a quarter of that (Zhang 2000, figure 3).
+#: Minimum angle between two boards, degrees. At 5 degrees and less the equations of Zhang are nearly
+#: singular. At 20 degrees the error of the focal length is a quarter of the error at 5 degrees (Zhang 2000,
+#: doi:10.1109/34.888718, figure 3).
 MIN_TILT_DEG = 20.0
-#: Maximum root-mean-square reprojection error, px, and minimum number of parts with corners, of 16 parts of
-#: the picture.
+#: MAX_ERROR_PX is the maximum root-mean-square reprojection error, px. The picture is divided into 16 parts,
+#: and MIN_PARTS is the minimum number of parts that must contain corners of a board.
 MAX_ERROR_PX, MIN_PARTS = 1.0, 12
-#: Maximum relative standard error of a focal length: half of the error of a length that a check of a track
-#: passes.
+#: Maximum relative standard error of a focal length: half of the maximum error of a length for which the
+#: check of a track passes.
 MAX_FOCAL_SE = 0.01
-#: Maximum distance of all corners of two pictures that count as one picture, px.
+#: Maximum distance between corresponding corners of two pictures that count as the same picture, px.
 SAME_PX = 1.0
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 FIND = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -131,8 +133,9 @@ def track_camera(
 class _CameraFit(NamedTuple):
     """Camera that OpenCV fits to the corners of a board.
 
-    ``values`` and ``errors`` are those of :data:`NAMES`, ``tilt_deg`` is the largest angle between two
-    boards, and ``each_px`` the reprojection error of each picture.
+    ``values`` and ``errors`` are the parameters listed in :data:`NAMES` and their standard errors,
+    ``tilt_deg`` is the largest angle between two boards, and ``each_px`` the reprojection error of each
+    picture.
     """
 
     matrix: Array
@@ -204,7 +207,7 @@ def _corners(
 ) -> tuple[dict[str, Array], tuple[int, int]]:
     """Return the corners of the board in each picture that shows it, px, and the size of the pictures.
 
-    A warning names each other picture with the reason.
+    A warning names each picture that does not show the board, with the reason.
     """
     seen: dict[str, Array] = {}
     size = (0, 0)

@@ -232,7 +232,7 @@ def _from_film(
     The second returned value holds the rejected colours, each with the reason.
 
     All candidate colours are followed at once. Of the pairs whose distance is constant, the pair with the
-    highest scores is returned, or else the pair whose distance changes least.
+    highest scores is returned, or, if no distance is constant, the pair whose distance changes least.
     """
     with progress(f"looking at {video.name}") as step:
         samples = proposals.sample_frames(video, step=step)
@@ -267,7 +267,7 @@ def _from_film(
 
 
 def _name_candidates(candidates: list[MarkerCandidate]) -> dict[str, MarkerCandidate]:
-    """Return candidates by the names of their hues. Candidates of equal hue have different endings."""
+    """Return candidates by the names of their hues. Names of equal hues get different endings."""
     tried: dict[str, MarkerCandidate] = {}
     for candidate in candidates:
         same = sum(other.name == candidate.name for other in tried.values())

@@ -1,4 +1,4 @@
-"""Command ``track video``, which computes a log with evidence from a film and a setup."""
+"""Command ``track video``, which computes a log, with checks and figures, from a film and a setup."""
 
 from __future__ import annotations
 
@@ -42,14 +42,15 @@ Row = tuple[str, str, TrackEstimate | None, str]
 
 #: Columns of the log whose values are checked for a wrong scale.
 SCALED = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
-#: Maximum number of points of a curve in a figure, and maximum number of shaded gaps.
+#: Maximum number of points of a curve in a figure (MAX_POINTS), and maximum number of shaded gaps (MAX_GAPS).
 MAX_POINTS, MAX_GAPS = 1500, 60
 #: Width of the film frames in the report, px, and duration of the path that is drawn into a frame, s.
 IMAGE_WIDTH, TRAIL_S = 640, 2.0
 #: Colours of interpolated points and of the drawn path, BGR (Okabe and Ito, for colour-blind readers).
 INTERPOLATED, TRAIL = (167, 121, 204), (233, 180, 86)
-#: Limits of the fraction of frames without a marker, and of the relative errors of lengths. Each is a pair:
-#: above the first value a check warns, and above the second it fails.
+#: Limits of the fraction of frames without a marker (MAX_UNSEEN), and of the relative error of a length
+#: (MAX_LENGTH_ERROR). Each is a pair of values: above the first one a check warns, and above the second one
+#: the check fails.
 MAX_UNSEEN, MAX_LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
 #: Maximum deviation of a regular time step from the median time step, relative to the median.
 JITTER = 0.25
@@ -107,15 +108,16 @@ def track_video(
 ) -> Track:
     """Track the markers of a film, and estimate pose, speeds and stroke of the robot.
 
-    The setup is a file, a Setup or a dict. The log has all frames, whatever the window of the speeds.
+    The setup is a file, a Setup or a dict. The log has all frames of the film, even if the speeds are
+    computed from a part of it.
 
     Parameters
     ----------
     video : path
         A film, a folder of pictures, or a pattern of their names (``%05d.png``).
     output : path, optional
-        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` and ``<stem>.png`` in the
-        same folder. :meth:`~swimid.results.result.Result.save` writes the files later.
+        Log to write, CSV or Parquet by its file name extension, with ``<stem>.evidence.json`` and
+        ``<stem>.png`` in the same folder. :meth:`~swimid.results.result.Result.save` writes the files later.
     metadata : dict, optional
         Additional ``# key: value`` lines of the log.
     progress : Progress
@@ -136,8 +138,8 @@ def track_video(
 
     Notes
     -----
-    Positions are smoothed as by Rauch, Tung and Striebel (1965, doi:10.2514/3.3166). The steady part is found
-    by the marginal standard error rule (White, 1997, doi:10.1177/003754979706900601).
+    Positions are smoothed by the method of Rauch, Tung and Striebel (1965, doi:10.2514/3.3166). The steady
+    part is found by the marginal standard error rule (White, 1997, doi:10.1177/003754979706900601).
 
     Examples
     --------
@@ -181,7 +183,7 @@ def _evaluate(
     metadata: dict[str, Any],
     notices: list[Notice],
 ) -> tuple[Track, Painter]:
-    """Compute pose, stroke, checks and evidence of a tracked film; return result and painter.
+    """Compute pose, stroke, checks, tables and figures of a tracked film; return result and painter.
 
     The painter draws the track into the frames of the film.
     """
@@ -418,7 +420,7 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
 def _judge(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> ev.Check:
-    """Return a check. If it does not pass, its level is a warning, or a failure with ``fails``.
+    """Return a check. If it does not pass, it is a warning, or a failure if ``fails`` is true.
 
     If the check does not pass and has a code, a warning with this code is recorded, too.
     """
@@ -463,12 +465,13 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     fresh, t, head = ~pose.held.repeated, pose.times, pose.rows[0]
     first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
     # Detect that the body enters or leaves the picture: the edge of the picture cuts a marker just before the
-    # first detection, or just after the last. Such a body is not lost.
+    # first detection, or just after the last. In this case the frames without the body are not counted as
+    # losses.
     cut = np.any(track.at_edge[pose.rows], axis=0)
     enters, leaves = bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any())
     count, total = int(pose.measured.sum()), int(fresh.sum())
-    # Frames before the robot enters the picture and after it leaves are not losses. They do not count as
-    # found either.
+    # Frames before the robot enters the picture and after it leaves are not losses. These frames do not count
+    # as detections either.
     inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
     lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
     bridged, empty = int((pose.is_interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
@@ -501,8 +504,8 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
 def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
     """Check that at least one marker moves, because a motionless object passes all other checks.
 
-    A robot that hardly leaves its place passes if its stroke turns the line between its markers. Waves rock
-    an object that floats too, but they move its markers alike.
+    A robot that hardly leaves its place passes if its stroke turns the line between its markers. Waves also
+    rock a floating object, but they move all of its markers in the same way.
     """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
@@ -662,7 +665,7 @@ def _calibration(pose: Pose) -> Iterator[ev.Check]:
 
 
 def _looks(track: RawTrack) -> Iterator[ev.Check]:
-    """Check whether another object was taken for a marker, or may be the marker."""
+    """Check whether another object was taken for a marker, or may be the true marker."""
     for name, text in track.others.items():
         yield _judge("SWM172", f"Objects like {name}", "more than markers", "one each", False, text)
     for name, (count, area) in track.mistaken.items():

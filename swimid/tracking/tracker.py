@@ -49,7 +49,7 @@ MAX_PATCHES = 24
 #: deviation of their distance, and maximum deviation of the distance in one frame. The deviations are
 #: relative to the mean distance.
 MIN_RIGID_FRAMES, MAX_RIGID_SD, MAX_RIGID_DEVIATION = 20, 0.06, 0.3
-#: Cost that stands for an impossible assignment of a patch to a marker.
+#: Cost that marks the assignment of a patch to a marker as impossible.
 IMPOSSIBLE = 1e6
 
 
@@ -80,13 +80,14 @@ class Target:
     pace: float = 0.0
     usual_area: float = 0.0
     colour: NDArray[np.float64] | None = None
-    #: Detections of the marker: the number of the frame and the values of a :data:`Row`, one after the other.
-    #: An array of numbers takes a sixth of the memory of tuples, which counts in a film of hours.
+    #: Detections of the marker, one after the other: the frame number and the values of a :data:`Row` for
+    #: each. An array of numbers takes a sixth of the memory of tuples, which matters in a film of several
+    #: hours.
     detections: array[float] = field(default_factory=lambda: array("d"))
     #: Whether the marker has left the position of its first detection by more than its own size.
     moved: bool = False
-    #: Second object that may be the marker. It is followed while this target is not detected, because the
-    #: earlier detections of this target may be false.
+    #: Second object that may be the marker. The object is followed while this target is not detected, because
+    #: the earlier detections of this target may be false.
     challenger: Target | None = None
 
     def predict(self, time: float) -> tuple[float, float]:
@@ -240,7 +241,7 @@ class MarkerGroup:
         return list(zip(new, sorted(best, key=lambda blob: blob.x), strict=False))
 
     def note_rivals(self, rivals: list[Blob], frame: int) -> None:
-        """Store objects that have the colour of the markers, so that none is taken for a lost marker."""
+        """Store other objects of the colour of the markers, so that none is taken for a lost marker."""
         self._note_scenery(rivals)
         self.most_rivals = max(self.most_rivals, len(rivals))
         known = next((target for target in self.targets if target.whole), None)
@@ -268,8 +269,9 @@ class MarkerGroup:
         """Return a sentence on other objects that look like the marker and move; empty if there are none.
 
         An object has moved if it is more than two radii away from all places of such objects in the other
-        searches of the whole picture. Moved objects count if they are seen in half of the searches in which
-        they or the marker have moved, and in two of them. Reflections stay in place, and flashes are rarer.
+        searches of the whole picture. The sentence is returned if moved objects are seen in at least two
+        searches, and in half of the searches in which they or the marker have moved. Reflections do not move,
+        and flashes of light are seen less often.
         """
         moving, count = [], 0
         for frame, here, places in self.looks:
@@ -292,7 +294,7 @@ class MarkerGroup:
 
 
 def mask_step(length: float) -> int:
-    """Return the pixel spacing of a mask that resolves a length: the length itself, from 1 to MAX_STEP px."""
+    """Return the pixel spacing of a mask that resolves a length, px: the length, limited to a range."""
     return max(min(int(length), MAX_MASK_STEP), 1)
 
 
@@ -615,9 +617,9 @@ class Follower:
     def _contest(self, group: MarkerGroup, target: Target, blobs: list[Blob], time: float) -> Blob | None:
         """Follow another object that may be the marker, if the target is missed or was never seen whole.
 
-        The known appearance of the target may be that of a reflection, or of a half hidden marker. Another
-        object that is in the picture for longer is then the marker. Its detections replace those of the
-        target.
+        The known appearance of the target may be that of a reflection or of a half hidden marker. In this
+        case another object that is in the picture for longer is the marker, and the detections of this object
+        replace those of the target.
 
         Returns
         -------
@@ -682,8 +684,8 @@ def drop_false_detections(rows: NDArray[np.float64]) -> None:
     seen, hsv = rows[:, 4] > LOST, rows[:, 6:]
     if not seen.any():
         return
-    # Compute the usual size and colour from detections of the whole marker. They differ where the edge of the
-    # picture cuts the marker.
+    # Compute the usual size and colour from detections of the whole marker. Size and colour differ in
+    # detections in which the edge of the picture cuts the marker.
     whole = seen & (rows[:, 5] == 0)
     if not whole.any():
         whole = seen

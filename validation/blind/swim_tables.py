@@ -137,4 +137,4 @@ def room(chain: Chain) -> Work:
     waves = (np.zeros(links, complex) for _ in range(5))
     reals = (np.zeros(links) for _ in range(4))
     rest = (np.zeros((2 + links, 2 + links)), np.zeros(2 + links), np.zeros(2 + links))
-    return Work(*waves, *reals, *rest, spread, np.zeros((n, n)), np.zeros(n))
+    return Work(*(*waves, *reals, *rest, spread, np.zeros((n, n)), np.zeros(n)))

@@ -1,4 +1,4 @@
-"""Readers of foreign file formats. A :class:`Format` reads a file into a :class:`ForeignTable`.
+"""Readers of the file formats of other programs. A :class:`Format` reads a file into a :class:`ForeignTable`.
 
 All formats in the modules of this package are found automatically. To add a format, add a module.
 
@@ -33,9 +33,9 @@ def formats() -> dict[str, Format]:
 def find_format(path: Path, name: str | None) -> Format:
     """Return the file format of a given name, or, without a name, the format that fits a file's content.
 
-    Without a name, the format is the profile that recognises the content of the file. If there is none, the
-    first bytes and then the ending of the file determine the format. If the name is None, no profile is
-    considered.
+    Without a name, the format is the profile that recognises the content of the file. If no profile
+    recognises it, the first bytes of the file and then its file name extension determine the format. If the
+    name is None, no profile is considered.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def find_format(path: Path, name: str | None) -> Format:
 
     def rank(one: Format) -> int:
         begins, ends = peek.head.startswith(one.magic), path.suffix.lower() in one.endings
-        # A ZIP archive may be of any format, so that its ending decides.
+        # A ZIP archive may be of any format, so that the file name extension decides.
         return 2 * (begins and (ends or not peek.head.startswith(b"PK"))) + ends
 
     plain = [one for one in known.values() if one.recognises is None]
@@ -72,7 +72,8 @@ def open_table(
 ) -> ForeignTable:
     """Read a file as a table, or convert a log in memory to a table.
 
-    The table of a long Parquet file has its first rows. ``ForeignTable.batches`` yields the rows that follow.
+    For a long Parquet file, the table has only the first rows. ``ForeignTable.batches`` yields the following
+    rows.
 
     ``select`` is the track, topic, struct or group to read, if the file holds several. ``kind`` is the name
     of a format, as in :func:`find_format`.

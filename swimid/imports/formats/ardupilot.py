@@ -58,21 +58,22 @@ MAVLINK: dict[str, str] = {
     **axes("v{}", "v{}_m_s"),
     **axes("q{}", "q{}", "1234", "wxyz"),
 }
-#: Factors from the units of ArduPilot to SI (degrees to radians, milligauss to tesla), by the ending of the
-#: log column, and from the units that MAVLink states.
+#: Factors to SI units: from the units of ArduPilot (degrees to radians, milligauss to tesla), by the ending
+#: of the log column; and from the units that MAVLink states, by unit.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
 STATED = {
     **dict.fromkeys(("m", "m/s", "m/s/s", "rad", "rad/s"), 1.0), "mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3,
     "cm/s": 1e-2, "mG": 9.80665e-3, "mrad/s": 1e-3, "mgauss": 1e-7, "gauss": 1e-4,
 }  # fmt: skip
-#: Fields that state the time, with their factor to seconds. The first that a message has is used.
+#: Fields that state the time, with their factor to seconds. The first field that a message has is used.
 _TIMES = {"TimeUS": 1e-6, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 #: Fields of latitude and longitude, with the factor to degrees.
 _PLACES = {("Lat", "Lng"): 1.0, ("lat", "lon"): 1e-7}
 #: Fields that number the instances of a sensor.
 _INSTANCES = ("I", "C", "Instance", "id")
 _TITLE = "binary log of ArduPilot or MAVLink"
-#: First bytes of a binary DataFlash log, and bytes with which a message of MAVLink begins, after its time.
+#: First bytes of a binary DataFlash log (MAGIC), and bytes with which a message of MAVLink begins after its
+#: time stamp (_MARKS).
 MAGIC, _MARKS = b"\xa3\x95", (b"\xfe", b"\xfd")
 
 
@@ -135,16 +136,14 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
             table.metadata |= origin
     time = next((name for name in _TIMES if name in table.columns), None)
     if not columns or time is None:
-        hint = (
-            f"assign columns in a mapping (--map); known fields: {', '.join([*ARDUPILOT_FIELDS, *MAVLINK])}"
-        )
+        hint = f"assign fields in a mapping; known fields: {', '.join([*ARDUPILOT_FIELDS, *MAVLINK])}"
         raise InputError("has no time and field of a known quantity", file=path, hint=hint)
     time_s = table.columns[time].astype(float) * _TIMES[time]
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))}, units={})
 
 
 def _choose_instance(table: ForeignTable, instance: str, path: Path) -> ForeignTable:
-    """Return the messages of one instance of a sensor: that of a given number, or the first one."""
+    """Return the messages of one instance of a sensor: of the selected instance, or of the first one."""
     by = next((name for name in _INSTANCES if name in table.columns), None)
     if by is None or is_text(table.columns[by]):
         return table

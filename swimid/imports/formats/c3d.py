@@ -1,7 +1,7 @@
 """Reader of C3D files, by the library c3d: points, and analogue channels.
 
 The file states rates and units. A point with a negative residual is missing. The parameter ``Y_SCREEN`` of
-the group POINT states the vertical axis: ``+Z`` or ``+Y``. In the second case y becomes z, and z becomes -y.
+the group POINT states the vertical axis: ``+Z`` or ``+Y``. If it is ``+Y``, y becomes z, and z becomes -y.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from swimid.logs.units import unique
 
 
 def _recognises(peek: Peek) -> bool:
-    # The first byte is the block of the parameters, which is usually 2. The second one is always 80.
+    # The first byte is the number of the block with the parameters, which is usually 2. The second byte is
+    # always 80.
     return peek.head[1:2] == b"P" and (peek.head[:1] == b"\x02" or peek.path.suffix.lower() == ".c3d")
 
 
@@ -51,7 +52,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
 def _texts(file: Any, name: str, size: int) -> list[str]:
     """Return the texts of a parameter and of its continuations, such as ``LABELS2``.
 
-    The list has ``size`` items. Missing ones are empty.
+    The list has ``size`` items. Missing texts are empty.
     """
     parts = [file.get(f"{name}{ending}") for ending in ("", "2", "3", "4")]
     found = [str(text).strip() for part in parts if part is not None for text in np.ravel(part.string_array)]

@@ -1,9 +1,10 @@
 """Reader of COCO keypoints (JSON): annotations of pictures, or the results of a pose estimator.
 
-An annotation has x, y and v of each keypoint, in pixels from the upper left corner, with y down. They are
-converted to y up. In annotations v is 0 for a point that is not labelled, and 1 or 2 for others. In results
-(a list) v is the score of the point. The number at the end of the file name of a picture is its frame; if
-the names have no numbers that differ, the id of the picture is its frame. COCO states no frame rate.
+An annotation has x, y and v of each keypoint, in pixels from the upper left corner, with y down. The reader
+converts the coordinates to y up. In annotations v is 0 for a point that is not labelled, and 1 or 2 for a
+labelled point. In results (a list) v is the score of the point. The number at the end of the file name of a
+picture is its frame; if the names have no numbers that differ, the id of the picture is its frame. COCO
+states no frame rate.
 """
 
 from __future__ import annotations
@@ -88,9 +89,7 @@ def _find_frames(annotations: list[dict[str, Any]], images: list[dict[str, Any]]
     at = np.array([frames.get(one["image_id"], one["image_id"]) for one in annotations])
     if at.dtype.kind not in "iu":
         text = f"the frame of the image_id '{max(map(str, at))}' is unknown"
-        raise InputError(
-            text, file=path, hint="number image_id, or the file_name of each image under 'images'"
-        )
+        raise InputError(text, file=path, hint="number image_id, or each file_name under 'images'")
     values, counts = np.unique(at, return_counts=True)
     if (counts > 1).any():
         text = f"{counts.max()} individuals in one picture have no numbers to distinguish them"

@@ -25,8 +25,8 @@ from swimid.logs.units import KNOWN, canonical
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Number of bytes at the beginning of a file from which its layout is determined, and number of lines from
-#: which delimiter and decimal mark are determined.
+#: SAMPLE is the number of bytes at the beginning of a file from which its layout is determined. LINES is the
+#: number of lines from which delimiter and decimal mark are determined.
 SAMPLE, LINES = 1 << 18, 200
 #: Maximum fraction of the rows of a file with a wrong number of cells. Up to this fraction, such rows are
 #: left out. Above it the file is refused.
@@ -34,8 +34,9 @@ MAX_RAGGED = 0.01
 #: Weight of each delimiter when the delimiter of a file is chosen. Commas and blanks have lower weights,
 #: because commas can also be decimal marks, and blanks can occur within cells.
 DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
-#: Pattern of the bytes of plain text, and their minimum fraction in a text that is not UTF-8. Compressed data
-#: have 38 %. A table in another code consists of numbers, except for a few names.
+#: Pattern of the bytes of plain text, and minimum fraction of such bytes in a text that is not UTF-8. In
+#: compressed data the fraction is 38 %. In a table with another character encoding it is larger, because all
+#: cells except a few names are numbers.
 _PLAIN, MIN_PLAIN = re.compile(rb"[\t\n\r -~]"), 0.7
 _MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
 _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
@@ -47,7 +48,7 @@ _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
 _EMPTY_LINES = re.compile(rb"\n([ \t,;|]*\n)+(?=[ \t,;|]*[^\d\s+.,;|-])")
 _UNNAMED = re.compile(r"(column )?\d+")
-#: Number of bytes after an empty line in which the names of a second table are looked for.
+#: Number of bytes after an empty line in which the column names of a second table are searched for.
 MAX_HEADER = 1 << 12
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
 
@@ -95,7 +96,7 @@ def _open(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
 def read_text(text: bytes, notes: list[str], options: ReaderOptions, path: Path) -> ForeignTable:
     """Return a table of the columns in a text.
 
-    ``text`` is UTF-8 with line feeds, ``notes`` are remarks to which others are appended, and ``path`` is the
+    ``text`` is UTF-8 with line feeds, ``notes`` is a list to which remarks are appended, and ``path`` is the
     file for messages.
 
     Raises
@@ -128,7 +129,7 @@ def read_text(text: bytes, notes: list[str], options: ReaderOptions, path: Path)
 def _parse_lines(
     text: bytes, found: Layout, options: ReaderOptions, path: Path, notes: list[str]
 ) -> tuple[pd.DataFrame, NDArray[np.int64], dict[str, str]]:
-    """Return the samples in a text, their line numbers, and the options of the reader that they need.
+    """Return the samples in a text, their line numbers, and the reader options needed to read them.
 
     Lines with a wrong number of cells are left out, with a remark that is appended to ``notes``.
     """
@@ -153,7 +154,7 @@ def _parse_lines(
 def _cut_below(text: bytes, found: Layout, notes: list[str]) -> bytes:
     """Return the samples in a text without a second table below them; append a remark to ``notes``.
 
-    The second table begins, under an empty line and perhaps a title, with a line of other names.
+    The second table begins, under an empty line and perhaps a title, with a line of other column names.
     """
     for hit in _EMPTY_LINES.finditer(text):
         lines = text[hit.end() : hit.end() + MAX_HEADER].decode(errors="replace").split("\n")[:3]
@@ -246,8 +247,8 @@ def _read_names(
         text = f"line {lines[len(above) - 1]} has {len(above[-1])} names, but lines below have {width}"
         notes.append(f"{text}: no name is used, and the columns have numbers")
     levels: list[list[str]] = []
-    # Read several header lines: if the names in one line repeat, complete them by the names in the line
-    # above.
+    # Read several header lines: if the names in one line are not unique, prefix each name with the name in
+    # the line above.
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:
@@ -262,8 +263,8 @@ def _likely_delimiter(lines: list[str]) -> str:
         width, times = Counter(map(len, table)).most_common(1)[0]
         flat = [cell for row in table for cell in row]
         numbered = np.mean([bool(_COMMA.fullmatch(cell)) or parse_number(cell) is not None for cell in flat])
-        # Score the delimiter mainly by the number of lines with the same number of cells and by the fraction
-        # of numbers in the cells, then by that number of cells.
+        # Score the delimiter mainly by two values: the number of lines that have the same number of cells,
+        # and the fraction of cells that hold numbers. A larger number of cells per line adds a little.
         scores[mark] = weight * (0.1 + numbered) * times * (1 + min(width, 50) / 1000) * (width > 1)
     return max(scores, key=lambda mark: scores[mark])
 
@@ -276,7 +277,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _decimal(table: list[list[str]], delimiter: str) -> str:
-    """Return the decimal mark of a file. A comma that may separate groups of digits is no decimal mark."""
+    """Return the decimal mark of a file. A comma that may separate groups of digits does not count."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
     dots = sum(parse_number(cell) is not None and "." in cell for cell in cells)
@@ -419,7 +420,7 @@ def _convert(cells: pd.Series, decimal: str, options: ReaderOptions) -> NDArray[
 def _note_ragged(
     broken: list[tuple[int, int]], width: int, rows: int, path: Path, options: ReaderOptions, notes: list[str]
 ) -> dict[str, str]:
-    """Append a remark on lines with a wrong number of cells; return the option of the reader that it needs.
+    """Append a remark on lines with a wrong number of cells; return the reader option that omits them.
 
     Raises
     ------

@@ -2,10 +2,10 @@
 
 An example of a column name is Present Position. Servos of the series X and MX have 4096 ticks per rotation,
 and the position 2048 is the angle 0. AX servos and the XL-320 have 1024 ticks in 300 degrees, and the angle 0
-is 512. Positions that fit both are refused, unless the format is named. Velocities have the unit 0.229
-rev/min (X series; ROBOTIS e-Manual). The present position is the joint angle, and the goal position is the
-command. A number in the name of a column is the number of the servo. A column ID numbers servos whose rows
-alternate.
+is 512. Positions that may be from either group of servos are refused, unless the user names the format.
+Velocities have the unit 0.229 rev/min (X series; ROBOTIS e-Manual). The present position is the joint angle,
+and the goal position is the command. A number in the name of a column is the number of the servo. A column ID
+numbers servos whose rows alternate.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None, device: str = 
         ticks = table.columns[name].astype(float)
         stem = {"present": "joint", "goal": "cmd"}[hit["what"].lower()]
         joint = f"{stem}{numbers.index(servos[name]) + 1}"
-        # No value of a servo exceeds 2^31: it is a negative number of four bytes.
+        # No value of a servo exceeds 2^31. A larger value is a negative number of four bytes.
         ticks = with_sign(np.where(ticks >= 2.0**31, ticks - 2.0**32, ticks), name, notes)
         if hit["which"].lower() == "velocity":
             columns[f"{joint}_rad_s"] = ticks * 0.229 * UNITS["turn rate"]["rpm"]

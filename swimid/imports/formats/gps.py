@@ -1,8 +1,8 @@
 """Readers of satellite positions: GPX, and NMEA 0183 sentences (RMC, GGA).
 
 Latitude and longitude become metres to the east (x) and to the north (y) of the first position, in the plane
-that touches the ellipsoid of WGS 84 there. The metadata state the first position. Altitudes are kept, and not
-taken for z, because their errors are larger than the motion of a robot.
+that touches the ellipsoid of WGS 84 there. The metadata state the first position. Altitudes keep their own
+column and are not used as z, because their errors are larger than the motion of a robot.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ _SENTENCE = re.compile(rb"\$[A-Z]{2}(RMC|GGA),")
 def east_north(latitude_deg: Array, longitude_deg: Array) -> tuple[dict[str, Array], dict[str, float]]:
     """Return positions to the east and to the north of the first one, m, and the metadata of the first one.
 
-    A position at 0, 0 is none, because receivers write it before they know their position.
+    A position at latitude 0 and longitude 0 counts as missing, because receivers write 0, 0 before they know
+    their position.
 
     >>> east_north(np.array([60.0, 60.001]), np.array([10.0, 10.0]))[0]["y_m"].round(1).tolist()
     [0.0, 111.4]
@@ -46,7 +47,8 @@ def east_north(latitude_deg: Array, longitude_deg: Array) -> tuple[dict[str, Arr
     lon = np.radians(longitude_deg - longitude_deg[first])
     square = FLATTENING * (2 - FLATTENING)
     normal = AXIS_M / np.sqrt(1 - square * np.sin(lat) ** 2)
-    # Cartesian coordinates, with the first position in the plane of x and z (Torge 2001, Geodesy, sec. 4.1.3)
+    # Compute Cartesian coordinates, with the first position in the plane of x and z (Torge 2001, Geodesy,
+    # sec. 4.1.3).
     x, y = normal * np.cos(lat) * np.cos(lon), normal * np.cos(lat) * np.sin(lon)
     z, at = (1 - square) * normal * np.sin(lat), lat[first]
     north = (z - z[first]) * np.cos(at) - (x - x[first]) * np.sin(at)
@@ -86,7 +88,7 @@ def _read_nmea(path: Path, options: ReaderOptions, select: str | None) -> Foreig
     kind = max(("RMC", "GGA"), key=kinds.count)
     with path.open("rb") as stream:
         read = [one for _, one in NMEAReader(stream, quitonerror=ERR_IGNORE) if one and one.msgID == kind]
-    # GGA states the time of day only. Its days count from an arbitrary one.
+    # GGA states only the time of day. Use an arbitrary first day for its dates.
     fixes, stamp = [], datetime(1970, 1, 1)
     for one in read:
         day = getattr(one, "date", stamp.date())

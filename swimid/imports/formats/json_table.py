@@ -60,7 +60,7 @@ def _read_json_lines(text: str) -> tuple[dict[int, Any], list[int]]:
 
 
 def _columns(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
-    """Return the columns of all lists in a value of JSON, with dotted names."""
+    """Return each list in a nested JSON value as a column, by its dotted name."""
     if isinstance(value, dict) and {"columns", "data"} <= value.keys():
         value = [dict(zip(value["columns"], row, strict=True)) for row in value["data"]]
     elif isinstance(value, dict) and value and all(key.isdecimal() for key in value):

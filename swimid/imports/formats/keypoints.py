@@ -3,11 +3,11 @@
 A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. The levels
 of its column header are scorer, (individuals,) bodyparts and coords. SLEAP writes HDF5 (array ``tracks`` with
 axes tracks, x and y, nodes, frames), CSV (``node.x``, ``node.y``), and projects (``.slp``). In the files,
-coordinates are pixels from the upper left corner, with y down. They are converted to y up. Neither format
-states a frame rate.
+coordinates are pixels from the upper left corner, with y down. The reader converts them to y up. Files of
+DeepLabCut and SLEAP state no frame rate.
 
-Anipose writes x, y and z of points that several cameras see (CSV). The unit is that of its calibration board,
-and the axes are those of its calibration. The file states neither.
+Anipose writes x, y and z of points that several cameras see (CSV). Unit and axes of these coordinates are
+those of the calibration of the cameras. The file states neither unit nor axes.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def _of_text(path: Path, select: str | None) -> ForeignTable:
 
 
 def _project(path: Path) -> tuple[Array, Array, list[str], list[str]]:
-    """Return the points in a project of SLEAP, as :func:`_analysis`."""
+    """Return the points in a project of SLEAP; the returned values are those of :func:`_analysis`."""
     with extra_needed("reading a project of SLEAP", "sleap", file=path):
         from sleap_io import load_slp
     labels = load_slp(str(path), open_videos=False)

@@ -1,8 +1,8 @@
 """Reader of tracks of Kinovea: CSV of all tracks, text for Gnuplot, and annotation files (KVA).
 
 CSV has the columns ``Time``, ``track/point/X``, ``track/point/Y``, ... The text has sections, each with the
-name of a track in a comment and with t, x and y. Both have y up, and state neither the unit of length nor
-that of time, which the user chooses in Kinovea. Their times are those of frames, so that the frame numbers
+name of a track in a comment and with t, x and y. Both formats have y up. They do not state the units of
+length and time, which the user chooses in Kinovea. All times are times of frames, so that the frame numbers
 follow from them. KVA is XML with the coordinates of each track in pixels, y down, and with time stamps.
 """
 
@@ -29,7 +29,7 @@ _TRACK_NAME = re.compile(r"(?P<track>.+)/(?P<point>[^/]+)/(?P<axis>[XY])")
 
 
 def _header(peek: Peek) -> list[str]:
-    """Return the names of the columns in the first line of a file, which commas or semicolons separate."""
+    """Return the column names in the first line of a file, split at commas or semicolons."""
     line = (peek.lines or [""])[0].replace("\r", " ")
     mark = ";" if ";" in line else ","
     return next(csv.reader([line], delimiter=mark), [])
@@ -67,7 +67,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
 def _frame_numbers(time: Array) -> Array | None:
     """Return the frame number of each time, from 0; None if the times are not rounded multiples of a period.
 
-    A guess of the period is the mean of the shortest steps, which differ by the rounding.
+    The initial guess of the period is the mean of the shortest time steps, which differ only by rounding.
     """
     steps, rounding = np.diff(time), quantum(time)
     shortest = np.min(steps, initial=np.inf)
@@ -79,7 +79,7 @@ def _frame_numbers(time: Array) -> Array | None:
 
 
 def _of_csv(path: Path) -> tuple[Array, dict[str, Array]]:
-    """Return the times, and the coordinates of the points in a table by ``point.x``."""
+    """Return the times and the coordinates of the points in a CSV table, by names such as ``point.x``."""
     table = open_table(path)
     hits = {name: hit for name in table.columns if (hit := _TRACK_NAME.fullmatch(name))}
     inner: dict[str, set[str]] = {}
@@ -95,7 +95,7 @@ def _of_csv(path: Path) -> tuple[Array, dict[str, Array]]:
 
 
 def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
-    """Return the times of all sections of a text, and the coordinates of their tracks by ``track.x``.
+    """Return the times of all sections of a text, and coordinates of their tracks by names like ``track.x``.
 
     Kinovea 0.8 writes no names of tracks, and times as hours:minutes:seconds:hundredths. Empty lines separate
     its tracks.

@@ -1,7 +1,8 @@
 """Readers of LabVIEW files: measurement files (LVM, text), and TDMS by the library nptdms.
 
-Both state the unit of each channel and the sampling interval. A channel is converted to SI units if its unit
-belongs to one quantity only. Otherwise it keeps its name and its values, and a mapping must state its unit.
+Both formats state the unit of each channel and the sampling interval. A channel is converted to SI units if
+its unit belongs to one quantity only. Any other channel keeps its name and its values, and a mapping must
+state its unit.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def _add_times(
     if np.ptp(steps) > 1e-9 * steps[0]:
         text = f"channels have different times: intervals {', '.join(f'{step:g} s' for step in {*steps})}"
         raise InputError(text, file=path, hint="write channels of one rate to one group")
-    # Count the first and the last sample of each channel in samples from the first one of the first channel.
+    # Number the first and the last sample of each channel, counted from the first sample of the first
+    # channel.
     first = (starts - starts[0]) / steps[0]
     counts = np.array([len(columns[name]) for name in clocks])
     at = np.arange(np.ceil(first.max() - 1e-6), np.floor((first + counts).min() + 1e-6))
@@ -97,7 +99,7 @@ def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> Foreign
     top = "\n".join(lines[: min(ends, default=0)])
     head = {key.strip(): value.strip() for key, value in re.findall(r"(?m)^([^\t,\n]*)[\t,]?(.*)$", top)}
     mark = _SEPARATORS.get(head.get("Separator", "Comma"), "\t")
-    # The first header describes the file, each other one a segment.
+    # The first header describes the file. Each further header describes a segment.
     starts = {str(k): (before + 1, end) for k, (before, end) in enumerate(pairwise(ends), start=1)}
     if not starts:
         raise InputError("has no segment with samples", file=path, hint=f"a segment follows a line {_END}")
@@ -113,11 +115,7 @@ def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> Foreign
     form = head.get("X_Columns", "One")
     if form == "Multi":
         hint = "write the file with one column of x values (or none)"
-        raise InputError(
-            "has a column of x values for each channel; one column of x values is allowed",
-            file=path,
-            hint=hint,
-        )
+        raise InputError("has more than one column of x values", file=path, hint=hint)
     table = _convert_channels(names, values, segment, decimal, path, has_times=form == "One")
     return replace(table, lines=rows[: len(next(iter(table.columns.values())))])
 
@@ -133,8 +131,8 @@ def _convert_channels(
 ) -> ForeignTable:
     """Return the table of the channels of a segment, in SI units, at their common times.
 
-    ``segment`` is the header of the segment: the cells of each key, one for each channel. If ``has_times``,
-    the first column of ``values`` holds the times.
+    ``segment`` is the header of the segment: for each key the cells of all channels. If ``has_times`` is
+    true, the first column of ``values`` holds the times.
     """
 
     def read_value(key: str, at: int) -> str:

@@ -3,9 +3,9 @@
 A dataset holds the points (dimension ``keypoint``) of one or several animals (``individual``), and the
 confidence of each point, or of each animal. Before version 0.17 these names were plural. In two dimensions,
 coordinates count from the upper left corner of the picture, with y down, also after
-``movement.transforms.scale`` has converted them to a unit of length (attribute ``space_unit``). They are
-converted to y up. Coordinates in three dimensions keep their axes. Times are seconds or frame numbers
-(attribute ``time_unit``).
+``movement.transforms.scale`` has converted them to a unit of length (attribute ``space_unit``). The reader
+converts these coordinates to y up. Coordinates in three dimensions keep their axes. Times are seconds or
+frame numbers (attribute ``time_unit``).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _select_points(data: Any, factor: float) -> dict[str, Array]:
             columns[f"{prefix}{axis}"] = point["position"].isel(space=at).to_numpy().astype(float) * factor
         if "confidence" in data:
             confidence = point["confidence"].to_numpy().astype(float)
-            # A confidence that is missing throughout is unknown, and not low.
+            # A confidence that is missing in all samples is unknown, and must not count as low.
             if np.isfinite(confidence).any():
                 columns[f"{prefix}likelihood"] = confidence
     return columns

@@ -2,8 +2,8 @@
 
 The header states the conventions: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a motion.
 Coordinates of a motion are angles, except translations, whose names end in ``_tx``, ``_ty`` or ``_tz``.
-Forces are in N, torques in N m, and points of application in m. A file does not state its vertical axis. Its
-axes are kept, and a note says that OpenSim itself has y up.
+Forces are in N, torques in N m, and points of application in m. A file does not state its vertical axis. The
+axes of the file are kept, and a note says that OpenSim itself has y up.
 """
 
 from __future__ import annotations

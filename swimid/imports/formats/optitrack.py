@@ -1,9 +1,10 @@
 """Reader of CSV exports of OptiTrack Motive: the pose of a rigid body, and labelled markers.
 
 The first line states the unit of length, the frame rate and the form of rotations (``Quaternion``, or the
-order of Euler angles in degrees about the axes of the body, such as ``XYZ``). The world has y up. It is
-converted to z up: x stays, y becomes z, and z becomes -y. The axes of a body are converted likewise, so that
-a body has the same orientation as when it was defined if all its angles are zero.
+order of Euler angles in degrees about the axes of the body, such as ``XYZ``). The world has y up. The reader
+converts positions to a world with z up: x stays, y becomes z, and z becomes -y. The axes of a body are
+converted in the same way. If all angles of a body are zero, it has the orientation in which it was defined in
+Motive.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from swimid.logs.units import safe
 #: Types of the columns that are read. ``Rigid Body Marker`` and ``Bone Marker`` are expected positions.
 _BODY, _MARKER = "Rigid Body", "Marker"
 _ORDER = re.compile(r"[XYZ]{3}")
-#: Number of lines of a file among which the names of the columns are searched.
+#: Number of lines at the beginning of a file in which the column names are searched for.
 _HEADER_LINES = 12
 
 
@@ -88,7 +89,7 @@ def _turn(cells: dict[str, Array], form: str, path: Path) -> dict[str, Array]:
     Raises
     ------
     InputError
-        The form of the rotations is unknown.
+        The stated form of rotations is neither ``Quaternion`` nor an order of Euler angles.
     """
     from scipy.spatial.transform import Rotation
 

@@ -1,10 +1,11 @@
 """Readers of tracks of points without parts: tables of trackpy, and trajectories of idtracker.ai.
 
-In both, coordinates are pixels from the upper left corner of the picture, with y down. They are converted to
-y up. A table of trackpy has one row per frame and particle. ``ep`` is the standard deviation of a coordinate.
-Trajectories of idtracker.ai are an array with the shape (frames, individuals, 2) in HDF5, or CSV with the
-columns ``x1``, ``y1``, ``x2``, ... beside a file ``attributes.json``. Its ``.npy`` files are Python pickles,
-which can run any program when they are loaded. They are refused.
+In both formats, coordinates are pixels from the upper left corner of the picture, with y down. The readers
+convert them to y up. A table of trackpy has one row per frame and particle. ``ep`` is the standard deviation
+of a coordinate. Trajectories of idtracker.ai are an array with the shape (frames, individuals, 2) in HDF5, or
+CSV with the columns ``x1``, ``y1``, ``x2``, ... beside a file ``attributes.json``. The ``.npy`` files of
+idtracker.ai are Python pickles, which can run any program when they are loaded. Therefore such files are
+refused.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from swimid.imports.table import Array, ForeignTable, Format, Peek, ReaderOption
 from swimid.logs.log import TIME
 
 _NUMPY = b"\x93NUMPY"
-#: Columns of a table of trackpy, and columns of which it has at least one in addition.
+#: Columns that every table of trackpy has (_TRACK), and columns of which it has at least one (_FEATURES).
 _TRACK, _FEATURES = {"frame", "particle", "x", "y"}, {"mass", "raw_mass", "signal", "ecc", "ep"}
 
 

@@ -1,9 +1,9 @@
 """Reader of TSV exports of Qualisys Track Manager: markers (3D), and rigid bodies (6D).
 
-Lengths are in millimetres, and the world has z up. A row may begin with the frame and the time. A marker that
-is not found is empty, ``NULL``, or at (0, 0, 0). A body has x, y, z, three angles, the residual and the
-rotation matrix, column by column. The residual is -1 if the body is not found. The matrix is used, because
-the definition of the angles is a setting of the program.
+Lengths are in millimetres, and the world has z up. A row may begin with the frame and the time. For a marker
+that is not found, the cells are empty, ``NULL``, or 0, 0, 0. A body has x, y, z, three angles, the residual
+and the rotation matrix, column by column. The residual is -1 if the body is not found. The reader uses the
+matrix and not the angles, because the definition of the angles is a setting of the program.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from swimid.kinematics.attitude import AXES, with_angles
 from swimid.logs.log import TIME
 from swimid.logs.units import unique
 
-#: Number of columns of a body, with the column of its residual and the first column of its matrix.
+#: Number of columns of a rigid body (_WIDTH). Among these columns, counted from 0, index of the residual
+#: (_RESIDUAL) and of the first element of the rotation matrix (_MATRIX).
 _WIDTH, _RESIDUAL, _MATRIX = 16, 6, 7
 _KEY = re.compile(r"(?!NULL\b)[A-Z][A-Z_]+(\s|$)")
 
@@ -41,7 +42,8 @@ def _recognises(peek: Peek) -> bool:
 
 def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTable:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    # The header ends before the names of the columns, or before the first row of numbers.
+    # The header ends before the line of column names, or, without such a line, before the first row of
+    # numbers.
     start = next((at for at, line in enumerate(lines) if not _KEY.match(line)), len(lines))
     head = {key: cells for key, *cells in (line.rstrip().split("\t") for line in lines[:start])}
     kind = head.get("DATA_INCLUDED", [""])[0]
@@ -72,7 +74,11 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
 
 
 def _find_rows(lines: list[str], start: int, width: int) -> tuple[int, int]:
-    """Return the index of the first row of numbers, and its number of cells before the ``width`` cells."""
+    """Return the index of the first row of samples, and the number of its cells before the coordinates.
+
+    The cells before the coordinates are those of frame and time, if the file has them. ``width`` is the
+    number of cells with coordinates.
+    """
     first = lines[start].rstrip("\t").split("\t")
     if first[0] == "Frame":
         return start + 1, 2
@@ -83,7 +89,7 @@ def _find_rows(lines: list[str], start: int, width: int) -> tuple[int, int]:
 
 
 def _body(cells: Array, unit: str, factor: float) -> dict[str, Array]:
-    """Return the columns of the pose of a body, of whose cells the array has the shape (n, 16)."""
+    """Return the log columns of the pose of a rigid body from its cells in the file, shape (n, 16)."""
     from scipy.spatial.transform import Rotation
 
     matrices = cells[:, _MATRIX:].reshape(-1, 3, 3).transpose(0, 2, 1)

@@ -34,7 +34,8 @@ from swimid.logs.log import TIME
 from swimid.logs.units import safe
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-#: First bytes of a bag: of a db3 file, of the description in the folder of a bag, and of a bag of ROS 1.
+#: First bytes of the files of a bag: db3 file, description in the folder of a ROS 2 bag, and bag file of ROS
+#: 1.
 BAG_MAGIC = (b"SQLite format 3\x00", b"rosbag2_bagfile_information", b"#ROSBAG")
 
 

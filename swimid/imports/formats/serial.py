@@ -18,8 +18,9 @@ _PAIRS = rb"(?P<pairs>%b(?:[ ,;\t]+%b)*)" % ((_PAIR.pattern,) * 2)
 _LINE = re.compile(rb"\s*" + _SERIAL_CLOCK + _PAIRS + rb"[ ,;\t]*", re.I)
 #: Time of day that the serial monitor of Arduino puts before a line of any content.
 _STAMP = re.compile(rb"(?m)^\[?(\d\d?:\d\d:\d\d[\d.]*)\]? -> ?")
-#: Minimum number of lines by which a file of labelled values is recognised, and their minimum fraction after
-#: the first of them. All have the same first label. Others are messages, as of a microcontroller that starts.
+#: Criteria for a file of labelled values: it has at least MIN_LINES lines with the same first label. After
+#: the first such line, their fraction is at least MIN_SHARE. Other lines are messages, for example of a
+#: microcontroller that starts.
 MIN_LINES, MIN_SHARE = 3, 0.5
 
 

@@ -1,7 +1,7 @@
 """Reader of Excel workbooks (XLSX), by the library openpyxl.
 
 A sheet is read as a delimited text file with the same cells, so that a line of units, several lines of names
-and the options of the reader mean the same. Formulas have the values that Excel stored.
+and the options of the reader are treated in the same way. Formulas have the values that Excel stored.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
 
 
 def _text(cell: Any) -> str:
-    """Return the text of a cell. An empty cell and an error, such as ``#N/A``, have none."""
+    """Return the text of a cell. The text of an empty cell, and of an error such as ``#N/A``, is empty."""
     if cell is None or (isinstance(cell, str) and cell.startswith("#") and cell.endswith(("!", "?", "/A"))):
         return ""
     if isinstance(cell, datetime):

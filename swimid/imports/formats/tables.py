@@ -100,8 +100,8 @@ MATLAB_MAGIC = (b"MATLAB 5.0", b"MATLAB 7.3")
 MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MATLAB_MAGIC, extra="hdf5")
 
 
-#: Arguments for reading a Parquet file through a buffer of 1 MiB for each column. By default a whole row
-#: group is read at once, and kept until the end of the file.
+#: Arguments for reading a Parquet file through a buffer of 1 MiB for each column. Without the buffer, a whole
+#: row group would be read at once and stay in memory until the end of the file.
 BUFFERED = {"buffer_size": 1 << 20, "pre_buffer": False}
 
 

@@ -17,8 +17,8 @@ from swimid.logs.units import safe
 _TRACKER_NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
 )
-#: Ending of the unit in the name of a log column, by the first letter of the Tracker column: none for a
-#: position, ``v`` for a velocity, ``a`` for an acceleration.
+#: Ending that is added to the unit of length in the name of a log column, by the first letter of the Tracker
+#: column: no letter for a position, ``v`` for a velocity, ``a`` for an acceleration.
 _PER = {"": "", "v": "_s", "a": "_s2"}
 
 
@@ -28,7 +28,7 @@ def _layout(lines: list[str], path: Path) -> tuple[int, str, list[str], list[str
     Raises
     ------
     InputError
-        The layout is none of Tracker.
+        The file does not have the layout of Tracker.
     """
     is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
     height = 2 + is_multi

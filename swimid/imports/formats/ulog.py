@@ -1,7 +1,7 @@
 """Reader of ULog recordings, and of their topics of PX4, by the library pyulog.
 
-The axes of PX4 are forward, right, down (body) and north, east, down (world). They are converted to axes with
-y left and z up.
+The axes of PX4 are forward, right, down (body) and north, east, down (world). The reader converts body axes
+and world axes so that y points left and z up.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reader of text exports of Vicon Nexus and Tracker: one section each for trajectories, devices and others.
+"""Reader of text exports of Vicon Nexus and Tracker: sections for trajectories, devices and other data.
 
 A section has a line with its name, a line with its rate, a line with the names of its objects, a line with
 the names of the columns (``Frame``, ``Sub Frame``, ``X``, ...), a line with their units, and rows up to an
@@ -30,7 +30,7 @@ class _Section:
 
 
 def _mark(lines: list[str]) -> str:
-    """Return the delimiter of a file, which is found in its line of columns; empty for another file."""
+    """Return the delimiter in the line of column names; empty if the file has no such line."""
     for line in lines[:6]:
         for mark in (",", "\t", ";"):
             if line.startswith(f"Frame{mark}Sub Frame{mark}"):

@@ -10,7 +10,7 @@ Kirchhoff's equations, the wrench that moves it is
 A pass from the base to the outer links computes velocities, accelerations and wrenches, with the unknown
 accelerations set to zero (recursive Newton-Euler). A pass back to the base sums the wrenches and the
 composite inertias. One LDL^T factorisation gives the accelerations. The result equals the Lagrange equations
-of the tendon fish (Eqs 1, 2, 5) and of the dolphin (Eqs 3, 6).
+in the papers on the built-in robots ``tfish`` (Eqs 1, 2, 5) and ``dolphin`` (Eqs 3, 6).
 
 The state of a robot with p passive joints, n = 3 + p, is ``(x, y, theta, passive angles.., u, v, r, passive
 rates..)``: the pose in the world, and the velocity in the base's own axes.
@@ -41,7 +41,7 @@ from swimid.swimmer.engine import (
     wake_growth,
 )
 
-#: Columns of the input arrays.
+#: Columns of each input array, by the name of the array.
 COLUMNS: dict[str, tuple[str, ...]] = {
     "topology": ("parent", "driven", "passive"),
     "joint": ("x", "y", "cos_mount", "sin_mount"),
@@ -63,8 +63,8 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "term": ("x", "y", "coefficient"),
     "slider": ("x", "y", "travel_x", "travel_y", "mass", "weight"),
 }
-#: Index in a row of ``term_link`` of each velocity (1 fills up a row), and of each component of force and
-#: moment. The vertical plane has w, q, Z and M in place of v, r, Y and N.
+#: Indices in a row of ``term_link``, by the name of a velocity, and by the name of a component of force and
+#: moment. The velocity ``1`` fills up a row. The vertical plane has w, q, Z and M in place of v, r, Y and N.
 PLANAR_VELOCITIES = {name: i for i, name in enumerate(("1", "u", "v", "r", "|u|", "|v|", "|r|", "U", "/U"))}
 PLANAR_VELOCITIES |= {"w": 2, "q": 3, "|w|": 5, "|q|": 6}
 PLANAR_COMPONENTS = {"X": 0, "Y": 1, "N": 2, "Z": 1, "M": 2}

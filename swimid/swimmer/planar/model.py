@@ -194,7 +194,7 @@ class PlanarBody:
         Channels of the reference point. The pose has two positions and the heading. The velocity has two
         components along the body's axes and the rate of the heading.
     words : tuple of str
-        Names of these channels in words.
+        Descriptions of the channels of pose and velocity.
     lengths_m : tuple of float
         Length of each link; the base is the first.
     reference_m : (float, float)
@@ -345,7 +345,8 @@ class PlanarBody:
     def length(self, values: Array) -> float:
         """Return the length of the robot, m.
 
-        It is the length in the robot file, or else the distance from the front end to the farthest rear end.
+        The length is that in the robot file, or else the distance from the front end to the farthest rear
+        end.
         """
         return self._model.robot.body.length_m or float(self.straight(values)[1].max())
 
@@ -502,7 +503,7 @@ class PlanarBody:
         damping: float = 0.0,
         friction: float = 0.0,
     ) -> None:
-        """Add to the law of a passive joint.
+        """Add stiffness, damping or friction to the law of a passive joint.
 
         The arguments are stiffness (N m/rad), cubic stiffness (N m/rad3), damping (N m s/rad) and dry
         friction (N m).
@@ -525,7 +526,7 @@ class SwimmerScales(Scales):
 
     @property
     def force(self) -> float:
-        """Drag at the typical speed, plus the force that accelerates the robot to it in one trial, N."""
+        """Drag at the typical speed, plus the force for accelerating to this speed in one trial, N."""
         return self.model.typical_force(self)
 
 
@@ -542,7 +543,7 @@ class MultilinkModel(Swimmer):
     robot : Robot
         The robot must have a ``multilink`` part.
     max_step : float, s
-        Each sampling interval is divided into equal steps no longer than this.
+        Maximum integration step. Each sampling interval is divided into equal steps that are not longer.
     """
 
     name = "multilink"
@@ -603,7 +604,7 @@ class MultilinkModel(Swimmer):
         return tuple(name.removesuffix("_m") for name in self.pose[:2])
 
     def shift(self, tables: dict[str, Any], by: Array) -> None:
-        """Move the centre of mass of the heaviest link, and its weight, by a vector (m) in its axes."""
+        """Move centre of mass and weight of the heaviest link by a vector (m) in the axes of the link."""
         body = self.body
         link, mass, centre = body.hull, body.masses_kg[body.hull], body.centre(body.hull)
         body.weigh(tables, link, centre, -mass, -mass)
@@ -637,7 +638,7 @@ class MultilinkModel(Swimmer):
     def _heading_matters(self) -> bool:
         """Return whether the heading affects the motion.
 
-        This is so if forces with a fixed direction in the world, such as weight, act on a free base.
+        The heading matters if forces with a fixed direction in the world, such as weight, act on a free base.
         """
         return self.tree.world_forces and self.free_base
 
@@ -650,7 +651,7 @@ class MultilinkModel(Swimmer):
         return float(trial.swim.get_pose()[2]) + self.value(values, self.starts[2])
 
     def at_reference(self, wrench: Array) -> Array:
-        """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
+        """Convert a wrench at the origin of a fixed base to one at the reference point, in world axes."""
         fx, fy, moment = wrench.T
         a, b = self.reference_m
         along, across = rotate_vector(fx, fy, math.radians(self.links.heading_deg))

@@ -46,14 +46,14 @@ from swimid.swimmer.engine import (
     wake_growth,
 )
 
-#: Columns of the input arrays.
+#: Columns of each input array, by the name of the array.
 COLUMNS: dict[str, tuple[str, ...]] = {
     "topology": ("parent", "driven", "passive", "massless"),
     **LINK_COLUMNS,
     "passive": PASSIVE,
     **{name: columns for name, columns in ELEMENT_COLUMNS.items() if name != "wake"},
 }
-#: Index in a row of ``term_link`` of each velocity, and of each component of force and moment.
+#: Indices in a row of ``term_link``, by the name of a velocity or of a component of force and moment.
 SPATIAL_VELOCITIES = {
     name: i for i, name in enumerate(("1", *"uvwpqr", *(f"|{letter}|" for letter in "uvwpqr"), "U", "/U"))
 }
@@ -324,7 +324,7 @@ def _propeller_flow(e, propeller_link, propeller, row, work):  # type: ignore[no
     n = row[propeller_link[e, 1], 0]
     velocity = _point_velocity(work[propeller_link[e, 0]], _at(propeller[e], 0))
     along = _dot(velocity, _at(propeller[e], 3))
-    # oblique motion counts in the direction horizontally to port of the axis
+    # the velocity of oblique motion is the component horizontally to port of the propeller's axis
     aside = velocity[1] * propeller[e, 3] - velocity[0] * propeller[e, 4]
     speed = math.sqrt(along * along + aside * aside)
     growth = wake_growth(aside, speed, propeller[e, 12], propeller[e, 13], propeller[e, 14])
@@ -460,7 +460,7 @@ def _rotate_matrix(w, product, k):  # type: ignore[no-untyped-def]
 def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     """Add the wrench and composite inertia of a link to those of its parent.
 
-    They are first converted to the axes and the origin of the parent.
+    The wrench and the inertia are first converted to the axes and the origin of the parent.
     """
     w, u, place = work[i], work[p], _at(joint[i], 0)
     x, y, z = place
@@ -509,8 +509,8 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
 def _add_external_forces(time, state, work, forced):  # type: ignore[no-untyped-def]
     """Add the external forces of effects (:class:`swimid.fitting.model.ExternalForce`).
 
-    They act in the horizontal plane. Their axes are horizontal, and the first one has the heading of the
-    link.
+    The forces act in the horizontal plane. Their axes are horizontal, and the first axis has the heading of
+    the link.
     """
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):

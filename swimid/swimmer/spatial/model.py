@@ -132,7 +132,7 @@ class MultibodyModel(Swimmer):
     robot : Robot
         The robot must have a ``multibody`` part.
     max_step : float, s
-        Each sampling interval is divided into equal steps no longer than this.
+        Maximum integration step. Each sampling interval is divided into equal steps that are not longer.
     """
 
     name = "multibody"
@@ -203,7 +203,7 @@ class MultibodyModel(Swimmer):
         return float(x), float(y), float(heading)
 
     def _attitude_matters(self) -> bool:
-        """Return whether roll and pitch affect the motion of a free base: weight or a surface acts."""
+        """Return whether roll and pitch affect the motion of a free base, by weight or a water surface."""
         return self.free_base and (self.tree.world_forces or self._surface_matters())
 
     def _surface_matters(self) -> bool:
@@ -213,8 +213,8 @@ class MultibodyModel(Swimmer):
     def cycle_states(self, states: Array) -> Array:
         """Return those quantities of states on which the motion over a period of the drive depends.
 
-        They include roll and pitch if weight or buoyancy acts, and the height above the base if the robot may
-        surface.
+        The quantities include roll and pitch if weight or buoyancy acts, and the height above the base if the
+        robot may surface.
         """
         parts = [states[:, self._memory]]
         if self._attitude_matters():
@@ -282,12 +282,12 @@ class MultibodyModel(Swimmer):
         return [name for name in super().list_determined_starts(measured) if name not in blind]
 
     def at_reference(self, wrench: Array) -> Array:
-        """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
+        """Convert a wrench at the origin of a fixed base to one at the reference point, in world axes."""
         force, moment = wrench[:, :3], wrench[:, 3:]
         return np.hstack([force, moment - np.cross(self.tree.reference, force)])
 
     def _first_pose(self, values: Array, trial: Trial) -> Array:
-        """Return the logged pose at the first sample plus the start parameters of the trial, shape (6,)."""
+        """Return the logged pose at the first sample plus the estimated offsets of the trial, shape (6,)."""
         pose = np.array(trial.swim.get_pose(6), dtype=float)
         return pose + values[self._offset]
 
