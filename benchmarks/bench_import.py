@@ -42,9 +42,9 @@ print(time.perf_counter() - wall, time.process_time() - work)
 READING = """\
 import sys, time
 from pathlib import Path
-from swimid.logs import mapping
+from swimid.imports import mapping
 from swimid.notices import silent
-rules = mapping.of(sys.argv[2])
+rules = mapping.read_mapping(sys.argv[2])
 wall, work = time.perf_counter(), time.process_time()
 mapping.apply(rules, Path(sys.argv[1]), progress=silent)
 print(time.perf_counter() - wall, time.process_time() - work)

@@ -276,6 +276,7 @@ def test_a_discrepancy_without_a_term_is_unexplained() -> None:
 def test_every_peer_answers_a_case(made: Path, tmp_path: Path, name: str) -> None:
     case, path = made / "cases" / "0001", tmp_path / "gap.yaml"
     words = [str(case / "trials.yaml"), "--params", str(case / "params_prior.yaml"), "-o", str(path)]
+    words += ["--jobs", "1", "--no-progress"]
     peers.main([name, "diagnose", *words])
     found = answers.of_gap("0001", json.loads(path.read_text()), 1.0)
     assert answers.Answer.model_validate_json(found.line()).verdict != "failed"
