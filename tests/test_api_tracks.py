@@ -333,7 +333,7 @@ def test_figures_are_written_on_request(
     drawn.save(tmp_path / "here.svg")
     assert [p.name for p in tmp_path.glob("here*")] == ["here.svg"]
     assert (tmp_path / "here.svg").read_bytes() == there.read_bytes()
-    with pytest.raises(UsageError, match="a picture ends in"):
+    with pytest.raises(UsageError, match="a picture must end in"):
         drawn.save(tmp_path / "here.pdf")
     with pytest.raises(UsageError, match="name at least one log"):
         plot([])

@@ -79,11 +79,11 @@ LOG_FAULTS: dict[str, tuple[Callable[[list[list[str]]], None], list[str]]] = {
     "too few samples": (lambda c: c.__delitem__(slice(4, None)), ["w20.csv", "at least 5"]),
     "constant column": (
         lambda c: [row.__setitem__(1, "0.1") for row in c[1:]] and None,
-        ["w20.csv", "the displacement does not grow"],
+        ["w20.csv", "the displacement goes from 0.1 to 0.1 m"],
     ),
     "falling displacement": (
         lambda c: [row.__setitem__(1, f"-{row[1]}") for row in c[1:]] and None,
-        ["w20.csv", "'x_m'", "must point along the pull"],
+        ["w20.csv", "'x_m'", "must grow along the pull"],
     ),
 }
 
@@ -160,7 +160,7 @@ def test_unwritable_folder(swimid: Run, rig: Path, tmp_path: Path) -> None:
     folder = tmp_path / "locked"
     folder.mkdir()
     folder.chmod(0o500)
-    refused(swimid("fit-drag", rig / "trials.yaml", "-o", folder / "d.yaml"), 3, ["cannot be written"])
+    refused(swimid("fit-drag", rig / "trials.yaml", "-o", folder / "d.yaml"), 3, ["you may not write"])
 
 
 # ------------------------------------------------------------ what is suspicious, not wrong

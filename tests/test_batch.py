@@ -108,7 +108,7 @@ def test_an_item_folder_makes_a_report(lab: Path, swimid: Run) -> None:
 def test_a_folder_without_results_makes_no_report(lab: Path, swimid: Run) -> None:
     ran = swimid("report", lab / "logs", "-o", lab / "page.html")
     assert ran.status == 2
-    assert "has no result with evidence" in ran.err
+    assert "has no file *.evidence.json" in ran.err
 
 
 # ---------------------------------------------------------------- a second run

@@ -76,7 +76,11 @@ def test_version(swimid: Run) -> None:
             2,
             "'high' is not a number",
         ),
-        (["fit-drag", "{samples}/rig/trials.yaml", "--bounds", "added_mass=2,1"], 2, "wrong way round"),
+        (
+            ["fit-drag", "{samples}/rig/trials.yaml", "--bounds", "added_mass=2,1"],
+            2,
+            "the lower bound 2.0 must be below 1.0",
+        ),
         (["fit-drag", "{samples}/rig/trials.yaml", "-o", "no/such/folder/d.yaml"], 3, "does not exist"),
         (["fit-drag", "{samples}/rig/trials.yaml", "-o", "{samples}/rig/w10.csv/d.yaml"], 3, "is a file"),
         (["fit-drag", "{samples}/rig/trials.yaml", "-o", "{samples}/rig/trials.yaml"], 2, "also an input"),

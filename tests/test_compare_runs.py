@@ -83,7 +83,7 @@ def test_wrong_use(tmp_path: Path, swimid: Run) -> None:
     other = parameters(tmp_path / "b.yaml", {"b": (1.0, 0.1)})
     with pytest.raises(UsageError, match="needs two runs"):
         package.compare_runs([one])
-    with pytest.raises(InputError, match="no estimate in common"):
+    with pytest.raises(InputError, match="the runs share no estimate"):
         package.compare_runs([one, other])
     ran = swimid("compare-runs", one, tmp_path / "absent.yaml")
     assert ran.status == 3

@@ -182,7 +182,10 @@ def test_a_reading_is_named_with_its_question_and_its_option() -> None:
 
 def test_an_odd_trial_is_reported() -> None:
     text = said("odd trial")
-    assert "trials that contradict the others are left out (f18a30: c_d0 1.40 ± 0.05 in place of 0.7)" in text
+    assert (
+        "trials that contradict the other trials are left out (f18a30: c_d0 1.40 ± 0.05 in place of 0.7)"
+        in text
+    )
     assert checked(cases.ODD)["trials agree"].verdict == "warn"
     assert "trials agree" not in checked(cases.NONE)
 
@@ -311,11 +314,11 @@ def test_every_check_that_does_not_pass_gives_a_reason(name: str) -> None:
 
 
 def test_logs_that_contradict_their_metadata_give_no_good_answer() -> None:
-    against = ev.NoticeRecord(code="SWM063", text="the courses follow the headings mirrored")
+    against = ev.NoticeRecord(code="SWM063", text="the path agrees with the mirrored heading")
     known = [diagnose_evidence.build_gap_evidence(cases.EXPLAINED, notices=n) for n in ([], [against])]
     assert [e.verdict.level for e in known] == ["good", "caution"]
     assert known[1].checks[0].verdict == "warn"
-    assert "headings mirrored" in known[1].verdict.text
+    assert "mirrored heading" in known[1].verdict.text
 
 
 def test_effects_with_equal_residuals_share_a_row() -> None:

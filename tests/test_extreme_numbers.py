@@ -99,7 +99,7 @@ def test_a_correlation_may_name_a_value_that_parameters_share(tmp_path: Path) ->
     path = tmp_path / "drag.yaml"
     text = PARAMETERS.replace("names: [drag_coefficient, added_mass]", "names: [drag_coefficient, c_f]")
     path.write_text(text)
-    with pytest.raises(InputError, match="the correlation names 'c_f', no parameter"):
+    with pytest.raises(InputError, match="the correlation names 'c_f', not a parameter"):
         ParameterFile.read(path)
     path.write_text(f"{text}settings:\n  shared: {{c_f: [drag_coefficient, added_mass]}}\n")
     assert ParameterFile.read(path).settings["shared"] == {"c_f": ["drag_coefficient", "added_mass"]}

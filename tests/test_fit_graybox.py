@@ -530,7 +530,7 @@ class TestBadInput:
             (2, "did you mean 'yaw_rate_rad_s'", ["--channels", "yaw_rate_rad"]),
             (2, "'c_x'", ["--share", "c_x"]),
             (2, "no parameter 'c_m'", ["--fix", "c_m=1"]),
-            (2, "wrong way round", ["--bounds", "c_ma=2,1"]),
+            (2, "the lower bound 2.0 must be below 1.0", ["--bounds", "c_ma=2,1"]),
             (2, "no reading 'drag_points'", ["--reading", "drag_points=strips"]),
             (2, "no option 'strip'", ["--reading", "drag_point=strip"]),
             (3, "v_m_s", ["--channels", "v_m_s"]),

@@ -89,7 +89,7 @@ def test_nothing_is_written_unless_asked(
 def test_errors_of_fits_that_cannot_be_made(
     model: Toy, swings: list[Trial], rng: np.random.Generator
 ) -> None:
-    with pytest.raises(UsageError, match="there is no trial to fit"):
+    with pytest.raises(UsageError, match="none of the 0 trials has role: fit"):
         fit_model(model, [])
     with pytest.raises(UsageError, match="the model has no parameter 'rat'"):
         fit_model(model, swings, fixed={"rat": 1.0})

@@ -268,7 +268,7 @@ class TestCruiseTable:
         [
             ("", ["is empty"]),
             ("fin,frequency_hz\nA,1\n", ["amplitude_deg", "missing"]),
-            (HEADER, ["no runs"]),
+            (HEADER, ["no line with a run"]),
             (HEADER + "A,2,16,1.15,x\n", ["line 2", "time_s", "'x' is not a number"]),
             (HEADER + "A,2,16,1.15,10\nA,0,16,1.15,10\n", ["line 3", "frequency_hz", "not positive"]),
             (HEADER + "A,,16,1.15,10\n", ["line 2", "frequency_hz", "no value"]),
@@ -279,7 +279,7 @@ class TestCruiseTable:
             (HEADER + "A,2,16,1.15,1e-320\n", ["line 2", "time_s", "the speed is inf"]),
             (
                 HEADER.replace("time_s", "time"),
-                ["line 1", "one of the columns time_s and mean_speed_m_s is needed", "did you mean 'time'"],
+                ["line 1", "a column time_s or mean_speed_m_s is needed", "did you mean 'time'"],
             ),
             (HEADER.replace(",", ";"), ["line 1", "semicolons"]),
         ],

@@ -254,7 +254,7 @@ def test_options_of_a_front_need_its_method(swimid: Run, tmp_path: Path) -> None
     ("text", "said"),
     [
         ("a,b\n1,2\n", "is not a front of this fit"),
-        ("index,profile,c,position[p]\n0,p,x,1\n", "holds no number"),
+        ("index,profile,c,position[p]\n0,p,x,1\n", "'x' is not a finite number"),
         ("", "is no table"),
     ],
 )

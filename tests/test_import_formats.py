@@ -457,8 +457,8 @@ def test_optitrack_bodies_and_a_cut_file(imported: Imported, swimid: Run, tmp_pa
     assert "fish, buoy" in said
     record, _ = imported(tmp_path / "a.csv", "--select", "buoy")
     assert np.allclose(record["x_m"], X_M + 0.1, atol=2e-9)
-    short = _shortened(tmp_path / "a.csv")
-    assert f"states {N} frames, and it ends after {N - 10}" in _refused(swimid, short, "--select", "buoy")
+    said = _refused(swimid, _shortened(tmp_path / "a.csv"), "--select", "buoy")
+    assert f"states {N} frames, but the file ends after {N - 10}" in said
     assert "ends within a line" in _refused(swimid, _cut(tmp_path / "a.csv", 0.8), "--select", "buoy")
 
 

@@ -383,7 +383,7 @@ def test_places_that_the_film_does_not_determine(
     ran = swimid("import", film, *words, "-o", tmp_path / "run.csv", "--json")
     found = ran.json["result"]["points"]["undetermined"]
     assert all(axis in found.get(name, "") for name, axis in weak.items())
-    said = "the film does not determine the positions"
+    said = "the film does not determine these coordinates"
     assert (said in ran.err) == bool(weak)
     assert (said in ran.json["result"]["verdict"]["text"]) == bool(weak)
     if not weak:
@@ -413,11 +413,11 @@ BAD = [
     ("points: {snout: {link: head, at_m: [0]}}", ("--robot", "tfish"), 3, "at_m"),
     ("points: {snout: {link: head, at_mm: [0, 0]}}", ("--robot", "tfish"), 3, "unknown key 'at_mm'"),
     ("points: {snout: {link: head, at_m: [0, 0]}}", (), 2, "name it with --robot"),
-    ("chain: [snout]", (), 3, "a chain needs two points"),
+    ("chain: [snout]", (), 3, "chain has only 'snout'; name two points"),
     ("chain: [snout, snout]", (), 3, "is listed twice"),
     ("chain: [snout, back]", ("--robot", "tfish"), 3, "a chain describes a body without a robot"),
     ("chain: [snout, back]\npoints: {tip: {link: fin, at_m: [0, 0]}}", (), 3, "not both"),
-    ("chain: [snout, back]\nscale: {between: [snout, back]}", (), 3, "between needs distance_m"),
+    ("chain: [snout, back]\nscale: {between: [snout, back]}", (), 3, "'between' needs distance_m"),
     ("chain: [snout, back]\nscale: {distance_m: 0.1}", (), 3, "the scale is incomplete"),
     ("chain: [snout, back]\nfacing: left", (), 3, "vertical plane"),
     ("chain: [snout, back]", ("--calibrate-points",), 2, "--robot"),
@@ -656,7 +656,7 @@ def test_points_and_tables_in_memory() -> None:
     assert np.max(np.abs(result.frame["x_m"] - made.x)) < 0.002
     assert result.data["points"]["scale"] is None
     assert {"points", "log"} <= set(result.evidence.provenance["inputs"])
-    with pytest.raises(InputError, match="already"):
+    with pytest.raises(InputError, match="are in metres: omit the scale"):
         package.import_log(
             table, robot="tfish", points={"points": spots, "scale": {"metres_per_pixel": 1e-3}}
         )

@@ -313,7 +313,7 @@ def test_names_that_are_no_names_of_the_columns(names: list[str], swimid: Run, t
     _write(tmp_path / "a.csv", _rows(), names=names)
     ran = swimid("import", tmp_path / "a.csv", "-o", tmp_path / "o.csv")
     assert ran.status == 3
-    assert f"line 1 has {len(names)} names, the lines below 3 values" in ran.err
+    assert f"line 1 has {len(names)} names, but lines below have 3" in ran.err
     assert f"{len(names)} names" in _draft(tmp_path / "a.csv")
 
 

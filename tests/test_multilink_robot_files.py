@@ -68,7 +68,7 @@ WRONG = {
     "negative mass": ("mass_kg: 0.8", "mass_kg: -0.8", "trunk.mass_kg", "must be positive", ""),
     "no mass": ("mass_kg: 0.8", "mass_kg: 0", "trunk.mass_kg", "must be positive", ""),
     "mass by a coefficient": ("mass_kg: 0.8", "mass_kg: -1 * c_m", "trunk.mass_kg", "-0.5 kg", ""),
-    "inertia about the front below m l^2": ("0.019", "0.011", "head.inertia_kg_m2", "leaves -0.001", "0.012"),
+    "inertia about the front below m l^2": ("0.019", "0.011", "head.inertia_kg_m2", "is -0.001", "0.012"),
     "negative inertia": ("1.0e-4", "-1.0e-4", "tail.inertia_kg_m2", "must be positive", ""),
     "no inertia": ("1.0e-4", "0", "tail.inertia_kg_m2", "must be positive", ""),
     "added mass below zero": (
@@ -133,9 +133,9 @@ WRONG = {
     "infinite": ("mass_kg: 0.8", "mass_kg: .inf", "mass_kg", "finite", ""),
     "infinite product": ("1.2 * c_m", "1e200 * 1e200 * c_m", "sway_kg", "not finite", ""),
     "beyond reason": ("mass_kg: 0.8", "mass_kg: 8.0e+300", "mass_kg", "from 1e-30 to 1e+30", ""),
-    "bounds exchanged": ("bounds: [0, 9]", "bounds: [9, 0]", "c_d", "wrong way round", ""),
-    "value out of bounds": ("value: 1.5", "value: 15", "c_d", "outside its bounds", ""),
-    "start out of bounds": ("start: 2", "start: 20", "c_d", "outside its bounds", ""),
+    "bounds exchanged": ("bounds: [0, 9]", "bounds: [9, 0]", "c_d", "must be below the upper bound, 0", ""),
+    "value out of bounds": ("value: 1.5", "value: 15", "c_d", "15 lies outside the bounds, 0 to 9", ""),
+    "start out of bounds": ("start: 2", "start: 20", "c_d", "20 lies outside the bounds, 0 to 9", ""),
     "crank longer than its arm": (
         "stiffness_N_m_rad: stiff",
         "tendon: {spring_N_m: 80, pretension_m: 0.01, arm_m: 0.02, crank_m: 0.03}",
@@ -167,7 +167,7 @@ WRONG = {
     "unknown plane": ("plane: vertical", "plane: upright", "plane", "'upright'", ""),
     "reading not there": ("chosen: some", "chosen: sum", "readings.lift", "the options are", ""),
     "reading of a key not there": (
-        "chosen: some", "chosen: none", "readings.lift.options.none", "there is no 'plate'", "",
+        "chosen: some", "chosen: none", "readings.lift.options.none", "the robot file has no 'plate'", "",
     ),
     "no links": (
         ROBOT[ROBOT.index("    - {name: head") : ROBOT.index("  joints:")], "    []\n", "links",
@@ -270,7 +270,7 @@ def test_nothing_to_simulate(tmp_path: Path) -> None:
     fixed = fixed.replace(", driven: {gain: 1, servo: {natural_frequency_hz: 5}}", "")
     fixed = fixed.replace("passive: {", "# {")
     path.write_text(fixed)
-    with pytest.raises(InputError, match="nothing to simulate") as caught:
+    with pytest.raises(InputError, match="needs a driven or passive joint") as caught:
         experiment.robot_model(str(path))
     assert caught.value.line == 1 + fixed[: fixed.index("base: fixed")].count("\n")
 

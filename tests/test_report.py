@@ -174,7 +174,7 @@ def test_bare_log_shows_its_gaps(mixture: Path) -> None:
     # Samples 500..559 of x and 1500..1699 of yaw are missing, 0.02 s apart.
     assert spans["x (m)"] == [pytest.approx((9.98, 11.2))]
     assert spans["yaw (rad)"] == [pytest.approx((29.98, 34.0))]
-    assert "bare.csv has no evidence beside it" in outline(mixture).words
+    assert "so the checks of bare.csv are not shown" in outline(mixture).words
 
 
 def test_same_input_same_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,7 +237,7 @@ def test_hostile_texts_are_escaped(tmp_path: Path) -> None:
 def test_missing_evidence_is_said(tmp_path: Path) -> None:
     """The parameters are still shown, with a caution and SWM050."""
     path = cases.drag(tmp_path, proof=False)
-    with pytest.warns(SwimidWarning, match=r"SWM050 drag\.yaml has no evidence"):
+    with pytest.warns(SwimidWarning, match=r"SWM050 the evidence file drag\.evidence\.json is missing"):
         report(inputs=[path], output=tmp_path / "r.html")
     words = outline(tmp_path / "r.html").words
     assert "0.705 ± 0.033" in words
@@ -259,7 +259,7 @@ def test_a_file_that_was_edited_is_no_longer_good(before: str, after: str, tmp_p
     path = cases.drag(tmp_path)
     _good(path)
     path.write_text(path.read_text().replace(before, after))
-    with pytest.warns(SwimidWarning, match=r"SWM052 drag\.yaml was edited or replaced after its evidence"):
+    with pytest.warns(SwimidWarning, match=r"SWM052 drag\.yaml was edited or replaced after the evidence"):
         result = load_result(path)
     assert result.verdict == "caution"
     assert result.evidence is not None
@@ -370,8 +370,8 @@ def _uneven_trace(folder: Path) -> Path:
         (_write("a.yaml", "format: swimid-parameter/1\n"), r"did you mean 'swimid-parameters/1'"),
         (_write("a.yaml", "model: x\n"), "has no 'format'"),
         (_write("a.yaml", "format: swimid-parameters/1\nmodel: x\n"), "parameters"),
-        (_write("a.txt", "hello\n"), "its ending must be one of"),
-        (_write("a.evidence.json", "{}"), "name the result itself: a.yaml"),
+        (_write("a.txt", "hello\n"), "the name must end in one of"),
+        (_write("a.evidence.json", "{}"), "name the result: a.yaml"),
         (_write("a.csv", "x_m,y_m\n1,2\n"), "t_s"),
         (_broken_sidecar, r"drag\.evidence\.json"),
         (_uneven_trace, r"drag\.evidence\.json.*figures\.0\.panels\.0.*1 numbers of 'y' for 2 of 'x'"),

@@ -86,7 +86,7 @@ def test_the_wrong_sign_of_a_force_is_found(
 ) -> None:
     ran = swimid("fit-drag", generator.towed(tmp_path, turned=turned))
     assert (
-        f"SWM110: force_N has the wrong sign in {where}: with force_N times -1 the error of u_m_s falls"
+        f"SWM110: force_N has the wrong sign in {where}: multiplied by -1, force_N lowers the error of u_m_s"
         in ran.err
     )
     assert "SWM024" not in ran.err

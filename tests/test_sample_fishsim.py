@@ -197,7 +197,7 @@ def test_all_samples_need_no_network(tmp_path: Path, swimid: Callable[..., Ran])
     assert not (tmp_path / "all/fishsim").exists()
     refused = swimid("sample", "rig", tmp_path / "rig", "--from", tmp_path)
     assert refused.status == 2
-    assert "nothing of the sample 'rig' is downloaded" in refused.err
+    assert "the files of the sample 'rig' are installed" in refused.err
 
 
 # ---------------------------------------------------------------- the fish

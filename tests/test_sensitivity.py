@@ -318,7 +318,7 @@ class TestCommand:
             (("--range", "c_d4=a,1"), "NAME=LOW,HIGH"),
             (("--range", "much"), "should be bounds, stderr"),
             (("--range", "stderr"), "--params"),
-            (("--set", "c_d4=3", "--coefficients", "c_d4"), "held by --set"),
+            (("--set", "c_d4=3", "--coefficients", "c_d4"), "fixed by --set"),
             (("--coefficients", "initial_surge"), "no coefficient"),
             (("--coefficients", "c_d4"), "two or more"),
         ],

@@ -356,7 +356,7 @@ def test_a_film_shows_the_robot_swim(swimid: Run, tmp_path: Path, ending: str) -
             2,
             "is not a valid file name for an animation",
         ),
-        (("--robot", "tfish", *BEAT, "-o", "sim.txt"), 2, "is not a valid output"),
+        (("--robot", "tfish", *BEAT, "-o", "sim.txt"), 2, "must be a folder, or end in"),
         (("--robot", "tfish", *BEAT, "-o", "nowhere/sim.csv"), 3, "does not exist"),
         (("--robot", "tfish", *BEAT, "--set", "c_ma=-1.5"), 3, "not positive definite"),
         (("--robot", "tfish", *BEAT, "--trials", "t.yaml"), 2, "cannot be combined with --trials"),

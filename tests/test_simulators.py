@@ -424,7 +424,7 @@ class TestErrors:
         "python, text",
         [
             ("sim.py:simulat", "has no function 'simulat'"),
-            ("sim.py", "is not 'module:function'"),
+            ("sim.py", "must have the form module:function"),
             ("no_such_module:simulate", "cannot be imported"),
             ("other.py:simulate", "there is no such file"),
         ],
@@ -459,7 +459,7 @@ class TestErrors:
     def test_of_an_input(self, tmp_path):
         log = swum(FISH, 1.0)
         log.loc[10:20, "cmd_rad"] = np.nan
-        with pytest.raises(InputError, match="missing for more than 4 successive samples"):
+        with pytest.raises(InputError, match="the input lacks more than 4 samples"):
             load_experiment(written(tmp_path, FISH, "fish.xml", fish_model(), [log], start_state="rest"))
 
 

@@ -163,7 +163,7 @@ def test_the_rigid_pair_of_three_markers_is_chosen(swimid: Run, tmp_path: Path) 
     assert ran.status == 0, ran.err
     assert (ran.json["result"]["head"], ran.json["result"]["tail"]) == ("red", "yellow")
     [passed] = [one for one in ran.json["result"]["passed_over"] if one["colour"] == "green"]
-    assert "the two are not on one rigid part" in passed["reason"]
+    assert "these markers are not on one rigid part" in passed["reason"]
     picked = ["--marker=red@110,120", "--marker=green@40,120"]
     ran = swimid("track", "setup", film, *picked, "-o", tmp_path / "two.yaml", "--json")
     assert "SWM042" in ran.err

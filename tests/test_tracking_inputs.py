@@ -162,14 +162,17 @@ def test_a_marker_seen_in_few_frames_is_refused(tmp_path, setup):
         (SETUP.replace("value: [0.3, 1]", "value: bright"), ["value"]),
         (SETUP + "    method: background\n", ["omit its hsv"]),
         (SETUP.replace("hsv:", "method: colour #"), ["marker 'red' needs hsv"]),
-        (SETUP + "  - {name: body, method: background}\n", ["is the only marker of a setup"]),
+        (
+            SETUP + "  - {name: body, method: background}\n",
+            ["allows one marker, but the setup has red, body"],
+        ),
         (
             SETUP + "scale: {metres_per_pixel: 0.002, points_px: [[0, 0], [9, 9]], distance_m: 1}\n",
             ["incomplete or contradicts itself"],
         ),
         (SETUP + "scale: {metres_per_pixel: -1}\n", ["metres_per_pixel"]),
         (SETUP + "scale: {points_px: [[0, 0], [9, 9]], points_m: [[0, 0], [1, 1]]}\n", ["four or more"]),
-        (SETUP + "scale: {points_px: [[4, 4], [4, 4]], distance_m: 1}\n", ["are the same"]),
+        (SETUP + "scale: {points_px: [[4, 4], [4, 4]], distance_m: 1}\n", ["both points_px are [4"]),
         (
             SETUP + "scale: {points_px: [[0, 0], [9, 9], [20, 20], [30, 30]], "
             "points_m: [[0, 0], [1, 1], [2, 2], [3, 3]]}\n",

@@ -189,7 +189,7 @@ READERS = {
         refused={
             "trials.coefficients": "'coefficients', which has no effect here",
             "trials.start_state": "'start_state', which has no effect here",
-            "trials.drive.asymmetry": "'a' has the waveform a-cpg \\(asymmetry 0.3\\), 'b' sine",
+            "trials.drive.asymmetry": "of 'a', a-cpg \\(asymmetry 0.3\\), and of 'b', sine",
         },
         same={
             "trials.drive.phase_deg": "an average over beats has no phase",

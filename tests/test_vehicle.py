@@ -595,7 +595,7 @@ def test_joined_table_of_another_time_is_refused(swimid, tmp_path):
 
     assert ran.status == 3
     assert "b.csv" in ran.err
-    assert "none of its 60 samples lies within the log" in " ".join(ran.err.split())
+    assert "none of the 60 samples lies within the log" in " ".join(ran.err.split())
 
 
 def test_export_names_a_lag_of_the_thrusters(swimid, tmp_path):

@@ -281,12 +281,12 @@ class ArxModel(Model):
     def __init__(self, parameters: ParameterFile, path: Path | None = None) -> None:
         delay, step_s, found = parameters.delay, parameters.sample_time_s, parameters.parameters
         if parameters.model != NAME:
-            raise InputError(f"model '{parameters.model}' is not '{NAME}'", file=path, column="model")
+            raise InputError(f"'{parameters.model}' must be '{NAME}'", file=path, column="model")
         if delay is None or step_s is None:
             text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
             raise InputError(text, file=path, column="delay")
         if "b1" not in found:
-            raise InputError("this parameter is missing", file=path, column="parameters.b1")
+            raise InputError(f"is missing; '{NAME}' has at least b1", file=path, column="parameters.b1")
         na, nb = (next(k for k in itertools.count() if f"{x}{k + 1}" not in found) for x in "ab")
         self.orders, self.sample_time_s = Orders(na, nb, delay), step_s
         settings = parameters.settings
@@ -422,7 +422,7 @@ class ArxModel(Model):
         if column is not None:
             return np.asarray(column, dtype=float)
         if self.sine is None:
-            hint = f"it has: {', '.join(trial.inputs) or 'no inputs'}"
+            hint = f"the trial has: {', '.join(trial.inputs) or 'no inputs'}"
             raise InputError(f"trial {trial.id} lacks the model's input", column=self.source, hint=hint)
         return sine_input(time, *self.sine)
 
@@ -508,7 +508,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         if own is None:
             columns[column] = np.where(held.repeated, np.nan, values)
             text += (
-                f" at an uneven rate: these are left out, and the others may be {held.lateness_s:.6g} s late"
+                f" at an uneven rate and are left out; the other samples may be {held.lateness_s:.6g} s late"
             )
         else:
             text += f": it is measured every {usual_step(own[1]):.6g} s"
@@ -653,7 +653,7 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     _refuse_repeats(groups)
     columns = _columns(options, listed)
     if all(entry.role == "validate" for entry in entries):
-        raise UsageError("every trial is a validation trial; at least one must be fitted")
+        raise UsageError("all trials have role: validate: give role: fit to at least one trial")
     ids = [entry.id for entry in entries]
     names = [entry.id if ids.count(entry.id) == 1 else entry.log for entry in entries]
     required = tuple(name for name in (columns.input_column, columns.output) if name)
@@ -699,7 +699,7 @@ def _list_entries(
             continue
         if listed is not None:
             hint = "list logs to fit and logs to hold out (role: validate) in one trials file"
-            raise UsageError("two trials files are given; only one is allowed", hint=hint)
+            raise UsageError("two trials files are given; only one trials file is allowed", hint=hint)
         path = trials_format.place(source)
         listed = trials_format.read(source, "rwls")
         files += [path] * (not listed._in_memory)
@@ -750,7 +750,7 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
         raise UsageError(f"--validate has several shares, {shown}: give one share and any number of logs")
     for share in shares:
         if not 0 < share < 1:
-            hint = "0.25 is the last quarter"
+            hint = "give 0.25 to hold out the last quarter"
             raise UsageError(f"--validate {share:g}: a share must lie between 0 and 1", hint=hint)
     return sum(shares), logs
 
@@ -766,7 +766,7 @@ def _columns(options: RwlsOptions, listed: Any) -> Columns:
         hint = "name the input column, --input COLUMN, or compute the input, --input-sine A F PHASE"
         raise UsageError("exactly one input column or input sine is needed", hint=hint)
     if source == output:
-        raise UsageError(f"input and output are the same column '{source}'")
+        raise UsageError(f"input and output are the same column '{source}': name two columns")
     return Columns(source or "F_u", output, options.input_sine)
 
 
@@ -778,7 +778,7 @@ def _check_distinct(log: Log, columns: Columns) -> None:
     both = np.isfinite(u) & np.isfinite(y)
     if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
         text = f"holds the same values as the input column '{columns.source}' in every row"
-        hint = "one of the two is a copy: name the measured output with --output"
+        hint = "name the measured output with --output"
         raise InputError(text, file=log.path, column=columns.output, hint=hint)
 
 
@@ -790,7 +790,7 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
         step = f"every {rate.step_s:.6g} s, the first log every {first_s:.6g} s"
         if not rate.uniform:
             step = (
-                f"at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole multiples of "
+                f"at a constant rate: only {100 * rate.on_grid:.0f} % of the steps are whole multiples of "
                 f"{rate.step_s:.6g} s"
             )
         if not rate.uniform or abs(rate.step_s / first_s - 1) > SAME_RATE:

@@ -317,7 +317,7 @@ class Command(click.Command):
     def _run(self, *, files: Any = None, place: Path | None = None, **typed: Any) -> None:
         """Execute the command with the arguments and options that the user typed."""
         if place is not None and typed["output"] is not None:
-            raise click.UsageError(f"two outputs are named: {place} and {typed['output']}")
+            raise click.UsageError(f"two outputs are named, {place} and {typed['output']}: omit either")
         typed["output"] = place or typed["output"]
         shared = {one.name: typed.pop(one.name) for one in fields(CommandRun) if one.name in typed}
         run = CommandRun(self.spec.command, lock=self.spec.usage.lock, **shared)

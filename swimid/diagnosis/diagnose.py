@@ -78,7 +78,7 @@ def _check_requested(effects: Sequence[str], names: list[str], model: Model) -> 
     acting = [e.name for e in model.effects]
     for name in effects:
         if name in acting:
-            raise UsageError(f"the effect '{name}' is part of the model in the parameter file")
+            raise UsageError(f"the effect '{name}' is part of the model in the parameter file: omit it")
         if name not in names:
             raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
 

@@ -169,8 +169,8 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         yield ev.make_check("settings", "1", False, "≥ 2", reason=said)
     if file.odd_trials:
         said = "; ".join(f"{name}: {text}" for name, text in file.odd_trials.items())
-        text = "a trial that contradicts the others is left out; check its entry in the trials file"
-        reason = f"trials that contradict the others are left out ({said})"
+        text = "a trial that contradicts the other trials is left out; check its entry in the trials file"
+        reason = f"trials that contradict the other trials are left out ({said})"
         yield ev.make_check("trials agree", said, False, "all", text, reason=reason)
     passed = file.remaining.white
     if file.causes:

@@ -136,7 +136,7 @@ class DragReynolds(Effect):
         if self.whole and not trial.measured:
             raise UsageError(
                 f"the effect '{self.name}' with a factor for each trial needs the measured speed of trials",
-                hint="the commands compare and diagnose have it",
+                hint="the commands compare and diagnose measure these speeds",
             )
         if self.whole:
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])

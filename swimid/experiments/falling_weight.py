@@ -49,7 +49,7 @@ class FallingWeightTrial(RigTrial):
     @model_validator(mode="after")
     def _one_drive(self) -> FallingWeightTrial:
         if (self.pulling_mass_kg is None) == (self.driving_force_N is None):
-            raise ValueError("it needs exactly one of 'pulling_mass_kg' and 'driving_force_N'")
+            raise ValueError("the trial needs exactly one of 'pulling_mass_kg' and 'driving_force_N'")
         return self
 
 
@@ -204,9 +204,11 @@ def _drop_standstill(log: Log) -> tuple[Array, Array]:
             )
             time, position = time[:last], position[:last]
     if position[-1] <= position[0]:
-        raise InputError(
-            "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
+        text = (
+            f"the displacement goes from {position[0]:g} to {position[-1]:g} m; it must grow along the pull"
         )
+        hint = "if x_m points against the pull, give factor: -1 in a mapping"
+        raise InputError(text, file=log.path, column="x_m", hint=hint)
     return time, position
 
 
@@ -230,7 +232,7 @@ def _drop(
         force = float(entry.driving_force_N or 0.0)
         if force <= 0:
             raise InputError(
-                f"the driving force of '{entry.id}' must be positive, along x_m",
+                f"the driving force of '{entry.id}' is {force:g} N; it must be positive, along x_m",
                 file=path,
                 column="driving_force_N",
             )

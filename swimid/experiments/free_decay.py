@@ -97,8 +97,8 @@ class FreeDecay(Trials):
         if stiffness is None:
             warn(
                 "SWM019",
-                "the restoring stiffness is not known: the decay determines ratios to the inertia "
-                f"{inertia:g} only; added inertia is held at zero and the stiffness estimated",
+                "the restoring stiffness is unknown, so the decay determines only ratios to the inertia "
+                f"{inertia:g}; added inertia is held at zero, and the stiffness is estimated",
             )
         model = rig.free_decay(
             name,
@@ -186,8 +186,8 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
         "does not oscillate: it has no overshoot, or creeps instead of coming to rest",
         file=log.path,
         column=name,
-        hint="cut off a slow creep after the oscillation with end_s in the trials file; a body whose strong "
-        "damping prevents an oscillation needs 'experiment: towed' with a measured force",
+        hint="cut off a slow creep with end_s in the trials file; for strong damping use 'experiment: towed' "
+        "with a measured force",
     )
 
 
@@ -262,7 +262,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
         begin += int(np.argmax(np.abs(part - part[-1])))
     if begin > 0.5 * len(values):
         raise InputError(
-            f"the largest swing is at {time[begin]:g} s, in the second half of the log: it is no free decay",
+            f"the largest excursion is at {time[begin]:g} s; it must be in the first half of the log",
             file=log.path,
             column=name,
             hint="cut the log with start_s and end_s in the trials file",

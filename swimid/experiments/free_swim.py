@@ -103,14 +103,16 @@ def _set_references(experiment: Experiment, params: Params, path: Path) -> None:
     place, file = params
     for key in ("reference_amplitude_rad", "reference_frequency_hz"):
         if key not in file.settings:
-            raise InputError("this key is missing", file=place, column=f"settings.{key}")
+            raise InputError(
+                "is missing; give a file of fit-propulsion", file=place, column=f"settings.{key}"
+            )
         setattr(experiment.model, key, float(file.settings[key]))
     for key in ("waveform", "asymmetry"):
         fitted, here = file.settings.get(key), experiment.facts[key]
         if fitted is not None and fitted != here:
             raise InputError(
                 f"these trials have the {key} {here}, but the parameters were fitted to trials with "
-                f"{fitted}, which has another thrust",
+                f"{fitted}, whose thrust differs: fit these trials separately",
                 file=path,
                 column=f"drive.{key}",
             )
@@ -128,7 +130,7 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
                 f"the trial '{entry.id}' has no 'drive' with a beat",
                 file=path,
                 column="drive",
-                hint="give its waveform, frequency_hz and amplitude_deg",
+                hint="give waveform, frequency_hz and amplitude_deg under 'drive'",
             )
         log = read_trial_log(
             entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
@@ -148,7 +150,8 @@ def _load_straight(entries: FreeSwim, path: Path) -> Experiment:
             f"trials with a turning bias are left out of the straight-swimming fit: {', '.join(turning)}",
         )
     if not trials:
-        raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
+        text = f"all {len(turning)} trials have a turning bias; a straight trial is needed"
+        raise InputError(text, file=path, column="trials", hint="add a trial with bias_deg: 0")
     _refuse_waveforms(waveforms, path)
     still = [t.id for t in trials if t.surge.amplitude_rad <= 0]
     if still:

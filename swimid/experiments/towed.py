@@ -69,7 +69,7 @@ class Towed(Trials):
             if longest_run(missing) > MAX_FORCE_GAP:
                 first, _ = max(runs(missing).tolist(), key=np.ptp)
                 text = (
-                    f"the applied force is missing for more than {MAX_FORCE_GAP} samples; it drives the model"
+                    f"the force lacks more than {MAX_FORCE_GAP} samples: cut the log with start_s and end_s"
                 )
                 raise InputError(text, file=log.path, line=log.line(first), column="force_N")
             # Interpolate the force linearly across missing samples and spikes, as the model does between

@@ -252,7 +252,7 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
     parameter file.
     """
     if getattr(source.robot, source.part) is None:
-        raise InputError(f"has no {source.part} part", file=place, column=source.part)
+        raise InputError("this part is missing; the parameters need it", file=place, column=source.part)
     try:
         source.assembly.check(source.values)
     except InputError as error:
@@ -263,17 +263,17 @@ def _check_robot(source: ExportSource, place: Path | str, path: Path) -> None:
         effect, _, own = name.partition("/")
         if own and effect not in source.parameters.effects:
             raise InputError(
-                f"'{effect}' is not an effect of the file",
+                f"the effect '{effect}' is missing under 'effects' of the file",
                 file=path,
                 column=f"parameters.{name}",
-                hint=f"write it to the entry effects: [{effect}]",
+                hint=f"add effects: [{effect}]",
             )
         if not own and name.partition("[")[0] not in known:
             raise InputError(
                 f"the robot '{source.robot.name}' has no coefficient '{name}'",
                 file=path,
                 column=f"parameters.{name}",
-                hint=f"it has: {', '.join(source.assembly.names) or 'none'}",
+                hint=f"the robot has: {', '.join(source.assembly.names) or 'none'}",
             )
 
 

@@ -62,12 +62,12 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
         raise InputError(f"{folder} is a file and no folder", file=path, hint="name another output")
     if not folder.is_dir():
         raise InputError(
-            f"the output folder {folder} does not exist", file=path, hint=f"make it first: mkdir -p {folder}"
+            f"the output folder {folder} does not exist", file=path, hint=f"make it: mkdir -p {folder}"
         )
     if path.is_dir():
         raise UsageError(f"the output {path} is a folder; name a file")
     if not os.access(folder, os.W_OK):
-        raise InputError(f"the output folder {folder} cannot be written", file=path)
+        raise InputError(f"you may not write to the output folder {folder}", file=path)
     for other in inputs:
         if isinstance(other, str | Path) and Path(other).exists() and path.exists() and path.samefile(other):
             raise UsageError(f"the output {path} is also an input; name another file")

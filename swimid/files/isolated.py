@@ -59,7 +59,7 @@ def check_size(path: Path, size: int) -> None:
     """
     most = max_bytes(path)
     if size > most:
-        text = f"its samples take {size / 1e6:.0f} MB of memory; at most {most / 1e6:.0f} MB are allowed"
+        text = f"the samples take {size / 1e6:.0f} MB of memory; at most {most / 1e6:.0f} MB are allowed"
         raise InputError(text, file=path, hint="divide the recording into several files")
 
 

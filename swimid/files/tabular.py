@@ -59,11 +59,11 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
     """
     names = [name.strip().strip('"') for name in header.split(",")]
     if len(names) == 1 and re.search(r"[;\t]", header):
-        text = "its columns must be separated by commas, not by semicolons or tabs"
+        text = "columns must be separated by commas, not by semicolons or tabs"
         raise InputError(text, file=path, line=line)
     twice = find_repeated(names)
     if twice is not None:
-        raise InputError("two columns have this name", file=path, line=line, column=twice)
+        raise InputError("two columns have this name: rename one column", file=path, line=line, column=twice)
     return names
 
 

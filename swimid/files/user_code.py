@@ -29,7 +29,7 @@ def run_file(path: Path, what: str) -> ModuleType:
         If there is no such file, or if it cannot be run. The error states file and line.
     """
     if not path.is_file():
-        raise InputError("there is no such file", file=path)
+        raise InputError("there is no such file", file=path, hint="check the path")
     name = f"swimid_{what}_of_{path.stem}_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:

@@ -109,7 +109,7 @@ class Mpeg4:
         self._path, self._count = path, 0
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
         if not self._writer.isOpened():
-            raise InputError("no video can be written with this ending", file=path, hint="name it .mp4")
+            raise InputError(f"no video can be written as '{path.suffix}'", file=path, hint="name it .mp4")
 
     def write(self, time_s: float, frame: Frame) -> None:
         """Add a frame to the video. Its time follows from the frame rate, and ``time_s`` is ignored."""

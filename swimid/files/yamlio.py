@@ -283,7 +283,7 @@ def _parse(yaml: YAML, text: str) -> Any:
         data = yaml.load(io.StringIO(text))
         known = _count_nodes(data, {})
     if known > MAX_NODES:
-        raise ValueError(f"it has more than {MAX_NODES} nodes with its anchors written out")
+        raise ValueError(f"the document has more than {MAX_NODES} nodes with its anchors written out")
     return data
 
 
@@ -496,7 +496,7 @@ def parse_scalar(text: str) -> Any:
         If the text is not YAML, or is too large.
     """
     if len(text) > MAX_SCALAR:
-        raise ValueError(f"it has {len(text)} characters; at most {MAX_SCALAR} are allowed")
+        raise ValueError(f"the text has {len(text)} characters; at most {MAX_SCALAR} are allowed")
     try:
         data = _parse(YAML(typ="safe", pure=True), text.strip())
     except Exception as error:

@@ -179,7 +179,7 @@ def fit_model(
     (0.5, 'caution')
     """
     if not any(trial.role == "fit" for trial in trials):
-        raise UsageError("there is no trial to fit")
+        raise UsageError(f"none of the {len(trials)} trials has role: fit: give this role to at least one")
     choices = {"fixed": dict(fixed or {}), "freed": list(freed), "bounds": dict(bounds or {})}
     return _fit_parameters(model, trials, choices, robot, inputs, output, progress)
 

@@ -255,7 +255,7 @@ def warn_mass(name: str, value: float, against: float, file: Path) -> None:
     if against > 0 and value >= against:
         warn(
             "SWM002",
-            f"{file.name}: {name} {value:g} kg is not small against the body's {against:g} kg; is it in "
+            f"{file.name}: {name} {value:g} kg is not below the mass of the body, {against:g} kg; is it in "
             "grams (a factor of 1000)?",
         )
 
@@ -876,7 +876,7 @@ def _check_identified(result: FitResult) -> list[ev.Check]:
     found = [ev.make_check(*shown, otherwise=otherwise, reason=reason)]
     if at_bound:
         listed = ", ".join(at_bound)
-        reason = f"at a bound: {listed}"
+        reason = f"estimates are at a bound: {listed}"
         found.append(ev.make_check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
     return found
 
@@ -930,7 +930,7 @@ def _consistency(result: FitResult, differ: Differences) -> ev.Check:
     value, text = f"probability of differences {share}", ""
     different = [name for name, chance in differ.chance.items() if chance > 0.5]
     sizes = ", ".join(f"{name} by {_relative(result, name, differ.sd[name])}" for name in different)
-    reason = f"parameters differ between the trials: {sizes or 'it is not clear which'}"
+    reason = f"parameters differ between the trials: {sizes or 'the trials do not show which'}"
     if differ.are_likely:
         value = f"{sizes or 'differences'} (probability {share})"
         text = "these are standard deviations between the trials, which the standard errors include"
@@ -947,7 +947,7 @@ def _visibility(result: FitResult, differ: Differences) -> ev.Check:
     value, named = f"not of {', '.join(hidden)}", hidden[:MAX_LISTED_PARAMETERS]
     if len(hidden) > MAX_LISTED_PARAMETERS:
         named.append(f"{len(hidden) - MAX_LISTED_PARAMETERS} more")
-    reason = f"these trials would not show whether {numbers.join_names(named)} differ between them"
+    reason = f"these trials would not show whether {numbers.join_names(named)} differ between trials"
     if differ.trials == 1:
         value, reason = "one trial", "differences between trials are unknown, because one trial was fitted"
     share = numbers.percent(ASSUMED_DIFFERENCE)

@@ -950,14 +950,14 @@ def choose_parameters(
         if parameter.name in bounds:
             lower, upper = bounds[parameter.name]
             if not lower < upper:
-                raise UsageError(f"the bounds of {parameter.name} are the wrong way round: {lower} {upper}")
+                raise UsageError(f"{parameter.name}: the lower bound {lower} must be below {upper}")
             start = min(max(parameter.start, lower), upper)
             parameter = replace(parameter, lower=lower, upper=upper, start=start)
         if parameter.name in fixed:
             value = float(fixed[parameter.name])
             if not parameter.lower <= value <= parameter.upper:
                 limits = f"it must lie between {parameter.lower:g} and {parameter.upper:g}"
-                raise UsageError(f"{parameter.name} cannot be {value:g}: {limits}")
+                raise UsageError(f"{parameter.name} cannot be {value:g}; {limits}")
             parameter = replace(parameter, start=value, free=False)
         elif parameter.name in freed:
             parameter = replace(parameter, free=True)
@@ -994,7 +994,7 @@ def share(parameters: Sequence[Parameter], groups: Mapping[str, Sequence[str]]) 
                 raise UsageError(f"{member} is shared twice: as {owner[member]} and as {name}")
             owner[member] = name
         if name in known and name not in members:
-            raise UsageError(f"the name {name} is taken by a parameter that does not share it")
+            raise UsageError(f"{name} is the name of a parameter outside the group: choose another name")
     found: dict[str, Parameter] = {}
     for p in parameters:
         name = owner.get(p.name, p.name)
@@ -1009,7 +1009,7 @@ def _merge_members(name: str, members: Sequence[Parameter]) -> Parameter:
     for other in members[1:]:
         if (other.unit, other.per_trial) != (first.unit, first.per_trial):
             both = f"{first.name} ({first.unit}) and {other.name} ({other.unit})"
-            raise UsageError(f"{both} cannot share a value")
+            raise UsageError(f"{both} cannot share a value: they differ in unit or per_trial")
     names = tuple(m.name for m in members)
     lower, upper = max(m.lower for m in members), min(m.upper for m in members)
     if lower > upper:
@@ -1041,7 +1041,7 @@ def groups_by_prefix(parameters: Sequence[Parameter], prefix: str) -> dict[str, 
         stems = [re.sub(r"\d+$", "", p.name) for p in parameters if re.search(r"\d+$", p.name)]
         several = sorted({s for s in stems if stems.count(s) > 1})
         hint = suggestion(prefix, several)
-        raise UsageError(f"there are no parameters to share as '{prefix}'", hint=hint)
+        raise UsageError(f"the model has no two parameters named '{prefix}' and a number", hint=hint)
     return {prefix: members}
 
 

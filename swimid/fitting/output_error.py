@@ -457,10 +457,9 @@ class NoiseSearch:
         if self.message == STALLED:
             warn(
                 "SWM026",
-                f"the search converged slowly along a flat valley and was ended after {self.iterations} "
-                f"iterations, because {STRIDE} iterations lowered the squared residuals by less than "
-                f"{MIN_DECREASE:.0e} of their sum: fix a parameter with --fix, or search a missing effect "
-                "with swimid diagnose",
+                f"the search was ended after {self.iterations} iterations, because {STRIDE} iterations "
+                f"lowered the sum of squared residuals by less than a fraction of {MIN_DECREASE:.0e}: fix a "
+                "parameter with --fix, or search a missing effect with swimid diagnose",
             )
         self._estimate_noise()
         result = _make_result(self)

@@ -146,7 +146,7 @@ def _of_course(
     extent = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y))
     is_mirrored = seen.mirrored or seen.opposed
     if is_mirrored:
-        text = f"turns opposite to {against}: one of both is mirrored (factor: -1 for {name} or y)"
+        text = f"turns opposite to {against}: either is mirrored: give factor: -1 for {name} or y)"
     elif extent > MIN_SPEED_M_S * np.ptp(time):
         text = seen.find_turn(name)
     doubtful = bool(text) and not seen.mirrored

@@ -421,17 +421,17 @@ def _take_out_track(
     elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
     if elsewhere:
         at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
-        warn("SWM059", f"{name}: the track continues at another place at {at}")
+        warn("SWM059", f"{name}: the track jumps to another position at {at}")
         done["elsewhere_s"] = elsewhere
     out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
     if not out.any():
         return out
     if len(out) >= 2 * track_speed.MIN_SAMPLES_SPEED and good < track_speed.MIN_SAMPLES_SPEED:
         text = f"{name}: only {good} of {len(out)} samples are valid (no repeats, no jumps)"
-        hint = "--raw keeps them all; is this a track of positions in metres?"
+        hint = "--raw keeps all samples; is this a track of positions in metres?"
         raise NoTrustworthyResult(text, hint=hint)
     lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
-    warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
+    warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} are left out of the track")
     for column in columns:
         if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
             columns[column] = np.where(out, np.nan, columns[column])

@@ -158,7 +158,7 @@ class Column(yamlio.Document):
     @classmethod
     def _plain_name(cls, value: str) -> str:
         if not _KEY_NAME.fullmatch(value):
-            raise ValueError(f"'{value}' must be letters, digits and underscores, as in x_m")
+            raise ValueError(f"'{value}' must consist of letters, digits and underscores, as in x_m")
         return value
 
     @model_validator(mode="after")
@@ -254,7 +254,7 @@ class Mapping(TableSource):
         targets = [column.target for column in columns]
         twice = find_repeated(targets)
         if twice:
-            raise ValueError(f"two columns have the target '{twice}'")
+            raise ValueError(f"two columns have the target '{twice}': rename or omit one column")
         targets = [column.target for column in self.columns]
         if self.profile is not None:
             return self
@@ -418,8 +418,8 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path, f
         time_s = time_s + _offset(log, joined, joined.align, time_s, other, order.index, place)
     ends = np.nanmin(log.time_s), np.nanmax(log.time_s)
     if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
-        text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
-        hint = "give its offset as 'offset_s' under 'time:', or two columns that move together under 'align:'"
+        text = f"none of the {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
+        hint = "give the offset as 'offset_s' under 'time:', or two columns that move together under 'align:'"
         raise InputError(text, file=place, column=f"join: {joined.select or joined.file}", hint=hint)
     outside = ~((log.time_s >= time_s[0]) & (log.time_s <= time_s[-1]))
     before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 1)
@@ -620,8 +620,8 @@ def _map_columns(
         chosen &= ~padding | padding.all()
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
     if there:
-        text = f"its rows are those of {len(there)} instances in turn: {', '.join(there)}"
-        hint = f"choose one in the mapping: where: {{{by}: {there[0]}}}; 'join:' adds the columns of another"
+        text = f"the rows are those of {len(there)} instances in turn: {', '.join(there)}"
+        hint = f"choose an instance: where: {{{by}: {there[0]}}}; 'join:' adds the columns of another"
         if not mapping.columns:
             hint = f"write a mapping with the lines 'as: {table.profile}' and {hint.partition(': ')[2]}"
         raise InputError(text, file=path, column=by, hint=hint)
@@ -737,7 +737,7 @@ def _identity(table: ForeignTable, path: Path, metadata: dict[str, Any]) -> list
         raise InputError(text, file=path, hint=hint)
     twice = [column.target for column in kept if f"{column.target} (2)" in out]
     if twice:
-        text, hint = "several columns have this name", "a mapping chooses one by its number, as in source: 2"
+        text, hint = "several columns have this name", "choose one by number in a mapping, as in source: 2"
         raise InputError(text, file=path, column=twice[0], hint=hint)
     if out and not own:
         warn("SWM004", f"{path.name}: columns whose names state no unit are left out: {', '.join(out[:20])}")
@@ -1033,7 +1033,7 @@ def _time_columns(
         rate = table.scalars.get(str(time.rate_hz), time.rate_hz)
         if isinstance(rate, str) or not 0 < rate < np.inf:
             known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
-            hint = f"single numbers in it: {known or 'none'}"
+            hint = f"single numbers in the file: {known or 'none'}"
             raise InputError(f"holds no positive number '{time.rate_hz}' for the rate", file=path, hint=hint)
         return parts or [table.before + np.arange(rows, dtype=float)], [1.0 / rate], False
     if any(map(is_text, parts)):
@@ -1045,7 +1045,8 @@ def _frames(table: ForeignTable, name: str, path: Path) -> Array:
     """Return a column of frame numbers as floats; raise an error if a cell is a fraction or text."""
     values = table.columns[name]
     if is_text(values) or values.dtype.kind == "M":
-        raise InputError("holds no frame numbers", file=path, column=name)
+        kind = "text" if is_text(values) else "dates"
+        raise InputError(f"holds {kind}, not frame numbers", file=path, column=name)
     frames = values.astype(float)
     broken = np.isfinite(frames) & (frames != np.round(frames))
     if broken.any():

@@ -140,7 +140,7 @@ class ForeignTable:
         name = str(key)
         if isinstance(key, int) or (name not in known and name.isdecimal()):
             if not 1 <= int(name) <= len(names):
-                raise InputError(f"has {len(names)} columns, no column {key}", file=path)
+                raise InputError(f"has {len(names)} columns; column {key} does not exist", file=path)
             name = names[int(name) - 1]
         loose = [one for one in known if one.strip().lower() == name.strip().lower()]
         if name in known:
@@ -375,7 +375,7 @@ def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> s
         plural = re.sub("ys$", "ies", f"{what}s")
         raise InputError(f"holds {len(known)} {plural}; name one", file=path, hint=hint)
     if select is not None and select not in known:
-        hint = suggestion(select, list(known), "it holds")
+        hint = suggestion(select, list(known), "the file holds")
         raise InputError(f"holds no {what} '{select}'", file=path, hint=hint)
     return select or known[0]
 
@@ -593,5 +593,5 @@ def complete(path: Path, stated: str | int | None, held: int, line: int | None =
         Frames are missing.
     """
     if stated is not None and held < int(stated):
-        text = f"its header states {int(stated)} frames, and it ends after {held}"
+        text = f"the header states {int(stated)} frames, but the file ends after {held}"
         raise InputError(text, file=path, line=line, hint="export or copy the file again")

@@ -529,8 +529,8 @@ def _fuse(setup: ImuSetup, poses: Poses) -> MotionEstimate:
         # synchronised. Held-out fixes can then show that both logs record the same motion.
         refusal, offsets = error, alignment.align(setup.record, setup.source, poses, 0.0)
     if offsets[0].handed < 0:
-        text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
-        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
+        text = "the turns mirror those in the camera log: an axis is flipped in either log"
+        hint = "correct the axes in a mapping (--map), with factor: -1 for a flipped axis"
         raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
     setup, findings = _start_mount(setup, offsets[0])
     start = _first_fixes(setup, poses, offsets)
@@ -564,7 +564,7 @@ def _start_mount(setup: ImuSetup, found: Offset) -> tuple[ImuSetup, list[Finding
     findings = []
     if off > MIN_MOUNT_CHANGE:
         text = (
-            f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log (by turn rates)"
+            f"the sensor is turned by {off / DEG:.0f} deg against the body of the camera log (by turn rates)"
         )
         findings.append(Finding("swapped or flipped axes", "handled", text))
     return replace(setup, mount=replace(setup.mount, rotation=found.mount, sd=TURNS_MOUNT_SD)), findings

@@ -457,7 +457,7 @@ def find_rate_unit(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
         return record, None
     text = (
         f"turn rates reach {fast:.0f} rad/s in the stated unit, which nothing else in the log confirms; "
-        "state another one in a mapping (--map)"
+        "state another unit in a mapping (--map)"
     )
     return record, Finding("unconfirmed turn rates", "handled", text)
 
@@ -551,7 +551,7 @@ def find_swapped_axes(record: ImuRecord) -> tuple[ImuRecord, Finding | None]:
     )
     if best > DECIDED * residuals[second]:
         text = f"axes are swapped or flipped, and the tilting does not show which ({changed} fits best)"
-        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
+        hint = "correct the axes in a mapping (--map), with factor: -1 for a flipped axis"
         raise InputError(text, file=record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
     text = (
         f"the gyroscope's axes contradict the accelerometer's: {changed} leaves {100 * best:.0f} % of "

@@ -25,7 +25,7 @@ class TrackImuOptions(
         None, flag="--map", recorded=False, help="Mapping of foreign columns and units."
     )
     other: Source = option(
-        None, flag="--with", recorded=False, help="Another log of the same trial (of a camera) to fuse with."
+        None, flag="--with", recorded=False, help="Camera log of the trial: any log of positions or angles."
     )
     method: Literal["smoother", "paper"] = option(
         "smoother", help="Error-state Kalman smoother, or the steps of Shang et al. (2012)."
@@ -50,8 +50,8 @@ class TrackImuOptions(
         None, metavar="X Y Z", help="Position of the sensor from the reference point, body axes, m."
     )
     clock_offset_s: float | None = option(
-        None, help="Offset to add to the times of the other log, s  [default: estimated]."
+        None, help="Offset to add to the times of the camera log, s  [default: estimated]."
     )
     fix_sd_m: float | None = option(
-        None, gt=0, help="Noise of the positions in the other log, m  [default: estimated]."
+        None, gt=0, help="Noise of the positions in the camera log, m  [default: estimated]."
     )

@@ -454,7 +454,7 @@ def _make_stated_rests(record: ImuRecord, windows: Sequence[tuple[float, float]]
     rests = []
     for start, end in windows:
         if not start < end:
-            raise UsageError(f"--still {start:g} {end:g}: the rest ends before it begins")
+            raise UsageError(f"--still {start:g} {end:g}: the end must be after the start")
         first, last = (int(row) for row in np.searchsorted(record.time_s, [start, end]))
         if last - first < 4:
             continue
@@ -656,11 +656,11 @@ def find_mount(record: ImuRecord, rests: list[Rest], options: TrackImuOptions) -
         return Mount(rotation, by, up), []
     if name == "-z":
         raise InputError(
-            "gravity points the wrong way at rest: az is negative where a sensor with z up shows +9.81",
+            "az is negative at rest; a sensor with z up shows +9.81",
             file=record.name,
             column="az_m_s2",
-            hint="for an accelerometer of the other sign give factor -1 for all three axes in a mapping "
-            "(--map); for a sensor mounted upside down give --mount-deg 180 0 0",
+            hint="for a sensor of the other sign, give factor: -1 for all three axes in a mapping (--map); "
+            "for a sensor mounted upside down, give --mount-deg 180 0 0",
         )
     text = (
         f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest "

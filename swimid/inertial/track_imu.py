@@ -129,8 +129,8 @@ def _estimate(
 ) -> ImuRun:
     """Read and repair a recording, and estimate its motion; ``named`` is the file in messages on columns."""
     if options.method == "paper" and options.other is not None:
-        hint = "leave out --with, or take --method smoother"
-        raise UsageError("--method paper cannot use another log", hint=hint)
+        hint = "omit --with, or give --method smoother"
+        raise UsageError("--method paper cannot use a camera log (--with)", hint=hint)
     record, notes = recording.read_record(unread, rules, named, progress)
     record, findings = faults.repair(record)
     poses = None if options.other is None else recording.read_poses(log.as_log(options.other, name="other"))
@@ -554,7 +554,7 @@ def _motion_tests(run: ImuRun) -> Iterator[Test]:
     reason = f"the measured gravity at rest is {value}, outside {limit}"
     yield "", "Gravity", value, limit, abs(size / GRAVITY_M_S2 - 1) <= share, reason
     if run.by_paper:
-        reason = "the method of the paper states no uncertainty"
+        reason = "the method 'paper' computes no uncertainty"
         yield "", "Uncertainty", "none", "a stated band", False, reason
     if run.impossible:
         yield "SWM086", "Possible motion", "no", "else left empty", False, "; ".join(run.impossible)
@@ -565,7 +565,7 @@ def _motion_tests(run: ImuRun) -> Iterator[Test]:
         yield "SWM081", "Path trusted until", value, limit, until is None, reason
     if run.rest_score is not None:
         value, passed = f"{run.rest_score:.2f} sd (rms)", run.rest_score <= MAX_REST_SCORE
-        reason = f"the integrated motion between rests contradicts the rests by more than its band ({value})"
+        reason = f"the integrated motion is {run.rest_score:.2f} standard deviations (rms) off the rests"
         yield "SWM084", "Innovations at rests", value, f"below {MAX_REST_SCORE:g}", passed, reason
     stroke = run.stroke
     if stroke.beat is not None and run.stated_hz is not None:
@@ -601,8 +601,8 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
     axis, factor, sd = _gyroscope_scale(fused)
     value, prior = f"{factor:.4f} ± {BAND * sd:.4f} (w{axis})", fused.smoothed.sensor.scale_sd
     reason = (
-        f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} times the turn rate w{axis} of the other log: "
-        f"give its unit or the factor {1 / factor:.4f} in a mapping (--map); the motion is corrected for it"
+        f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} times the turn rate w{axis} of the camera log: "
+        f"give the unit or the factor {1 / factor:.4f} in a mapping (--map). The motion is already corrected"
     )
     limit = MAX_SCALE * np.hypot(prior, sd)
     yield "SWM087", "Gyroscope scale", value, f"1 ± {limit:.3g}", bool(abs(factor - 1) <= limit), reason
@@ -611,32 +611,33 @@ def _fusion_tests(fused: MotionEstimate, options: TrackImuOptions) -> Iterator[T
     value = f"{1e3 * offset.value_s:.2f} ms"
     reason = (
         f"the clocks of the two logs differ: {value} (95 %: {1e3 * offset.low_s:.1f} ... "
-        f"{1e3 * offset.high_s:.1f} ms) is added to the times of the other log"
+        f"{1e3 * offset.high_s:.1f} ms) is added to the times of the camera log"
     )
     agreed = offset.low_s <= 0.0 <= offset.high_s or options.clock_offset_s is not None
     yield "SWM083", "Clock offset", value, "0 within the 95 % interval", agreed, reason
     for kind, named in (("position", "positions"), ("orientation", "angles")):
         size = fused.smoothed.score(kind)
         if size is not None:
-            value, reason = f"{size:.2f} sd (rms)", f"the {named} of the other log disagree with the sensor"
+            value, reason = f"{size:.2f} sd (rms)", f"the {named} of the camera log disagree with the sensor"
             yield "", f"Innovations of {named}", value, limit, size <= MAX_HELD_OUT, reason
-    reason = f"{stray} of {count} fixes of the other log lie beyond {GATE:g} sd of the motion"
+    reason = f"{stray} of {count} fixes of the camera log are over {GATE:g} standard deviations off"
     most = f"at most {100 * MAX_STRAY:.0f} %"
     yield "SWM087", "Stray fixes", f"{stray}", most, stray <= MAX_STRAY * count, reason
     reason = (
-        "many successive fixes of the other log have the same error: the logs contradict each other, or the "
-        f"scale or marker of the other log is wrong; every band is widened {fused.lasting:.1f} times"
+        "many successive fixes of the camera log have the same error: the logs contradict each other, or the "
+        f"scale or marker of the camera log is wrong. Every band is widened {fused.lasting:.1f} times"
     )
     value, passed = f"band widened by {fused.lasting:.2f}", fused.lasting <= MAX_LASTING
     yield "SWM087", "Lasting errors of fixes", value, f"below {MAX_LASTING:g}", passed, reason
     held = fused.held_out
     if held is None:
-        reason = "the other log has too few fixes to test the motion on held-out fixes"
+        reason = "the camera log has too few fixes to test the motion on held-out fixes"
         yield "", "Fixes predicted", "none", limit, False, reason
         return
     deviations = f"{held['deviations']:.2f} sd (rms)"
     value, passed = f"{deviations} of {held['fixes']}", held["deviations"] <= MAX_HELD_OUT
-    reason = f"the errors of predicted held-out fixes are {deviations}, not {limit}"
+    error = f"{held['deviations']:.2f} standard deviations (rms)"
+    reason = f"the errors of predicted held-out fixes are {error}, not {limit}"
     yield "", "Fixes left out", value, limit, passed, reason
 
 
@@ -699,7 +700,7 @@ def _methods(run: ImuRun) -> list[str]:
             f"{options.threshold_rad_s:g} rad/s set to zero, rotation to earth axes (Eqs 10 and 11), "
             "trapezoids (Eqs 12 and 13)."
         ]
-    more = ", mounting, lever arm and clock offset against a second log of the trial"
+    more = ", mounting, lever arm and clock offset against the camera log of the trial"
     return [
         "Motion was estimated from an inertial unit by an error-state Kalman filter and Rauch-Tung-Striebel "
         f"smoother over position, velocity, attitude and sensor biases{more * (run.fusion is not None)}; "
@@ -716,7 +717,7 @@ def _figures(run: ImuRun) -> list[Figure]:
         "Position": _panels(run, "xyz", "m", "position"),
         "Attitude": _panels(run, ANGLE_NAMES, "deg", "angle", 1 / DEG),
     }
-    caption = "The estimate with its 95 % band, rests shaded; points are those of the other log."
+    caption = "The estimate with its 95 % band, rests shaded; points are those of the camera log."
     return [ev.panels(title.split()[-1].lower(), title, caption, panels) for title, panels in parts.items()]
 
 

@@ -151,7 +151,7 @@ def compare_frequencies(
     if beat is None:
         return {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
     if against := contradiction(beat, stated_hz):
-        text = f"the heading {against}, the trials file says {stated_hz:g} Hz; {consequence}"
+        text = f"the heading {against}, but the trials file says {stated_hz:g} Hz; {consequence}"
         warn("SWM032", f"{trial}: {text}")
     return {"stated_hz": stated_hz, "found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
 

@@ -128,7 +128,7 @@ def plot(
 
 def _picture(path: str | Path) -> Path:
     if Path(path).suffix.lower() not in PICTURES:
-        raise UsageError(f"{path}: a picture ends in {' or '.join(PICTURES)}")
+        raise UsageError(f"{path}: the name of a picture must end in {' or '.join(PICTURES)}")
     return Path(path)
 
 

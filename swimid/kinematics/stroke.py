@@ -121,8 +121,8 @@ class StrokeEstimate:
         if self.rivals:
             others = " and ".join(f"{n} at {b.frequency_hz:.4g} Hz" for n, b in self.rivals.items())
             said.append(
-                f"{self.channel} beats at {hz}, {others}, which is no multiple of it: one of them is not the "
-                "stroke but another vibration or sway"
+                f"{self.channel} beats at {hz}, {others}, which is no multiple: either is a vibration or "
+                "sway, not the stroke"
             )
         if self.beat.frequency_hz > MAX_STROKE_HZ:
             said.append(f"{hz} is faster than robots and all but very small fish beat")

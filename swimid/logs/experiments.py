@@ -375,6 +375,6 @@ def check_used(trials: Trials, path: Path, uses: Collection[str]) -> None:
             break
     else:
         where, line = "sets", yamlio.line_of(data, [key])
-    hint = "omit it; if it matters, these trials need another experiment"
+    hint = "omit this key, or choose another experiment"
     text = f"{where} '{key}', which has no effect here"
     raise InputError(text, file=path, line=line, column=key, hint=hint)

@@ -292,7 +292,7 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
         frame = frame.reset_index()
     twice = frame.columns[frame.columns.duplicated()]
     if len(twice):
-        raise InputError("two columns have this name", file=name, column=str(twice[0]))
+        raise InputError("two columns have this name: rename one column", file=name, column=str(twice[0]))
     columns: dict[str, NDArray[Any]] = {}
     for column, values in frame.infer_objects().items():
         if types.is_timedelta64_dtype(values):
@@ -453,7 +453,7 @@ def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict
         except ValueError as error:
             if not strict:
                 continue
-            raise InputError(f"its comment line is not YAML 'key: value': {error}", file=path) from error
+            raise InputError(f"a comment line is not YAML 'key: value': {error}", file=path) from error
         metadata[key.strip()] = parsed
     return metadata
 
@@ -525,7 +525,7 @@ def _check(log: Log, required: Sequence[str]) -> None:
         _refuse(backwards, text, log, TIME, "sort the rows and drop repeated ones")
     for name in required:
         if np.isnan(log[name]).all():
-            raise InputError("every sample is missing", file=log.path, column=name)
+            raise InputError("every sample is missing; at least 1 is needed", file=log.path, column=name)
     _warn_missing(log)
     warn_units(log)
 

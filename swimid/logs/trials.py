@@ -238,7 +238,7 @@ def _not_allowed(
         experiment = str(data["experiment"])
         what = f"'{experiment}' is not allowed"
         if commands:
-            hint = f"its command is: {' or '.join(f'swimid {name}' for name in commands)}"
+            hint = f"the command is: {' or '.join(f'swimid {name}' for name in commands)}"
         elif close := nearest(experiment, names):
             hint = f"did you mean '{close}'?"
         elif not command or command == "fit":

@@ -140,12 +140,12 @@ def unit_factor(unit: str, column: str) -> float:
     name, quantity = canonical(unit), quantity_of(column)
     if quantity is None:
         raise ValueError(
-            f"'{column}' names no unit to convert '{unit}' to; end it in one (x_m, yaw_rad), or give a factor"
+            f"'{column}' names no unit to convert '{unit}' to: end the name in a unit (x_m), or give a factor"
         )
     table = UNITS[quantity]
     others = [known for known, units in UNITS.items() if name in units]
     if name not in table and others:
-        raise ValueError(f"'{unit}' is a unit of {others[0]}; '{column}' needs one of {', '.join(table)}")
+        raise ValueError(f"'{unit}' is a unit of {others[0]}; units of '{column}' are: {', '.join(table)}")
     if name not in table:
         raise ValueError(f"unknown unit '{unit}' of {quantity}; {suggestion(name, list(table))}")
     return float(table[name])

@@ -208,7 +208,7 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
     found = {}
     for name, value in options.limits.items():
         if name not in known:
-            raise UsageError(f"--limit: there is no '{name}'", hint=suggestion(name, list(known)))
+            raise UsageError(f"--limit: '{name}' cannot be limited", hint=suggestion(name, list(known)))
         if not value > 0:
             raise UsageError(f"--limit {name}: {value:g} is not above zero")
         if name == "tank_m" and performance.model.body is None:

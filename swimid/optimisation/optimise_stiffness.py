@@ -109,7 +109,7 @@ class RuleFile(StudyFile):
     def _check_amplitudes(self) -> RuleFile:
         amplitudes = [curve.amplitude_deg for curve in self.curves]
         if not amplitudes or amplitudes != sorted(set(amplitudes)):
-            raise ValueError("'curves' must have at least one amplitude, and increasing amplitudes")
+            raise ValueError(f"the amplitudes of 'curves' must increase: {amplitudes}")
         return self
 
     def stiffness_for(
@@ -302,7 +302,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Gai
     p = performance.model.parameters[performance.model.index(name)]
     low, high = options.between or (p.lower, p.upper)
     if not (math.isfinite(low) and math.isfinite(high)):
-        raise UsageError(f"{name} has no bounds", hint="give them: --between LOW,HIGH")
+        raise UsageError(f"{name} has no bounds", hint="give the bounds: --between LOW,HIGH")
     performance.check({name: (low, high)}, "--between")
     goals = [(COST, 1.0), (SPEED, -1.0)]
     if options.objective == "speed":
@@ -434,7 +434,7 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     text = "the optima do not follow a quadratic function of the frequency" * (worst > MAX_LOSS)
     value, limit = f"at most {numbers.percent(worst, 2)}", f"≤ {numbers.percent(MAX_LOSS)}"
     name = "loss of the rule against its own optima"
-    reason = f"the rule loses up to {numbers.percent(worst, 2)} of the objective against its own optima"
+    reason = f"the rule loses up to {numbers.percent(worst, 2)} of the objective against the optima"
     checks.append(ev.make_check(name, value, worst <= MAX_LOSS, limit, text, reason=reason))
     if file.objective == "speed":
         ruled, fixed = _column(file, "ruled"), _column(file, "reference")

@@ -98,7 +98,7 @@ class Performance:
                 raise UsageError(f"the model '{file.model}' has no gait: only robots with links have one")
         made = cls(catalogue.load_robot(options, file), list_drive_options(options), options)
         if not made.model.driven:
-            raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
+            raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint, which a gait needs")
         return made
 
     @property
@@ -148,7 +148,8 @@ class Performance:
         parameters = {p.name: p for p in self.model.parameters}
         for name, (low, high) in varied.items():
             if name not in self.axes:
-                raise UsageError(f"{option}: there is no '{name}'", hint=suggestion(name, list(self.axes)))
+                text = f"{option}: the gait has no parameter '{name}'"
+                raise UsageError(text, hint=suggestion(name, list(self.axes)))
             if name in self.applied.chosen:
                 raise UsageError(f"{option}: {name} is fixed by --set and cannot be varied: omit either")
             if not low < high:

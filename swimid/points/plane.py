@@ -250,7 +250,8 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tu
             raise InputError(text, file=file, column=name)
     matrix, _ = cv2.findHomography(image, world)
     if matrix is None or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-15:
-        raise InputError("no plane fits these points", file=file, column="scale.points_m")
+        hint = "check the order of points_px and points_m"
+        raise InputError("no plane fits these points", file=file, column="scale.points_m", hint=hint)
     sides = (np.column_stack([image, np.ones(len(image))]) @ matrix[2]) / matrix[2, 2]
     if np.any(sides <= 0):
         text = "the points are not in the same order in the picture and in the world"

@@ -92,7 +92,7 @@ def checks(posed: Posed) -> Iterator[Check]:
         yield ev.make_check("Places of points", names or "as stated", not names, "as stated", reason=reason)
     if "places" in posed.fit.linkage.free:
         names = posed.free_coordinates_text
-        reason = f"the film does not determine the positions {names} on the robot"
+        reason = f"the film does not determine these coordinates of points on the robot: {names}"
         yield ev.make_check("Places not determined", names or "none", not names, "none", reason=reason)
 
 

@@ -47,7 +47,7 @@ class PointScale(Scale):
             data = self.model_dump(exclude={"between", "refraction"})
             Scale.model_validate({key: value for key, value in data.items() if value is not None})
         elif self.distance_m is None or self.points_px or self.points_m or self.metres_per_pixel:
-            raise ValueError("between needs distance_m, and no other scale")
+            raise ValueError("'between' needs distance_m, and excludes every other scale")
         elif safe(self.between[0]) == safe(self.between[1]):
             raise ValueError(
                 f"'between' names the point '{self.between[0]}' twice: name two different points"
@@ -85,9 +85,9 @@ class PointsFile(yamlio.Document):
         if twice is not None:
             raise ValueError(f"the point '{twice}' is listed twice")
         if self.chain and self.points:
-            raise ValueError("give points (with a robot) or chain (without one), not both")
+            raise ValueError("give points (with a robot) or chain (without a robot), not both")
         if len(self.chain) == 1:
-            raise ValueError("a chain needs two points or more, from front to rear")
+            raise ValueError(f"chain has only '{self.chain[0]}'; name two points or more, from front to rear")
         if self.camera is not None and self.scale is None:
             raise ValueError("'camera' is given without a scale: give 'scale', too")
         return self
@@ -246,7 +246,7 @@ class Request:
                 hint = "a body without a robot file is a chain, as in chain: [snout, mid, tail]"
                 raise UsageError(text, hint=hint)
             if self.calibrate:
-                raise UsageError("--calibrate-points needs a robot: a chain has no stated places")
+                raise UsageError("--calibrate-points needs a robot: a chain has no stated positions")
             return spec, None, "", where
         robot = robot_format.read(self.robot)
         path = robot_format.locate(self.robot)
@@ -260,7 +260,7 @@ class Request:
             where = str(path)
             if not robot.multilink.points:
                 text = f"the robot '{robot.name}' places no points"
-                hint = "give their places with --points: points: {snout: {link: head, at_m: [0, 0]}}"
+                hint = "give the places with --points: points: {snout: {link: head, at_m: [0, 0]}}"
                 raise InputError(text, file=path, column="multilink.points", hint=hint)
         return spec, robot.multilink, robot.name, where
 
@@ -333,7 +333,8 @@ def select_points(
         raise InputError(text, file=path, hint=hint)
     units = {tracked[safe(name)][2] for name in chosen}
     if len(units) > 1:
-        raise InputError("some of its points are in pixels and others in metres", file=path)
+        text = "some points are in pixels, other points in metres"
+        raise InputError(text, file=path, hint="export all points in one unit")
     return chosen, units.pop()
 
 

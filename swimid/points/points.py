@@ -48,7 +48,7 @@ WRONG_DISTANCE = 0.01
 #: Maximum relative standard error of a scale that is estimated from the links of a robot.
 MAX_SCALE_SE = 0.05
 #: Hint in the error message for a scale that the points do not determine.
-SCALE_HINT = "state it in the points file: scale: {metres_per_pixel: 0.0005}"
+SCALE_HINT = "state a scale in the points file: scale: {metres_per_pixel: 0.0005}"
 #: Maximum number of frames that a message lists.
 MAX_LISTED = 5
 
@@ -142,9 +142,7 @@ class Posed:
             if swing is not None:
                 self.swings[name], mean = swing, swing.mean
             elif self.zero == "mean":
-                text = (
-                    "zero: mean takes off the mean of all samples, because no two cycles of a swing are found"
-                )
+                text = "zero: mean subtracts the mean of all samples, because fewer than two cycles are found"
                 warn("SWM179", f"{name}: {text}")
             if self.zero == "mean":
                 columns[name] = angle - mean
@@ -227,7 +225,7 @@ class Posed:
         """Sentence on distances on rigid links that change along the path."""
         return (
             f"the distances on a link change by {100 * self.perspective:.2g} % along the path: the camera is "
-            "tilted, its lens distorts, or its pixels are not square. Give scale as four points_px with "
+            "tilted, the lens distorts, or the pixels are not square. Give scale as four points_px with "
             "points_m, or camera"
         )
 
@@ -298,7 +296,7 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
     known_scale, source = None, "the file of the points is in metres"
     if spec.scale is not None:
         if unit == "m":
-            text = "the points are in metres already: leave the scale out"
+            text = "the points are in metres: omit the scale"
             raise InputError(text, file=where, column="scale")
         view = files.View(spec.scale, spec.camera, plane)
         seen, known_scale = files.in_metres(seen, shown, view, where, path)
@@ -346,7 +344,7 @@ def _invert_scale(linkage: Linkage, where: str) -> tuple[float, float]:
     """Return the estimated scale in metres per unit of the tracked points, with its standard error."""
     error = math.sqrt(float(linkage.covariance[0, 0]))
     if not error < MAX_SCALE_SE:
-        text = f"the points do not determine the scale: its standard error is {100 * error:.2g} %"
+        text = f"the points do not determine the scale, whose standard error is {100 * error:.2g} %"
         raise InputError(text, file=where, hint=SCALE_HINT)
     return 1.0 / linkage.scale, error / linkage.scale
 
@@ -557,7 +555,8 @@ def _warn(posed: Posed, path: Path) -> None:
     if posed.perspective > MAX_PERSPECTIVE:
         warn("SWM042", f"{path.name}: {posed.perspective_text}")
     if posed.free_coordinates:
-        text = f"the film does not determine the positions {posed.free_coordinates_text} on the robot"
+        names = posed.free_coordinates_text
+        text = f"the film does not determine these coordinates of points on the robot: {names}"
         warn("SWM121", f"{path.name}: {text}: bend the joints more, or track two points on a link")
     for one in posed.distances:
         if one.wrong:

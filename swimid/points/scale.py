@@ -53,7 +53,7 @@ class Scale(Document):
         if self.distance_m is not None and count != 2:
             raise ValueError(f"distance_m needs two points_px, not {count}")
         if self.distance_m is not None and points[0] == points[1]:
-            raise ValueError("the two points_px are the same")
+            raise ValueError(f"both points_px are {list(points[0])}: give two different points")
         if self.points_m is not None and (count < 4 or count != len(self.points_m)):
             text = f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed"
             raise ValueError(text)

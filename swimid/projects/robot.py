@@ -166,7 +166,7 @@ def _draft_robot(path: Path, options: RobotOptions) -> tuple[_Draft, str, dict[s
     try:
         made = schema_of(DRAFTED_PARTS).model_validate(document)
     except ValueError as error:
-        raise InputError(f"no robot file can be made of it: {error}", file=path) from error
+        raise InputError(f"no robot file can be made from this file: {error}", file=path) from error
     differences = _compare(draft, made)
     return draft, draft.text(document, differences), differences
 

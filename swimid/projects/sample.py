@@ -79,7 +79,7 @@ def sample(
     atomic.check_empty(folder, force=force)
     described = source / name / DOWNLOAD
     if options.address is not None and not described.is_file():
-        raise UsageError(f"nothing of the sample '{name}' is downloaded", hint="leave --from out")
+        raise UsageError(f"the files of the sample '{name}' are installed: omit --from")
     copies: list[Path] = []
     with atomic.write_together():
         atomic.make_folder(folder)

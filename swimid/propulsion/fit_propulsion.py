@@ -245,8 +245,8 @@ def _fit_recoil_law(
     if all(inertia is None for inertia in model.fins.values()):
         warn(
             "SWM019",
-            "no fin's hydrodynamic inertia is known: only its product with the efficiency is determined; the "
-            "efficiency is held at its starting value",
+            "the robot file states no hydrodynamic inertia of a fin. The trials determine only the product "
+            "of inertia and efficiency, so the efficiency is held at the start value",
         )
     everything = output_error.fit_output_error(
         model, experiment.trials, parameters=choices, progress=progress
@@ -444,7 +444,7 @@ def _free_exponents(
         if status == "estimated" and stderr:
             shown, agrees = numbers.format_estimate(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
         if agrees is False:
-            warn("SWM031", f"the estimated {words} of {of} is {shown}, but {law:g} in the law")
+            warn("SWM031", f"the estimated {words} of {of} is {shown}; the law has {law:g}")
         reason = f"the estimated {words} of {of} is {shown}, not {law:g}"
         text = f"exponent of the {of}, estimated together with the other parameters"
         checks.append(ev.make_check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))

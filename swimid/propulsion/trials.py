@@ -180,7 +180,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     else:
         names, text = [str(name) for name in source.columns], source.to_csv(index=False)
         held = InputInMemory("table", hashlib.sha256(text.encode()).hexdigest())
-    speed, what = "time_s", "one of the columns time_s and mean_speed_m_s is needed, and both are missing"
+    speed, what = "time_s", "a column time_s or mean_speed_m_s is needed, and both are missing"
     if "mean_speed_m_s" in names:
         speed = "mean_speed_m_s"
     for column in ("fin", *NUMBERS, speed):
@@ -189,7 +189,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
             raise tabular.column_error(column, names, path, line, reason)
     rows = _rows(text, path, line, names)
     if not rows:
-        raise InputError("has a header and no runs", file=path, line=line)
+        raise InputError("has a header, but no line with a run", file=path, line=line)
     columns = {name: _numbers(rows, name, path) for name in (*NUMBERS, speed)}
     distance, speeds = columns["distance_m"], columns[speed]
     if np.isnan(speeds).all():

@@ -346,8 +346,8 @@ def check_beside(result: Path) -> None:
     other = _owner(sidecar(result))
     if other not in ("", result.name) and result.with_name(other).exists():
         raise UsageError(
-            f"{sidecar(result)} is the evidence of {other}, and would be replaced by that of {result.name}",
-            hint="give the output another name before its ending",
+            f"{result.name} and {other} would both have the evidence file {sidecar(result)}",
+            hint="give the output a name that differs before the dot",
         )
 
 

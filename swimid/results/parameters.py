@@ -188,7 +188,9 @@ class ParameterFile(yamlio.ResultFile):
             known |= set(shared)
         for name in () if found is None or not known else found.names:
             if name not in known:
-                raise ValueError(f"the correlation names no parameter '{name}'; {suggestion(name, [*known])}")
+                raise ValueError(
+                    f"the correlation names '{name}', not a parameter; {suggestion(name, [*known])}"
+                )
         return found
 
     def write(self, path: str | Path) -> None:

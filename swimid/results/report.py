@@ -130,7 +130,7 @@ def _sources(given: str | Path | Result) -> list[Path | Result]:
             raise InputError(text, file=place, column="result", hint="make the result again")
         found.append(place.with_name(name))
     if not found:
-        raise UsageError(f"the folder {path} has no result with evidence", hint="name a result file")
+        raise UsageError(f"the folder {path} has no file *.evidence.json", hint="name a result file")
     return found
 
 
@@ -152,7 +152,7 @@ def _read(path: Path | Result) -> Result:
         if shown is None:
             shown = result.bare()
             place = ev.sidecar(path).name
-            warn("SWM050", f"{path.name} has no evidence beside it ({place}): its checks are not shown")
+            warn("SWM050", f"the evidence file {place} is missing: checks of {path.name} are not shown")
     notices = [*shown.notices, *(notice for notice in raised if notice not in shown.notices)]
     return replace(result, evidence=shown.model_copy(update={"notices": notices}))
 

@@ -396,8 +396,8 @@ def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence
     if evidence.sha256 == document.digest():
         return in_memory
     text = (
-        f"{name} was edited or replaced after its evidence was made: figures, checks and tables may not "
-        "describe its numbers; run its command again"
+        f"{name} was edited or replaced after the evidence file was made: figures, checks and tables may "
+        "not describe the result; run the command again"
     )
     warn("SWM052", text)
     said = f"The file was changed after this verdict: {evidence.verdict.text}"
@@ -525,17 +525,17 @@ def load_result(path: str | Path) -> Result:
         stem = path.name.removesuffix(".evidence.json")
         there = [e for e in (".yaml", ".yml", *LOG_ENDINGS) if path.with_name(stem + e).exists()]
         result = stem + (there or [".yaml"])[0]
-        raise InputError("is the evidence of a result", file=path, hint=f"name the result itself: {result}")
+        raise InputError("is an evidence file, not a result", file=path, hint=f"name the result: {result}")
     if ending in LOG_ENDINGS:
         log: Result = import_module(LOG).Logged.load(path)
         return log
     if ending not in (".yaml", ".yml"):
         allowed = ", ".join([".yaml", *LOG_ENDINGS])
-        raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)
+        raise InputError(f"is no result file; the name must end in one of {allowed}", file=path)
     form = yamlio.load(path).get("format")
     name = _format_name(str(form))
     if name not in list_result_formats():
-        reason = f"its format '{form}' is that of no result"
+        reason = f"the format '{form}' is not a format of results"
         if form is None:
             reason = "has no 'format'"
         hint = suggestion(name, list_result_formats(), "known")

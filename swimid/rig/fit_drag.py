@@ -556,7 +556,7 @@ def sign_check(result: FitResult) -> ev.Check:
         where = "all trials"
     change = math.sqrt(found.fit.cost / result.cost) - 1.0
     reason = (
-        f"force_N has the wrong sign in {where}: with force_N times -1 the error of {channel} falls by "
+        f"force_N has the wrong sign in {where}: multiplied by -1, force_N lowers the error of {channel} by "
         f"{-100 * change:.3g} %"
     )
     text = (
@@ -722,7 +722,7 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
         name = max(swings, key=lambda trial: swings[trial])
         size, limit = f"{numbers.format_number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
         text = "a body that swings farther in roll or pitch turns over: is the column in degrees?"
-        reason = f"the body swings by {size} in {coordinate}, but a swing is at most {math.pi:.3g} rad"
+        reason = f"{coordinate} reaches {size} from the median; at most {math.pi:.3g} rad is possible"
         check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
         checks.append(fit_common.warn_check(*check, failed=True))
     forces = _force_ratios(experiment)

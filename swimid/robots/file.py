@@ -314,7 +314,7 @@ def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
         key = _member(data, part)
         if key is None:
             raise add_location(
-                InputError(f"a reading changes '{place}', but there is no '{part}'", column=where), path
+                InputError(f"sets '{place}', but the robot file has no '{part}'", column=where), path
             )
         return key
 

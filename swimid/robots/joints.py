@@ -162,7 +162,7 @@ class Joint(yamlio.Document):
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if self.driven is not None and self.passive is not None:
-            raise ValueError(f"the joint '{self.name}' is both driven and passive")
+            raise ValueError(f"the joint '{self.name}' is both driven and passive: omit either")
         if self.torque is not None and self.passive is None:
             raise ValueError(f"the joint '{self.name}' has a torque but is not passive: add 'passive: {{}}'")
         return self

@@ -89,17 +89,17 @@ class Coefficient(yamlio.Document):
     def _in_bounds(self) -> Coefficient:
         low, high = self.limits
         if not low < high:
-            raise ValueError(f"the bounds are the wrong way round: {self.bounds[0]} {self.bounds[1]}")
+            raise ValueError(f"the lower bound, {low:g}, must be below the upper bound, {high:g}")
         for name, value in (("value", self.value), ("start", self.start)):
             if value is not None and not low <= value <= high:
-                raise ValueError(f"its {name} {value:g} lies outside its bounds")
+                raise ValueError(f"the {name} {value:g} lies outside the bounds, {low:g} to {high:g}")
         return self
 
 
 def _check_coefficient_names(coefficients: dict[str, Coefficient]) -> dict[str, Coefficient]:
     for name in coefficients:
         if not NAME.fullmatch(name):
-            raise ValueError(f"a coefficient cannot be called '{name}': letters, digits and _ only")
+            raise ValueError(f"a coefficient cannot be called '{name}'; allowed are letters, digits and _")
     return coefficients
 
 

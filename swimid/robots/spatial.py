@@ -342,7 +342,7 @@ class SpatialRudder(InSpace, elements.Rudder):
     @model_validator(mode="after")
     def _across(self) -> SpatialRudder:
         if abs(self.side[0]) > 1e-6 * math.hypot(*self.side):
-            raise ValueError("'side' must be perpendicular to the x axis of the link")
+            raise ValueError(f"side {list(self.side)} must be perpendicular to the x axis of the link")
         return self
 
     @property
@@ -405,14 +405,16 @@ class HingeStroke(yamlio.Document):
     @model_validator(mode="after")
     def _periodic(self) -> HingeStroke:
         if any(b <= a for a, b in pairwise(self.knots_s)):
-            raise ValueError("knots_s must increase")
+            raise ValueError(f"knots_s must increase: {self.knots_s}")
         if self.knots_s[0] != 0.0 or not math.isclose(self.knots_s[-1], self.period_s):
-            raise ValueError("knots_s must run from 0 to period_s")
+            raise ValueError(f"knots_s must run from 0 to period_s, {self.period_s:g}: {self.knots_s}")
         for name, angles in self.angles_deg.items():
             if len(angles) != len(self.knots_s):
                 raise ValueError(f"'{name}' has {len(angles)} angles at {len(self.knots_s)} knots")
             if angles[0] != angles[-1]:
-                raise ValueError(f"'{name}' does not end where it began: the last angle must equal the first")
+                raise ValueError(
+                    f"'{name}': the last angle {angles[-1]:g} must equal the first, {angles[0]:g}"
+                )
         return self
 
 
@@ -465,8 +467,8 @@ class MultibodyRobot(yamlio.Document):
             unknown = [name for name in law.angles_deg if name not in driven]
             if unknown:
                 raise ValueError(
-                    f"the stroke '{stroke}' moves '{unknown[0]}', which is no driven hinge with an actuator "
-                    "of its own, and no actuator; there are: "
+                    f"the stroke '{stroke}' cannot move '{unknown[0]}': name an actuator, or a driven hinge "
+                    "without 'actuator'; there are: "
                     f"{', '.join(driven) or 'none'}"
                 )
         return self

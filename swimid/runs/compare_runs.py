@@ -119,7 +119,7 @@ def compare_runs(
     quantities = _quantities(found)
     if not quantities:
         have = ", ".join(sorted({item or "one result" for run in found for item in run}))
-        raise InputError("the runs have no estimate in common", file=paths[0], hint=f"their items: {have}")
+        raise InputError("the runs share no estimate", file=paths[0], hint=f"items of the runs: {have}")
     _mark_changes(quantities, options.false_discovery_rate)
     quantities.sort(key=lambda q: (not q.changed, 2.0 if q.p is None else q.p))
     inputs = [path / "plan.json" if path.is_dir() else path for path in paths]

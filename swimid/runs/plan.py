@@ -193,7 +193,7 @@ def item_of(run: str | Path, ident: str) -> tuple[Item, ItemLimits]:
     plan = json.loads((Path(run) / "plan.json").read_bytes())
     found = next((item for item in plan["items"] if item["id"] == ident), None)
     if found is None:
-        raise UsageError(f"the plan of {run} was replaced while this run went on: {ident} is not in it")
+        raise UsageError(f"the plan of {run} was replaced and lacks {ident}: run the new plan")
     return Item.model_validate(found), ItemLimits.model_validate(plan["limits"])
 
 

@@ -455,8 +455,8 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
         if name in own or not math.isnan(half):
             ranges[name] = _make_range(shared[name], value, *ends, source)
     if not ranges:
-        hint = "name one, --range NAME=LOW,HIGH, or give a parameter file with standard errors: --params"
-        raise UsageError("there is no coefficient to vary", hint=hint)
+        hint = "give a range, --range NAME=LOW,HIGH, or a parameter file with standard errors, --params"
+        raise UsageError("no coefficient has a range or a standard error", hint=hint)
     return {name: ranges[name] for name in shared if name in ranges}
 
 
@@ -467,15 +467,15 @@ def _refuse_names(names: Sequence[str], shared: Collection[str], held: Collectio
             hint = suggestion(name, list(shared), "it has")
             raise UsageError(f"the model has no coefficient '{name}'", hint=hint)
         if name in held:
-            raise UsageError(f"{name} is held by --set and cannot be varied")
+            raise UsageError(f"{name} is fixed by --set and cannot be varied: omit either")
 
 
 def _make_range(p: Parameter, value: float, low: float, high: float, source: str) -> Range:
     """Return the range of a coefficient."""
     if not (math.isfinite(low) and math.isfinite(high)):
-        raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
+        raise UsageError(f"{p.name} has no bounds", hint=f"give the bounds: --range {p.name}=LOW,HIGH")
     if not low < high:
-        hint = f"give another one, --range {p.name}=LOW,HIGH, or hold it, --set {p.name}={value:g}"
+        hint = f"give another range, --range {p.name}=LOW,HIGH, or fix the value, --set {p.name}={value:g}"
         raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}", hint=hint)
     return Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
 

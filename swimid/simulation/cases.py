@@ -234,7 +234,7 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
         if swim.beat is not None:
             _check_sampling(options, swim.beat.frequency_hz)
     elif drive:
-        raise UsageError(f"the robot '{model.robot.name}' has no driven joint: there is nothing to beat")
+        raise UsageError(f"the robot '{model.robot.name}' has no driven joint: omit the options of the beat")
     else:
         swim, time = SwimInput(pose=rest_pose(model)), _times(options)
     return _swimming(applied, values, model, Trial("run", "fit", time, {}, swim=swim), metadata)
@@ -271,7 +271,7 @@ def check_drive(options: DriveOptions, varied: Collection[str] = (), option: str
     if options.stroke is not None:
         if stated & {"amplitude_deg", "bias_deg", "asymmetry", "lag_deg"}:
             raise UsageError(
-                "--stroke replaces the beat: omit its amplitude_deg, bias_deg, asymmetry and lag_deg"
+                "--stroke replaces the beat: omit amplitude_deg, bias_deg, asymmetry and lag_deg"
             )
         return
     for name in ("frequency_hz", "amplitude_deg"):

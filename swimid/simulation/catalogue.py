@@ -292,7 +292,7 @@ def with_effects(
         lacking = [n for n in sizes if n not in constants_of(file, name)]
         if lacking and not any(trial.measured for trial in trials):
             raise InputError(
-                f"the effect '{name}' needs {', '.join(lacking)} of the trials of its diagnosis",
+                f"the effect '{name}' needs {', '.join(lacking)} from the diagnosed trials",
                 file=path,
                 column=f"settings.effects.{name}",
             )

@@ -139,10 +139,7 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
             f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
         )
     if output.exists() != folder or (len(ids) == 1 and not folder):
-        raise UsageError(
-            f"'{output.name}' is not a valid output: its ending is not that of a log, and it is no folder",
-            hint=f"let it end in {' or '.join(LOG_ENDINGS)}",
-        )
+        raise UsageError(f"'{output.name}' must be a folder, or end in {' or '.join(LOG_ENDINGS)}")
     return [output / name for name in file_names(ids, LOG_ENDINGS)]
 
 
@@ -349,7 +346,7 @@ def _refuse_run_options(options: SimulateOptions) -> None:
     """Refuse options of a commanded motion together with recorded trials, which have their own motion."""
     for name, entry in options.declarations().items():
         if name not in WITH_TRIALS and getattr(options, name) != entry.default:
-            text = f"{entry.flag} cannot be combined with --trials: trials have their own drives, so omit it"
+            text = f"{entry.flag} cannot be combined with --trials: trials state drives. Omit it"
             raise UsageError(text)
 
 

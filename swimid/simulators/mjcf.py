@@ -219,7 +219,7 @@ def read_spec(path: Path) -> Any:
         If the file does not exist, or MuJoCo cannot read it.
     """
     if not path.is_file():
-        raise InputError("there is no such file", file=path)
+        raise InputError("there is no such file", file=path, hint="check the path")
     try:
         return mujoco().MjSpec.from_file(str(path))
     except (ValueError, RuntimeError) as error:
@@ -634,10 +634,10 @@ def _component(column: int | None, part: int | None, place: str, path: Path) -> 
     """Return the column of a component; None if the attribute has one value."""
     if column is None:
         if part is not None:
-            raise InputError(f"'{place}' has one value and no component", file=path)
+            raise InputError(f"'{place}' has only one value: omit [{part}]", file=path)
         return None
     if part is None:
-        raise InputError(f"'{place}' has several values", file=path, hint=f"name one of them: {place}[0]")
+        raise InputError(f"'{place}' has several values", file=path, hint=f"name one value: {place}[0]")
     return column + part
 
 

@@ -217,7 +217,7 @@ def _fill_gaps(log: log_format.Log, name: str) -> Array:
         return values
     if longest_run(missing) > MAX_INPUT_GAP:
         first = int(np.flatnonzero(missing)[0])
-        text = f"the input is missing for more than {MAX_INPUT_GAP} successive samples; it drives the model"
+        text = f"the input lacks more than {MAX_INPUT_GAP} samples: cut the log with start_s and end_s"
         raise InputError(text, file=log.path, line=log.line(first), column=name)
     warn("SWM058", f"{log.path.name}: {int(missing.sum())} missing samples of {name} are interpolated")
     return np.interp(log.time_s, log.time_s[~missing], values[~missing])

@@ -80,7 +80,7 @@ class PythonModel(SimulatorModel):
                 )
             found[channel.name] = np.asarray(outputs[channel.name], dtype=float)
             if found[channel.name].shape != time.shape:
-                shapes = f"{found[channel.name].shape}; the times have {time.shape}"
+                shapes = f"{found[channel.name].shape}; it must be {time.shape}, as that of the times"
                 raise UsageError(f"the simulator returns '{channel.name}' with the shape {shapes}")
         return hooks.sense(found, trial.time_s) if hooks.output else found
 
@@ -100,7 +100,7 @@ def find_function(name: str, folder: Path) -> tuple[Simulate, Path | None]:
     """
     place, colon, function = name.rpartition(":")
     if not colon:
-        raise InputError(f"'{name}' is not 'module:function'", hint="for example sim.py:simulate")
+        raise InputError(f"'{name}' must have the form module:function", hint="for example sim.py:simulate")
     path: Path | None = folder / place
     if place.endswith(".py") or (path is not None and path.is_file()):
         assert path is not None

@@ -208,7 +208,7 @@ def _fit_simulator(
     ]
     if other:
         flag = type(options).declarations()[other[0]].flag
-        raise UsageError(f"{flag} has no effect on the model of the experiment '{trials.experiment}'")
+        raise UsageError(f"{flag} has no effect on the model of '{trials.experiment}': omit {flag}")
     given = {name: getattr(options, name) for name in used}
     return fit(trials, output=output, progress=progress, **given)
 

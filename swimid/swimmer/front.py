@@ -425,7 +425,7 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     try:
         table = pd.read_csv(path, dtype={"profile": str})
     except FileNotFoundError as error:
-        raise InputError("there is no such file", file=path) from error
+        raise InputError("there is no such file", file=path, hint="check the path") from error
     except (ValueError, UnicodeDecodeError) as error:
         hint = "give the .front.csv of an earlier fit"
         raise InputError(f"is no table: {error}", file=path, hint=hint) from error
@@ -433,7 +433,7 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     others = {str(column) for column in table.columns} ^ {"index", "profile", *expected}
     if others or table.empty:
         raise InputError(
-            f"is not a front of this fit: only one of the two has {', '.join(sorted(others)) or 'points'}",
+            f"is not a front of this fit: the front or the fit lacks {', '.join(sorted(others)) or 'points'}",
             file=path,
             hint="give the .front.csv of an earlier --method nsga2 or hybrid with the same trials, "
             "--channels, --fix, --free and --share",
@@ -441,7 +441,8 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     for column in expected:
         bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
         if len(bad):
-            raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
+            text = f"'{table[column].iloc[bad[0]]}' is not a finite number"
+            raise InputError(text, file=path, line=int(bad[0]) + 2, column=column)
     return _number_points(table[["profile", *expected]])
 
 

@@ -319,7 +319,7 @@ class Tree(ABC):
         self.free_base = body.base == "free"
         if not (self.free_base or moving or body.inputs):
             raise InputError(
-                "a robot on a fixed base without a moving joint or an input has nothing to simulate",
+                "a robot on a fixed base needs a driven or passive joint, or an input",
                 column=f"{self.part}.base",
             )
         self.constants = {"free_base": self.free_base}
@@ -467,7 +467,7 @@ def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> N
     scale = np.sqrt(np.maximum(sizes, 1e-300))
     if np.linalg.eigvalsh(inertia / np.outer(scale, scale)).min() <= 0:
         raise InputError(
-            "its apparent inertia (with added mass) is not positive definite", column=column, hint=hint
+            "the apparent inertia (with added mass) is not positive definite", column=column, hint=hint
         )
 
 

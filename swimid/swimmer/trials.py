@@ -329,11 +329,11 @@ def _read_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
     if law.gain == 0.0 and not law.bias_gain:
         return drives.straight, False
     raise InputError(
-        f"the driven joint or actuator '{actuator.name}' needs this column, or '{command}'",
+        f"the driven joint or actuator '{actuator.name}' needs this column or '{command}'",
         file=log.path,
         line=log.first_line - 1 if log.first_line else None,
         column=actuator.column,
-        hint="or give the trial a 'drive' in the trials file",
+        hint="add the column, or give the trial a 'drive' in the trials file",
     )
 
 
@@ -626,7 +626,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
         if not name.removesuffix("_s").endswith("_rad") or name not in log:
             continue
         if np.isfinite(log[name]).sum() >= MIN_BEAT_SAMPLES:
-            used = "correct it if it is wrong: it is used"
+            used = "the stated value is used: correct it if it is wrong"
             return compare_frequencies(entry.id, entry.drive.frequency_hz, log.time_s, log[name], used)
     return None
 
@@ -641,7 +641,8 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[RobotTrial]) 
     window_s = max(1.0, 1.0 / min(frequencies, default=math.inf))
     if is_in_degrees(tracks, window_s):
         warn(
-            "SWM034", f"{path.name}, 'yaw_rad': the courses follow it if it is in degrees (a factor of 57.3)"
+            "SWM034",
+            f"{path.name}, 'yaw_rad': the heading agrees with the path only in degrees (a factor of 57.3)",
         )
         return
     seen = compare_course(tracks, window_s)
@@ -650,8 +651,8 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[RobotTrial]) 
     if seen.mirrored:
         warn(
             "SWM063",
-            f"{path.name}: the courses follow the headings mirrored: the y axis or the heading of these "
-            "logs has the wrong sign (a picture's y axis points down); turn it with factor: -1 in a mapping",
+            f"{path.name}: the path agrees with the mirrored heading: y_m or yaw_rad has the wrong sign (the "
+            "y axis of a picture points down). Give factor: -1 in a mapping",
         )
     elif text := seen.find_turn("yaw_rad"):
         warn("SWM063", f"{path.name}, 'yaw_rad': {text}")

@@ -304,7 +304,7 @@ def _list_pictures(path: Path) -> list[Path]:
     series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
     if len(series) > 1:
         found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
-        hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
+        hint = "name the series by a pattern, as in 'folder/frame_%05d.png'"
         raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
     return sorted(files, key=lambda f: _numbers(f.name))
 
@@ -329,7 +329,7 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
     usual = max(Counter(steps).most_common(1)[0][0], 1)
     if any(step < 1 or step % usual for step in steps):
         text = f"the numbers of the pictures step unevenly (by {min(steps)} to {max(steps)})"
-        warn("SWM043", f"{path.name}: {text}; they are taken at even steps, in their order")
+        warn("SWM043", f"{path.name}: {text}; the pictures are taken at even steps")
         return order
     missing = [f"after {files[k].name}" for k, step in enumerate(steps) if step != usual]
     if missing:

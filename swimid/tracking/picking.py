@@ -298,7 +298,7 @@ class Session:
         """Return a frame of the film; raise an error if the film is shorter."""
         index, _, frame = self.reader.at(number, _no_step)
         if index != number:
-            raise InputError(f"has no frame {number}: its last frame is {index}", file=self.video)
+            raise InputError(f"has no frame {number}; the last frame is {index}", file=self.video)
         return frame
 
     def _read_choice(self, choice: Choice) -> tuple[list[Marker], dict[str, Any]]:

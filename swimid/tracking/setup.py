@@ -124,16 +124,17 @@ class Setup(Document):
         names = self.marker_names
         twice = find_repeated(names)
         if twice is not None:
-            raise ValueError(f"two markers are named '{twice}'")
+            raise ValueError(f"two markers are named '{twice}': rename one marker")
         for role, chosen in (("head", self.head), ("tail", self.tail)):
             if chosen is not None and chosen not in names:
                 raise ValueError(f"{role} '{chosen}' is no marker; the markers are: {', '.join(names)}")
         if self.tail is not None and self.head in (None, self.tail):
             raise ValueError(f"tail '{self.tail}' is given without another marker as head")
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
-            raise ValueError("a marker with method: background is the only marker of a setup")
+            text = f"method: background allows one marker, but the setup has {', '.join(names)}"
+            raise ValueError(f"{text}: keep one marker, or choose another method")
         if self.head is None and len(self.markers) > 1:
-            text = "no marker is the head: give head, and tail for a heading; there are"
+            text = "no marker is the head: give head, and tail for a heading. The markers are"
             raise ValueError(f"{text}: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(
@@ -160,7 +161,7 @@ class Setup(Document):
                 text = f"marker '{marker.name}' needs at_m, too: head and tail both have it or none"
                 raise ValueError(text)
         if head.at_m is not None and head.at_m == tail.at_m:
-            raise ValueError(f"markers '{self.head}' and '{self.tail}' have the same at_m")
+            raise ValueError(f"markers '{self.head}' and '{self.tail}' have the same at_m {list(head.at_m)}")
         return self
 
     @property
@@ -251,10 +252,10 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
 
     robot = robot_format.read(str(robot_format.locate(name, path.parent, {"file": path, "column": "robot"})))
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
-        raise refuse(f"moves in the {robot.multilink.plane} plane, the film shows another")
+        raise refuse(f"moves in the {robot.multilink.plane} plane, but the film shows another plane")
     places = robot.marker_places(setup.plane)
     for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
-            text = f"names no marker '{marker.name}'; it names: {', '.join(places) or 'none'}"
-            raise refuse(text, "name the markers of the film as the robot file does, or give their at_m")
+            text = f"names no marker '{marker.name}'; the robot names: {', '.join(places) or 'none'}"
+            raise refuse(text, "name the markers of the film as in the robot file, or give at_m of each")
     return places

@@ -170,7 +170,7 @@ def _make_evidence(
     checks = _checks(len(seen), fit.tilt_deg, len(parts), fit.rms_px, fit.each_px)
     focal = 100 * max(errors[0] / values[0], errors[1] / values[1])
     value, limit, passed = f"± {focal:.2g} %", f"± {MAX_FOCAL_SE:.0%}", focal <= 100 * MAX_FOCAL_SE
-    reason = f"the focal length has a standard error of {focal:.2g} %"
+    reason = f"the focal length has a standard error of {focal:.2g} %, above {MAX_FOCAL_SE:.0%}"
     checks.append(ev.make_check("Focal length", value, passed, limit, reason=reason))
     rows: list[dict[str, Any]] = [
         {"parameter": name, "value": value, "standard error": error}

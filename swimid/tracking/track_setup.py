@@ -214,7 +214,7 @@ def _warn_of_faults(run: FilmTrack) -> None:
     change = distance_change(run, *setup.roles) or 0.0
     if change > frames.MAX_DISTANCE_SD[0]:
         text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * change:.1f} %"
-        hint = "they may not be on one rigid part. Pick two that are: --marker NAME@X,Y for each"
+        hint = "pick two markers on one rigid part, with --marker NAME@X,Y for each"
         warn("SWM042", f"{text}: {hint}")
 
 
@@ -300,7 +300,7 @@ def _choose_names(run: FilmTrack, scores: dict[str, float], reasons: dict[str, s
             reasons[name] = f"is rarely detected together with {first}"
         elif change > limits[0]:
             text = f"its distance to {first} changes by {100 * change:.1f} %"
-            reasons[name] = f"{text}: the two are not on one rigid part"
+            reasons[name] = f"{text}: these markers are not on one rigid part"
     if len(names) > 1 and (run.track.head_first(*names) or 0.0) < 0.5:
         names.reverse()
     return names, first
@@ -311,7 +311,7 @@ def _make_markers(video: Path, options: TrackSetupOptions) -> list[Marker]:
     frames_read = enumerate(islice(Video(video).frames(), options.frame + 1))
     ((index, (_, frame)),) = deque(frames_read, maxlen=1)
     if index < options.frame:
-        raise InputError(f"has no frame {options.frame}: its last frame is {index}", file=video)
+        raise InputError(f"has no frame {options.frame}: the last frame is {index}", file=video)
     return proposals.pick_markers(frame, proposals.kinds_of(options.picks), path=video, index=options.frame)
 
 

@@ -579,7 +579,7 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     off = middle / known_m - 1
     reason = (
         f"the distance of head and tail marker differs by {100 * off:+.1f} % from the {known_m:g} m on the "
-        "robot: the scale, and with it every length in the log, or their places on the robot are wrong"
+        "robot: the scale, or the places of the markers on the robot are wrong"
     )
     name, value = "Marker distance against the robot", f"{100 * off:+.2f} % of {known_m:g} m"
     yield _grade("SWM042", name, value, "within 2 %", abs(off), MAX_LENGTH_ERROR, reason)
@@ -607,8 +607,8 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[ev.Check]:
     least = min(float(np.nanmedian(pose.separation)), max(radius, longest))
     share, way = ahead / max(ahead + astern, 1e-300), setup.swims.replace("-", " ")
     reason = (
-        f"the robot swims {way} over only {100 * share:.0f} % of its way: exchange head '{setup.head}' and "
-        f"tail '{setup.tail}' in the setup, or say there how it swims (swims: head-first or tail-first)"
+        f"the robot swims {way} over only {100 * share:.0f} % of the way: exchange head '{setup.head}' and "
+        f"tail '{setup.tail}' in the setup, or state 'swims: head-first' or 'swims: tail-first'"
     )
     value, passed = f"{100 * share:.0f} % of the way", not astern - ahead > least
     yield _judge("SWM100", f"Swims {way}", value, "most of the way", passed, reason, fails=True)
@@ -641,7 +641,7 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
     off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
     count = int(np.sum(off > 0))
     reason = (
-        f"in {count} frames a marker is hidden in part or seen aslant; its centre may be wrong by "
+        f"in {count} frames a marker is hidden in part or seen at an angle; the centre may be wrong by "
         f"{off.max():.1f} px in frame {int(np.argmax(off))}"
     )
     passed = count / measured <= MAX_HIDDEN_SHARE

@@ -753,7 +753,7 @@ def follow(
         return first
     listed = "; ".join(f"[{', '.join(f'{side:.0f}' for side in box)}]" for box in boxes)
     text = f"an object of the marker's colour never moves and was left out (box {listed})"
-    warn("SWM049", f"{path.name}: {text}; write it into ignore_px to save the second reading")
+    warn("SWM049", f"{path.name}: {text}; write the box into ignore_px to avoid a second pass")
     return second
 
 

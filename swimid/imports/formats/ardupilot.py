@@ -136,7 +136,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
             table.metadata |= origin
     time = next((name for name in _TIMES if name in table.columns), None)
     if not columns or time is None:
-        hint = f"a mapping says what they are; known fields: {', '.join([*ARDUPILOT_FIELDS, *MAVLINK])}"
+        hint = f"assign fields in a mapping; known fields: {', '.join([*ARDUPILOT_FIELDS, *MAVLINK])}"
         raise InputError("has no time and field of a known quantity", file=path, hint=hint)
     time_s = table.columns[time].astype(float) * _TIMES[time]
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))}, units={})
@@ -154,7 +154,7 @@ def _choose_instance(table: ForeignTable, instance: str, path: Path) -> ForeignT
         other = there[1]
         if "type" in table.metadata:
             other = f"{table.metadata['type']}[{other}]"
-        note = f"instance {taken} of {', '.join(there)} is taken (another one: --select {other})"
+        note = f"instance {taken} of {', '.join(there)} is taken (--select {other} takes another instance)"
         table.notes.append(note)
     return table
 

@@ -62,7 +62,8 @@ def _texts(file: Any, name: str, size: int) -> list[str]:
 def _points(file: Any, cells: Array, start: float, options: ReaderOptions, path: Path) -> ForeignTable:
     factor, unit = length(options.length_unit or _texts(file, "POINT:UNITS", 1)[0], path)
     if not file.point_rate > 0:
-        raise InputError("does not state the frame rate of the points", file=path)
+        text = f"the frame rate of the points is {file.point_rate:g} Hz; it must be above 0 Hz"
+        raise InputError(text, file=path, hint="set POINT:RATE, and export the file again")
     vertical, notes = _texts(file, "POINT:Y_SCREEN", 1)[0], []
     if vertical not in ("+Z", "+Y"):
         notes.append("the file does not state its vertical axis; z is taken as up")

@@ -60,7 +60,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     lists = [one["keypoints"] for one in chosen]
     widths = set(map(len, lists))
     if len(widths) > 1 or max(widths) % 3:
-        text = f"its annotations have {', '.join(map(str, sorted(widths)))} values; each must have x, y and v"
+        text = f"annotations have {', '.join(map(str, sorted(widths)))} values; each must have x, y and v"
         raise InputError(text, file=path)
     cells = np.array(lists, dtype=float)[np.argsort(at)]
     cells = cells.reshape(len(cells), -1, 3)
@@ -88,7 +88,8 @@ def _find_frames(annotations: list[dict[str, Any]], images: list[dict[str, Any]]
     frames = _frames(images)
     at = np.array([frames.get(one["image_id"], one["image_id"]) for one in annotations])
     if at.dtype.kind not in "iu":
-        raise InputError("its image_id are no numbers, and its pictures are not listed", file=path)
+        text = f"the frame of the image_id '{max(map(str, at))}' is unknown"
+        raise InputError(text, file=path, hint="number image_id, or each file_name under 'images'")
     values, counts = np.unique(at, return_counts=True)
     if (counts > 1).any():
         text = f"{counts.max()} individuals in one picture have no numbers to distinguish them"

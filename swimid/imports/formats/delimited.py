@@ -177,7 +177,8 @@ def _read_utf8(path: Path, options: ReaderOptions) -> tuple[bytes, list[str]]:
     except UnicodeDecodeError as error:
         if options.encoding is not None:
             line = raw[: error.start].count(b"\n") + 1
-            raise InputError(f"is not {encoding} text", file=path, line=line) from error
+            hint = "correct 'encoding' under 'reader:' of a mapping"
+            raise InputError(f"is not {encoding} text", file=path, line=line, hint=hint) from error
         text = raw.decode("cp1252", "replace")
         notes.append("is not UTF-8; read as Western European text (cp1252)")
     is_plain = len(_PLAIN.findall(raw[:SAMPLE])) > MIN_PLAIN * len(raw[:SAMPLE])
@@ -199,7 +200,8 @@ def _find_layout(lines: list[str], options: ReaderOptions, path: Path, notes: li
     table = [_cells(line, delimiter) for line in texts]
     decimal = options.decimal or _decimal(table[:LINES], delimiter)
     if delimiter == decimal:
-        raise InputError("a comma cannot both separate cells and mark decimals", file=path)
+        hint = "give another delimiter or decimal under 'reader:' of a mapping"
+        raise InputError("a comma cannot both separate cells and mark decimals", file=path, hint=hint)
     width = Counter(map(len, table)).most_common(1)[0][0]
     first = _first_sample(table, width, decimal, options)
     if first is None:
@@ -242,7 +244,7 @@ def _read_names(
     ``lines`` has the line numbers of the lines above the samples and of the first sample.
     """
     if above and len(above[-1]) != width and _is_header(above[-1]):
-        text = f"line {lines[len(above) - 1]} has {len(above[-1])} names, the lines below {width} values"
+        text = f"line {lines[len(above) - 1]} has {len(above[-1])} names, but lines below have {width}"
         notes.append(f"{text}: no name is used, and the columns have numbers")
     levels: list[list[str]] = []
     # Read several header lines: if the names in one line are not unique, prefix each name with the name in

@@ -44,7 +44,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None, device: str = 
     table = open_table(path)
     fields = {name: hit for name in table.columns if (hit := _FIELD.fullmatch(name.strip()))}
     if not fields:
-        hint = "its columns are named as in the control table: Present Position, Goal Position"
+        hint = "name the columns as in the control table: Present Position, Goal Position"
         raise InputError("has no column with the position of a servo", file=path, hint=hint)
     servos = {name: int([*re.findall(r"\d+", name), "1"][0]) for name in fields}
     # Number the joints from 1 in the order of the file, because the numbers of servos are arbitrary.
@@ -59,7 +59,9 @@ def _read(path: Path, options: ReaderOptions, select: str | None, device: str = 
             columns = {TIME: mapping.seconds(table, time, rows, path, {})}
     for name, hit in fields.items():
         if is_text(table.columns[name]):
-            raise InputError("holds text, not ticks", file=path, column=name)
+            cell = max(map(str, table.columns[name]))
+            text = f"'{cell}' is text; positions and speeds are whole numbers of servo ticks"
+            raise InputError(text, file=path, column=name)
         ticks = table.columns[name].astype(float)
         stem = {"present": "joint", "goal": "cmd"}[hit["what"].lower()]
         joint = f"{stem}{numbers.index(servos[name]) + 1}"
@@ -78,7 +80,7 @@ def _angle(ticks: Array, device: str, path: Path, name: str) -> Array:
     known = ticks[np.isfinite(ticks)]
     low, high = known.min(initial=1024), known.max(initial=0)
     if not device and low >= 0 and high < 1024:
-        text = f"its ticks, {low:g} to {high:g}, are of 4096 in a turn (X, MX) or of 1024 in 300 degrees (AX)"
+        text = f"the ticks, {low:g} to {high:g}, are of 4096 in a turn (X, MX) or of 1024 in 300 degrees (AX)"
         hint = "name the servo: --as dynamixel-x, or --as dynamixel-ax (AX, XL-320)"
         raise InputError(text, file=path, column=name, hint=hint)
     if device == "ax":

@@ -86,7 +86,7 @@ def _read_deeplabcut(path: Path, options: ReaderOptions, select: str | None) -> 
         animals = [str(name) for name in frame.columns.unique("individuals")]
         frame = frame.xs(choose(select, animals, "individual", path), axis=1, level="individuals")
     if isinstance(frame.index, pd.MultiIndex) or not pd.api.types.is_numeric_dtype(frame.index):
-        text = "its rows are labelled pictures, not the frames of a film"
+        text = "the rows are labelled pictures, not the frames of a film"
         raise InputError(text, file=path, hint="import the table that analyze_videos writes")
     # Leave out other columns of a point, such as the variances that Lightning Pose adds.
     known = [key for key in frame.columns if key[-1] in ("x", "y", "likelihood")]

@@ -60,7 +60,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     frames = _frame_numbers(time)
     if frames is None:
         hint = "a mapping states the unit of the times: time: {source: Time, unit: ms}"
-        raise InputError("its times are not multiples of a frame period", file=path, hint=hint)
+        raise InputError("the times are not multiples of a frame period", file=path, hint=hint)
     return ForeignTable({"frame": frames, "Time": time, **points(scaled, unit, "up")})
 
 
@@ -119,7 +119,7 @@ def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
         time = clock[0] if len(clock) == 1 else np.dot(clock, _KINOVEA_CLOCK[-len(clock) :])
         rows.append((name, time, float(cells[1]), float(cells[2])))
     if not rows:
-        raise InputError("holds no track", file=path)
+        raise InputError("holds no track", file=path, hint="export the tracks again")
     whole = pd.DataFrame(rows, columns=["track", "t", "x", "y"]).pivot(index="t", columns="track")
     found = {f"{name}.{axis}": values.to_numpy() for (axis, name), values in whole.items()}
     return whole.index.to_numpy(), found

@@ -80,9 +80,9 @@ def _add_times(
     if np.ptp(first):
         metadata |= {"channels_start_s": {name: start for name, (start, _) in clocks.items()}}
     if np.abs(first - np.round(first)).max() > 1e-3:
-        notes.append("channels start between the samples of others, and are interpolated")
+        notes.append("channels start between the samples of other channels, and are interpolated")
     if np.ptp(counts):
-        notes.append(f"channels have different numbers of samples; the {len(at)} in common are taken")
+        notes.append(f"channels have different numbers of samples; the {len(at)} common samples are taken")
     return ForeignTable({TIME: starts[0] + steps[0] * at, **columns}, metadata=metadata, notes=notes)
 
 
@@ -109,13 +109,13 @@ def _read_lvm(path: Path, options: ReaderOptions, select: str | None) -> Foreign
     names = names[: [*names, "Comment"].index("Comment")]
     last = next((at for at in range(end + 2, len(lines)) if not lines[at].strip()), len(lines))
     if not names or last <= end + 2:
-        raise InputError("ends before its first sample", file=path, line=len(lines))
+        raise InputError("ends before the first sample: copy the file again", file=path, line=len(lines))
     decimal = head.get("Decimal_Separator") or "."
     values, rows = numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
     form = head.get("X_Columns", "One")
     if form == "Multi":
         hint = "write the file with one column of x values (or none)"
-        raise InputError("has a column of x values for each channel", file=path, hint=hint)
+        raise InputError("has more than one column of x values", file=path, hint=hint)
     table = _convert_channels(names, values, segment, decimal, path, has_times=form == "One")
     return replace(table, lines=rows[: len(next(iter(table.columns.values())))])
 

@@ -53,7 +53,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     y_axis = "up" if "z" in space else "down"
     clock = {"seconds": TIME, "frames": "frame"}.get(str(data.attrs.get("time_unit")))
     if clock is None:
-        text = f"its attribute time_unit is {data.attrs.get('time_unit')!r}"
+        text = f"the attribute time_unit is {data.attrs.get('time_unit')!r}"
         raise InputError(text, file=path, hint="it must be 'seconds' or 'frames'")
     about = ("source_software", "source_file", "fps")
     metadata = {n: data.attrs[n] for n in about if isinstance(data.attrs.get(n), str | float | int)}

@@ -48,7 +48,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
 
 def _markers(lines: list[str], length_unit: str | None, path: Path) -> ForeignTable:
     if len(lines) < 6:
-        raise InputError("ends within its header", file=path, line=len(lines))
+        raise InputError("ends within the header: copy the file again", file=path, line=len(lines))
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     factor, unit = length(length_unit or head.get("Units"), path)
     names = [safe(name) for name in lines[3].split("\t")[2:] if name.strip()]
@@ -59,7 +59,7 @@ def _markers(lines: list[str], length_unit: str | None, path: Path) -> ForeignTa
     rate, notes = float(head.get("DataRate", "nan")), []
     step = usual_step(time_s)
     if abs(step * rate - 1.0) > 0.01:
-        notes.append(f"its header states {rate:g} Hz, but its times have a rate of {1 / step:g} Hz")
+        notes.append(f"the header states {rate:g} Hz, but the times have a rate of {1 / step:g} Hz")
     return ForeignTable(columns, notes=notes, lines=at)
 
 
@@ -70,11 +70,12 @@ def _motion(lines: list[str], path: Path) -> ForeignTable:
     end = head.index("endheader")
     names = lines[end + 1].split()
     if names[:1] != ["time"]:
-        raise InputError("the first column must be 'time'", file=path, line=end + 2)
+        text = f"the first column must be 'time', not '{''.join(names[:1])}'"
+        raise InputError(text, file=path, line=end + 2)
     in_degrees = "indegrees=yes" in head[:end]
     if not in_degrees and "indegrees=no" not in head[:end]:
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
-        raise InputError("does not state the unit of its angles", file=path, line=end + 1, hint=hint)
+        raise InputError("does not state the unit of the angles", file=path, line=end + 1, hint=hint)
     # Determine the delimiter: the cells of a storage file are separated by tabs, or aligned with blanks.
     delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
     values, at = numbers(path, end + 2, delimiter, len(names))

@@ -56,7 +56,7 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     space = head.get("Coordinate Space", "Global")
     if space != "Global":
         hint = "export with the coordinate space Global"
-        raise InputError(f"its coordinate space is {space}", file=path, line=1, hint=hint)
+        raise InputError(f"the coordinate space is {space}", file=path, line=1, hint=hint)
     values, rows = numbers(path, at + 1, ",", len(lines[at]))
     complete(path, head.get("Total Exported Frames"), len(values), int(rows[-1]))
     # Find each column by its type, the name of its object, its kind (rotation or position) and its axis.
@@ -105,7 +105,7 @@ def _turn(cells: dict[str, Array], form: str, path: Path) -> dict[str, Array]:
         w, x, y, z = q.T
     else:
         hint = "export with the rotation type Quaternion"
-        raise InputError(f"its rotation type {form!r} is not supported", file=path, line=1, hint=hint)
+        raise InputError(f"the rotation type {form!r} is not supported", file=path, line=1, hint=hint)
     return dict(zip(AXES, (w, *from_y_up(x, y, z)), strict=True))
 
 

@@ -161,7 +161,7 @@ def _read_ros2(path: Path, options: ReaderOptions, select: str | None) -> Foreig
     stamp = table.columns.get("header.stamp")
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
         stamp = table.columns["log_time"]
-        table.notes.append("its messages have no stamps; the times are those of the recorder")
+        table.notes.append("the messages have no stamps; the times are those of the recorder")
     (time_s, start), kind = from_first(stamp), topics[topic]
     table.metadata |= start
     if kind == "sensor_msgs/NavSatFix":

@@ -139,10 +139,10 @@ def _check_link(link: parts.Link, own: Array, span: float) -> None:
     where = f"multilink.links.{link.name}"
     mass = float(own[0])
     if mass <= 0:
-        raise InputError(f"its mass is {mass:g} kg; it must be positive", column=f"{where}.mass_kg")
+        raise InputError(f"the mass is {mass:g} kg; it must be positive", column=f"{where}.mass_kg")
     if mass > MAX_DENSITY * link.length_m * span**2:
         raise InputError(
-            f"it weighs {mass:g} kg at a length of {link.length_m:g} m, in a robot {span:g} m long",
+            f"the mass is {mass:g} kg at a length of {link.length_m:g} m, in a robot {span:g} m long",
             column=f"{where}.mass_kg",
             hint="masses are in kg, lengths in m: is one of them in g or mm?",
         )
@@ -151,10 +151,10 @@ def _check_link(link: parts.Link, own: Array, span: float) -> None:
     if central <= 1e-9 * mass * link.length_m**2:
         hint = None
         if link.inertia_about == "front":
-            shift = f"the mass alone gives {mass * (x * x + y * y):.4g} kg m2 about the front end"
-            hint = f"the file says it is about the front end: {shift}"
+            least = f"{mass * (x * x + y * y):.4g} kg m2"
+            hint = f"about the front end, the inertia of this link must exceed {least}"
         raise InputError(
-            f"its inertia leaves {central:.4g} kg m2 about the centre of mass; it must be positive",
+            f"the inertia about the centre of mass is {central:.4g} kg m2; it must be positive",
             column=f"{where}.inertia_kg_m2",
             hint=hint,
         )

@@ -86,7 +86,7 @@ class SpatialTree(Tree):
             mass = float(rigid[i, 0])
             if mass < 0:
                 raise InputError(
-                    f"its mass is {mass:g} kg; it must not be negative", column=f"{where}.mass_kg"
+                    f"the mass is {mass:g} kg; it must not be negative", column=f"{where}.mass_kg"
                 )
             whole = full(apparent[i])
             if not whole.any():
@@ -112,9 +112,9 @@ def _check_moments(row: Array, mass: float, where: str) -> None:
     moments = np.sort(np.linalg.eigvalsh(central))
     if moments[0] <= 0 or moments[2] > (1.0 + 1e-9) * (moments[0] + moments[1]):
         raise InputError(
-            f"no body has the principal moments {', '.join(f'{m:.4g}' for m in moments)} kg m2",
+            f"no rigid body has the principal moments {', '.join(f'{m:.4g}' for m in moments)} kg m2",
             column=f"{where}.inertia_kg_m2",
-            hint="they are about the centre of mass; each is at most the sum of the other two",
+            hint="moments about the centre of mass are positive, and at most the sum of the other two",
         )
 
 
