@@ -24,8 +24,8 @@ HELD_OUT: dict[HeldOut | None, str] = {
     "trials": "in cross-validation over trials",
     "stretches": "in cross-validation over stretches of trials",
 }
-#: Prefix of the names of other interpretations of the robot. The rest of such a name is a value of the option
-#: ``--reading``.
+#: Prefix of the names of models that interpret the robot file in another way. The rest of such a name is a
+#: value of the option ``--reading``.
 READING = "reading:"
 
 
@@ -259,7 +259,7 @@ class Advice(yamlio.Document):
 
     @property
     def command(self) -> Log | None:
-        """Return the command file of the proposed trial; None if there is none, or if a file was read."""
+        """Return the command file of the proposed trial; None without a proposal or if read from a file."""
         return self._command
 
 

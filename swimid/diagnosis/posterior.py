@@ -100,7 +100,7 @@ class Candidate:
 
 
 def are_twins(first: Candidate, second: Candidate) -> bool:
-    """Return whether two hypotheses leave the same residuals, so that no trial of this kind separates them.
+    """Return whether two hypotheses leave the same residuals, so that no similar trial can separate them.
 
     Linear drag and viscous friction of the pulley are such twins in falling-weight trials.
     """

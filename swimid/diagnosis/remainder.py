@@ -230,7 +230,7 @@ class ResidualForce(Description):
         self.place = f"{axis} {kind}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the smooth force to the simulation of one trial."""
+        """Return the hook that adds the generic force, a smooth function of time, to one trial."""
         known = [FORCE_AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
         return Hooks(force=(ExternalForce(smooth_force, np.concatenate((known, values))),))
 
@@ -247,7 +247,7 @@ class ResidualPush(Description):
         self.size, self.speed, self.span = size, speed, span
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the smooth force to the simulation of one trial."""
+        """Return the hook that adds the generic force, a smooth function of time, to one trial."""
         known = [*_window(trial), self.speed, self.span]
         return Hooks(force=(ExternalForce(smooth_push, np.concatenate((known, values))),))
 

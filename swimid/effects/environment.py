@@ -499,7 +499,7 @@ class Waves(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the parameter vectors that are simulated before a fit.
+        """Return parameter vectors, each of which is simulated before a fit to choose its start values.
 
         Each vector has one amplitude at its scale, because the simulated trials change in proportion to it.
         """
@@ -558,7 +558,7 @@ class _Travelling(Waves):
         return (*shared, cosine, sine, *quarter)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the parameter vectors that are simulated before a fit.
+        """Return parameter vectors, each of which is simulated before a fit to choose its start values.
 
         Each vector has one amplitude at its scale, and the wavenumber in deep or in shallow water.
         """

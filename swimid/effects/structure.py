@@ -479,7 +479,7 @@ class Friction(Effect, ABC):
         self.everywhere = everywhere
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form of the friction for rigs, or the form for servos that follow a command."""
+        """Return the variant of this effect for rigs, or the variant for servos that follow a command."""
         if model.rig is not None:
             return [type(self)(everywhere=not base.has_pulley(trials))]
         return super().variants(model, trials)

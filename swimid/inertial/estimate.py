@@ -525,8 +525,8 @@ def _fuse(setup: ImuSetup, poses: Poses) -> MotionEstimate:
     try:
         offsets = alignment.align(setup.record, setup.source, poses, setup.options.clock_offset_s)
     except NoTrustworthyResult as error:
-        # Try synchronised clocks. The clock offset may be impossible to estimate although the clocks are
-        # synchronised. Held-out fixes can then show that both logs record the same motion.
+        # Assume a clock offset of zero. The data may not determine the offset although the clocks are
+        # synchronised. Held-out positions can still show that both logs record the same motion.
         refusal, offsets = error, alignment.align(setup.record, setup.source, poses, 0.0)
     if offsets[0].handed < 0:
         text = "the turns mirror those in the camera log: an axis is flipped in either log"

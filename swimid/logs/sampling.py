@@ -711,9 +711,9 @@ def rounding_ratio(values: Array) -> float:
 
 
 def _small(sizes: Array, ratio: float) -> Flags:
-    """Flag the steps that are smaller than ``ratio`` times the next step, and all steps of similar size.
+    """Flag the steps that are smaller than ``ratio`` times the step after them, and all steps of their size.
 
-    A step is of similar size if it is below the geometric mean of two medians: the median of the small steps,
+    A step is of their size if it is below the geometric mean of two medians: the median of the small steps,
     and the median of the large steps that follow them.
     """
     if ratio == 0.0:

@@ -138,7 +138,7 @@ class RuleFile(StudyFile):
         amplitudes = [curve.amplitude_deg for curve in self.curves]
         if amplitude_deg is None:
             if len(amplitudes) > 1:
-                raise UsageError("this rule depends on the amplitude: give amplitude_deg")
+                raise UsageError("the stiffness rule depends on the amplitude: give amplitude_deg")
             amplitude_deg = amplitudes[0]
         f = _limit_to_range(frequency_hz, self.frequency_hz, "frequency_hz", outside)
         a = _limit_to_range(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)

@@ -56,7 +56,7 @@ class PointScale(Scale):
 
 
 class PointsFile(yamlio.Document):
-    """Content of a points file, which says where tracked points sit on a robot, or name a chain of points."""
+    """Content of a points file: positions of tracked points on a robot, or names of a chain of points."""
 
     format: Literal["swimid-points/1"] = FORMAT
     #: Place of each point, by the name that the tracker uses. It replaces the points of the robot file.

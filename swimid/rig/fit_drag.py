@@ -831,7 +831,7 @@ def _water_in_body(experiment: Experiment, trial: Trial) -> float:
 
 
 def prism_added_mass(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
-    """Return the added mass of a box in water that moves along its length, kg.
+    """Return the added mass of a box that moves through water along its own length, kg.
 
     Notes
     -----

@@ -63,7 +63,7 @@ class Sketch(BaseModel):
     @model_validator(mode="after")
     def _of_one_length(self) -> Self:
         if len(self.traces) != len(self.styles) or any(len(x) != len(y) for x, y in self.traces):
-            raise ValueError("a sketch has traces of different lengths")
+            raise ValueError("traces of a sketch have different numbers of samples: they must be equal")
         return self
 
 

@@ -490,7 +490,7 @@ def _ends(name: str, text: str) -> tuple[float, float]:
 
 
 def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
-    """Return half the width of a coefficient's range by a rule of ``--range``, and the origin of the range.
+    """Return half the width of a coefficient's range by a rule of ``--range``, and the kind of rule.
 
     The half-width is NaN if the rule needs a standard error that is unknown (NaN).
     """

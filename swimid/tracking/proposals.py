@@ -496,8 +496,8 @@ def distance_change(run: FilmTrack, one: str, other: str) -> float | None:
     size = 0.5 * np.log(track.area[[i, j]][:, both].sum(axis=0))[alike]
     design = np.column_stack([np.ones(alike.sum()), *place])
     smooth, unshared = (design @ np.linalg.lstsq(design, v, rcond=None)[0] for v in (size, size + shrunk))
-    # The outline of a patch is known to one pixel. Therefore the areas of small markers are uncertain, and
-    # this part of their change is not counted.
+    # The outline of a patch is known to one pixel. Therefore the area of a small marker is uncertain, and the
+    # change of area that this uncertainty can cause is not counted.
     blurred = float(np.ptp(math.sqrt(2 * math.pi) / np.exp(smooth)))
     drift = min(float(np.ptp(shrunk)), max(float(np.ptp(unshared)) - blurred, 0.0))
     return max(1.4826 * float(np.median(np.abs(left))), drift)

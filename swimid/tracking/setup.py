@@ -129,7 +129,9 @@ class Setup(Document):
             if chosen is not None and chosen not in names:
                 raise ValueError(f"{role} '{chosen}' is no marker; the markers are: {', '.join(names)}")
         if self.tail is not None and self.head in (None, self.tail):
-            raise ValueError(f"tail '{self.tail}' is given without another marker as head")
+            raise ValueError(
+                f"tail is '{self.tail}', and head is missing or the same marker: give two different markers"
+            )
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
             text = f"method: background allows one marker, but the setup has {', '.join(names)}"
             raise ValueError(f"{text}: keep one marker, or choose another method")

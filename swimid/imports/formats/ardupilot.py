@@ -137,7 +137,9 @@ def _read(path: Path, options: ReaderOptions, select: str | None) -> ForeignTabl
     time = next((name for name in _TIMES if name in table.columns), None)
     if not columns or time is None:
         hint = f"assign fields in a mapping; known fields: {', '.join([*ARDUPILOT_FIELDS, *MAVLINK])}"
-        raise InputError("has no time and field of a known quantity", file=path, hint=hint)
+        raise InputError(
+            "needs a time and at least one field of a known quantity, and has not both", file=path, hint=hint
+        )
     time_s = table.columns[time].astype(float) * _TIMES[time]
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))}, units={})
 
