@@ -245,7 +245,7 @@ def _describe_parameters(odd: _TrialFit, others: _TrialFit, labels: Sequence[str
 
 
 class _TrialFit(NamedTuple):
-    """Fit of some trials: problem, estimates and standard errors by label, and excess of squared residuals."""
+    """Fit of some trials: problem, estimates and standard errors by label, and excess squared residuals."""
 
     problem: Problem
     values: dict[str, tuple[float, float]]
