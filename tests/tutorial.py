@@ -43,12 +43,16 @@ def run(words: list[str], folder: Path) -> str:
 
 
 def shorten(printed: str, block: str) -> str:
-    """Return the printed text, without the lines that a block of a page leaves out."""
+    """Return the printed text, without the lines that a block of a page leaves out.
+
+    The block goes on with the last printed line that begins with the word after the dots.
+    """
     shown, lines = block.splitlines()[1:], printed.splitlines()
     if LEFT_OUT not in shown:
         return printed
     head = shown.index(LEFT_OUT)
-    tail = len(lines) - (len(shown) - head - 1)
+    word = shown[head + 1].split()[0]
+    tail = max(k for k, line in enumerate(lines) if line.split()[:1] == [word])
     return "\n".join([*lines[:head], LEFT_OUT, *lines[tail:]])
 
 
