@@ -262,10 +262,10 @@ def test_the_command_writes_a_gait_file(swimid: Callable[..., Ran], tmp_path: Pa
     ("changed", "says"),
     [
         ({"vary": {}}, "no parameter of the gait is varied"),
-        ({"vary": {"K": (0.1, 1.0)}}, "there is no 'K'"),
+        ({"vary": {"K": (0.1, 1.0)}}, "no parameter 'K'"),
         ({"vary": {"K_s": (1.0, 0.1)}}, "not below"),
         ({"goal": "power"}, "reach_speed"),
-        ({"limits": {"torque": 1.0}}, "there is no 'torque'"),
+        ({"limits": {"torque": 1.0}}, "'torque' cannot be limited"),
         ({"limits": {"torque_N_m": -1.0}}, "above zero"),
         ({"frequency_hz": None}, "the beat has no frequency_hz"),
         ({"robot": "boxfish"}, "multilink"),

@@ -67,7 +67,7 @@ def test_memory_for_each_frame_while_tracking_is_that_of_its_detection():
 def test_a_long_film_is_not_drawn_into_a_gif(tmp_path, monkeypatch):
     monkeypatch.setattr("swimid.files.video.MAX_GIF_BYTES", 20 * 3 * 128 * 100)
     film = film_of(1.0).write(tmp_path / "film.mp4")
-    with pytest.raises(UsageError, match=r"at most 20 frames.* of 30 frames") as raised:
+    with pytest.raises(UsageError, match=r"at most 20 frames.* not the 30 frames") as raised:
         swimid.track_video(film, setup=yaml.safe_load(ONE_RED), overlay_path=tmp_path / "overlay.gif")
     assert "overlay.mp4" in raised.value.hint
     assert not (tmp_path / "overlay.gif").exists()

@@ -559,7 +559,7 @@ class TestEvidence:
         command = ("compare", trials, "--params", params, "-o", tmp_path / "run.yaml")
         ran = swimid(*command)
         assert ran.status == 2
-        assert "run.evidence.json is the evidence of run.csv" in ran.err
+        assert "run.yaml and run.csv would both have the evidence file" in ran.err
         assert contents(tmp_path) == before
         (tmp_path / "run.csv").unlink()
         assert swimid(*command).status == 0

@@ -94,7 +94,7 @@ def test_standard_deviations_follow_the_covariance(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"over": {"K": (0.1, 1.0, 3)}}, "there is no 'K'"),
+        ({"over": {"K": (0.1, 1.0, 3)}}, "no parameter 'K'"),
         ({"over": {"frequency_hz": (0.0, 1.0, 3)}}, "frequency_hz"),
         ({"over": {"frequency_hz": (2.0, 1.0, 3)}}, "not below"),
         ({"over": {"frequency_hz": (1.0, 2.0, 1)}}, "two or more"),

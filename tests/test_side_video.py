@@ -302,7 +302,7 @@ def test_exchanged_markers_and_a_wrong_scale_are_noticed():
         ({"at": [(0.1, 0.0), None]}, "marker 'rear' needs at_m, too"),
         ({"at": [(0.1, 0.0), (0.1, 0.0)]}, "have the same at_m"),
         ({"at": [None, None], "robot": "tfish"}, "moves in the horizontal plane"),
-        ({"at": [None, None], "robot": "dolphin"}, "names no marker 'front'; it names: none"),
+        ({"at": [None, None], "robot": "dolphin"}, "names no marker 'front'; the robot names: none"),
         ({"at": [None, None], "robot": "sea-lion"}, "did you mean 'sealion'"),
         ({"at": [None, None], "robot": "sealion", "tail": None, "head": None}, "head"),
     ],

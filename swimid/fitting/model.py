@@ -1041,7 +1041,7 @@ def groups_by_prefix(parameters: Sequence[Parameter], prefix: str) -> dict[str, 
         stems = [re.sub(r"\d+$", "", p.name) for p in parameters if re.search(r"\d+$", p.name)]
         several = sorted({s for s in stems if stems.count(s) > 1})
         hint = suggestion(prefix, several)
-        raise UsageError(f"the model has no two parameters named '{prefix}' and a number", hint=hint)
+        raise UsageError(f"fewer than two parameters have a name of '{prefix}' and a number", hint=hint)
     return {prefix: members}
 
 
