@@ -1009,8 +1009,8 @@ def _whiteness(result: FitResult) -> list[ev.Check]:
     found = []
     for channel, test in tests.items():
         name, shown = f"white residuals, {channel}", ev.p_text(test.p_value)
-        limit, text = f"p ≥ {SIGNIFICANCE:g}", text * (not test.is_passed)
-        found.append(ev.make_check(name, shown, test.is_passed, limit, text, reason=reason))
+        note, limit = text * (not test.is_passed), f"p ≥ {SIGNIFICANCE:g}"
+        found.append(ev.make_check(name, shown, test.is_passed, limit, note, reason=reason))
     return found
 
 
