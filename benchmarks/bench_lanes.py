@@ -133,7 +133,7 @@ def bench_effects() -> None:
         f"{'ratio':>8}{'off lanes':>11}"
     )
     for effect in [None, *effects]:
-        forms = [] if effect is None else list(effect.variants(lanes, swims))
+        forms = [] if effect is None else list(catalogue.forms(effect, lanes, swims))
         if effect is not None and not forms:
             continue
         chosen = forms[:1]
