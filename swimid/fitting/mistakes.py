@@ -382,9 +382,9 @@ def _explain(
     if not corrected:
         return None
     score = _compute_gain(list(after), before, after) - 2.0 * math.log(alternatives)
-    errors = [(compute_trial_errors(before[name]), compute_trial_errors(after[name])) for name in corrected]
-    left = [compute_trial_errors(series) for series in {**before, **after}.values()]
-    if score <= rivals.STRONG or any(error > GOOD for trial in left for error in trial.values()):
+    final = {name: compute_trial_errors(series) for name, series in {**before, **after}.items()}
+    errors = [(compute_trial_errors(before[name]), final[name]) for name in corrected]
+    if score <= rivals.STRONG or any(error > GOOD for trial in final.values() for error in trial.values()):
         return None
     if any(max(early.values(), default=0.0) <= GOOD for early, _ in errors):
         return None
