@@ -57,7 +57,7 @@ def test_a_motionless_track_is_never_good(tmp_path, covered_rule, scale):
     assert proof.verdict.level != "good"
 
 
-@pytest.mark.parametrize("turn_rad, verdict", [(0.0, "warn"), (0.12, "pass")])
+@pytest.mark.parametrize("turn_rad, verdict", [(0.0, "warn"), (0.004, "warn"), (0.12, "pass")])
 def test_motion_of_less_than_a_radius_must_turn_the_robot(tmp_path, turn_rad, verdict):
     """A raft that rocks in a wave is no robot; a fish whose body turns with its beat in one place may be."""
 

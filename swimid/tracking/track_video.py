@@ -504,8 +504,8 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
 def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
     """Check that at least one marker moves, because a motionless object passes all other checks.
 
-    A robot that hardly leaves its place passes if its stroke turns the line between its markers. Waves also
-    rock a floating object, but they move all of its markers in the same way.
+    A robot that hardly leaves its place passes if its stroke turns the line between its markers by more than
+    the noise. Waves also rock a floating object, but they move all of its markers in nearly the same way.
     """
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
@@ -519,7 +519,11 @@ def _motion(track: RawTrack, setup: Setup, swum: Swimming | None) -> ev.Check:
         reason += ", which is not above the noise"
     reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
-    turns = swum is not None and "turn" in swum.amplitudes and not swum.stroke.doubt
+    turns = False
+    if swum is not None and "turn" in swum.amplitudes and not swum.stroke.doubt:
+        head, tail = (track.row(role) for role in setup.roles)
+        span = np.nanmedian(np.hypot(track.x[head] - track.x[tail], track.y[head] - track.y[tail]))
+        turns = bool(swum.amplitudes["turn"].value * span > noise)
     if turns:
         limit = f">= {noise:.2g} px of noise, with a stroke that turns the robot"
     passed = (radii >= frames.MIN_RADII or turns) and not still
